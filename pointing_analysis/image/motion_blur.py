@@ -33,8 +33,8 @@ SERIES_BELOW = 0.5
 _SINC = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))
 DIRECTIONS = 24
 """Directions that a search for the worst one begins with, at least."""
-MAX_DIRECTIONS = 720
-REFINEMENTS = 5
+MAX_DIRECTIONS = 240
+REFINEMENTS = 4
 
 
 def exposures(error: FloatArray, dt: float, exposure: float) -> FloatArray:
@@ -59,6 +59,30 @@ def exposures(error: FloatArray, dt: float, exposure: float) -> FloatArray:
         )
     index = n * np.arange(m)[:, None] + np.arange(n + 1)
     return np.asarray(error[index, :2])
+
+
+def some_exposures(error: FloatArray, dt: float, exposure: float, most: int) -> tuple[FloatArray, IntArray]:
+    """At most so many exposures, spread evenly over the series, without those that miss a sample.
+
+    Returns
+    -------
+    paths : (m, N + 1, 2)
+    index : (m,) number of each among all exposures
+
+    Raises
+    ------
+    ValueError
+        As `exposures`.
+    """
+    n = window_samples(exposure, dt)
+    m = (len(error) - 1) // n
+    if m < 1:
+        exposures(error, dt, exposure)  # says what is wrong
+    index = np.unique(np.linspace(0, m - 1, min(most, m)).round().astype(np.int64))
+    paths = np.asarray(error[n * index[:, None] + np.arange(n + 1), :2])
+    release()
+    whole = ~missing(paths)
+    return paths[whole], index[whole]
 
 
 def exposure_parts(error: FloatArray, dt: float, exposure: float, count: int = PART) -> Iterator[FloatArray]:

@@ -32,15 +32,15 @@ from pointing_analysis.image.motion_blur import centred, levels, motion_transfer
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quadrature import Quadrature
 
-LARGEST = 200.0
-"""[rad] 2 pi times the largest distance from the mean, in units of wavelength over aperture: 32 of these."""
-LEVELS = (1.5, 6.0, 24.0, 70.0, LARGEST)
+LARGEST = 60.0
+"""[rad] 2 pi times the largest distance from the mean, in units of wavelength over aperture: 9.5 of these."""
+LEVELS = (1.5, 6.0, 15.0, 30.0, LARGEST)
 """Exposures are worked on in classes by that phase, each with as many frequencies as it needs."""
-STARTS = 9
+STARTS = 5
 """Places on the path at which the search for the peak begins, where it may have several."""
 ONE_PEAK = 2.0
 """[rad] Motion below this phase leaves one peak, near the mean."""
-STEPS = 40
+STEPS = 20
 RADII = 160
 BLOCK = 1 << 17
 
@@ -196,7 +196,7 @@ def _peak(q: Quadrature, spectrum: ComplexArray, start: FloatArray) -> tuple[Flo
         tried = ((spectrum * _shifted(q, place + step)) @ surface).real
         better = tried[:, 0] > here[:, 0]
         place, here = np.where(better[:, None], place + step, place), np.where(better[:, None], tried, here)
-        if not better.any() or float(length.max()) < 1e-7 * far:  # the height is flat there: exact to its square
+        if not better.any() or float(length.max()) < 1e-5 * far:  # the height is flat there: exact to its square
             break
     return here[:, 0], place
 

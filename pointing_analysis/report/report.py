@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,11 @@ from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import LOS
-from pointing_analysis.report import figures
+from pointing_analysis.report import figures, image_figures
 from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import Picture, RunView
+from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
@@ -121,6 +123,11 @@ class Drawn:
     limits: Mapping[str, list[float]]
     model: Model
 
+    @cached_property
+    def images(self) -> tuple[ImageView, ...]:
+        """Exposures of the runs whose optics are known."""
+        return image_views(self.views)
+
     @property
     def has_spectrum(self) -> bool:
         """Whether any run is long enough for one."""
@@ -148,6 +155,11 @@ def _latency(d: Drawn) -> Picture | None:
 PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ...] = (
     lambda d: figures.time_history(d.views),
     _trajectory,
+    lambda d: image_figures.stars(d.images),
+    lambda d: image_figures.targets(d.images),
+    lambda d: image_figures.transfers(d.images),
+    lambda d: image_figures.energies(d.images),
+    lambda d: image_figures.ellipticities(d.images),
     lambda d: figures.density(d.views) if d.has_spectrum else None,
     lambda d: cumulative(d.views) if d.has_spectrum else None,
     lambda d: moving_pictures(d.views, d.limits["RPE"]),

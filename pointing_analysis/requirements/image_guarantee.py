@@ -54,15 +54,17 @@ def proven_text(found: Any, optics: Optics | None, measured: ImageSummary | None
     """
     if optics is None or not isinstance(found, Mapping):
         return ""
-    rms, exposure = found.get("rms_rad"), found.get("exposure_s")
-    if not all(isinstance(x, (int, float)) and 0.0 < x < math.inf for x in (rms, exposure)):
+    given = [found.get(key) for key in ("rms_rad", "exposure_s")]
+    numbers = [float(x) for x in given if isinstance(x, (int, float)) and 0.0 < x < math.inf]
+    if len(numbers) != len(given):
         return ""
-    half, full = (least_transfer(float(rms), part * optics.nyquist) for part in (0.5, 1.0))
-    end = 0.25 / float(rms) / optics.nyquist
+    rms, exposure = numbers
+    half, full = (least_transfer(rms, part * optics.nyquist) for part in (0.5, 1.0))
+    end = 0.25 / rms / optics.nyquist
     at_full = f"{full:.3g} at Nyquist" if full else f"no bound above {end:.3g} Nyquist"
     text = (
-        f"MTF of the motion, {1e3 * float(exposure):g} ms, proven for every telescope of the family and one tone of "
-        f"norm 1, without noise: at least {half:.3g} at 0.5 Nyquist, {at_full} (RPE {float(rms) / RAD_PER_MAS:.4g} mas)"
+        f"MTF of the motion, {1e3 * exposure:g} ms, proven for every telescope of the family and one tone of "
+        f"norm 1, without noise: at least {half:.3g} at 0.5 Nyquist, {at_full} (RPE {rms / RAD_PER_MAS:.4g} mas)"
     )
     if measured is None or measured.exposure != exposure:
         return text

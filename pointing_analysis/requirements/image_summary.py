@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from pointing_analysis.image.motion_blur import exposure_parts, missing, worst_transfer
+from pointing_analysis.image.motion_blur import some_exposures, worst_transfer
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
@@ -15,7 +13,7 @@ from pointing_analysis.requirements.image_samples import share
 
 PART = 0.997
 """Part of the exposures that keeps the values."""
-MOST = 2000
+MOST = 1000
 """Exposures of a run that the figures are made of, spread evenly over it; requirements use all."""
 
 
@@ -53,11 +51,9 @@ class ImageSummary:
         ValueError
             The exposure is no whole number of samples, or longer than the run.
         """
-        pieces = exposure_parts(series.values, series.dt, exposure)
-        paths = np.concatenate([piece[~missing(piece)] for piece in pieces])
+        paths, _ = some_exposures(series.values, series.dt, exposure, MOST)
         if not len(paths):
             return None
-        paths = paths[np.unique(np.linspace(0, len(paths) - 1, min(MOST, len(paths))).round().astype(int))]
         star = figures(paths, optics, ("strehl", "ee80", "ellipticity"))
         mtf, half = (worst_transfer(paths, part * optics.nyquist)[0] for part in (1.0, 0.5))
         return cls(

@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, image, plant, design."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
+from los_testbed.cli.image import image_app
 from los_testbed.cli.keys import KEYS_EXAMPLES, keys
 from los_testbed.cli.plant import plant_app
 from los_testbed.cli.proofs import CERTIFY_EXAMPLES, certify
@@ -57,6 +58,7 @@ bag_app.command(name="info", help=INFO_EXAMPLES)(info)
 bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
 bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
 app.add_typer(bag_app, name="bag")
+app.add_typer(image_app, name="image")
 app.add_typer(control_app, name="control")
 app.add_typer(plant_app, name="plant")
 design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)

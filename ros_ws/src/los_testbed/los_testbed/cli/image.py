@@ -1,0 +1,139 @@
+"""Command group ``los-testbed image``: pictures of what the telescope sees, and its jitter for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Transient
+from los_testbed.cli.output import chunk_limit, number, print_json, seconds
+from los_testbed.run.screen import Screen, say
+
+FIGURES_EXAMPLES = """Draw a star and a test target as the detector sees them, MTF, encircled energy and ellipticity.
+
+One run or several side by side, as PNG and SVG. The exposures are of 20 ms; the one that is shown of a run is that of
+1000 which three are worse than.
+
+**Examples**
+
+    los-testbed image figures bags/none bags/isolator bags/fsm bags/fsm+pma --output pictures
+
+    los-testbed image figures measured.csv --los x,y --unit mas --optics my_telescope.toml --output pictures
+"""
+
+EXPORT_EXAMPLES = """Write the jitter of a line of sight for other programs.
+
+`.fits` is a picture of the time that the line of sight spends at each place, sum 1, by default on a grid of 1 mas with
+an odd number of places: the kernel with which poppy or Pyxel convolve an image. With `--path` it is the path itself as
+a table. `.csv` is always the path. FITS needs `pip install 'los-testbed[image]'`.
+
+**Examples**
+
+    los-testbed image export bags/night --output kernel.fits --exposure 0.02        # all exposures, laid on each other
+
+    los-testbed image export bags/night --output kernel.fits --exposure 0.02 --number 17 --step 0.5
+
+    los-testbed image export bags/night --output path.csv
+
+    los-testbed image export measured.csv --los x,y --unit mas --output path.fits --path
+"""
+
+image_app = typer.Typer(
+    help="What the telescope sees: pictures, and jitter for other programs.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+Bags = Annotated[
+    list[Path], typer.Argument(help="Bags (folders or .mcap files), or tables: .csv, .parquet, .npy, .npz.")
+]
+Bag = Annotated[Path, typer.Argument(help="Bag (folder or .mcap file), or table: .csv, .parquet, .npy, .npz.")]
+Los = Annotated[str | None, typer.Option(metavar="NAME", help="Line of sight, as in `analyse`.")]
+Unit = Annotated[str | None, typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas.")]
+Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
+
+
+@image_app.callback()
+def image_group() -> None:
+    """What the telescope sees: pictures, and jitter for other programs."""
+
+
+@image_app.command(help=FIGURES_EXAMPLES)
+def figures(
+    bags: Bags,
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    los: Los = None,
+    unit: Unit = None,
+    rate: Rate = None,
+    optics: OpticsFile = None,
+    transient: Transient = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See FIGURES_EXAMPLES."""
+    from pointing_analysis.files.atomic_output import check_output
+    from pointing_analysis.image.optics import NONE_KNOWN, load_optics, optics_of, with_optics
+    from pointing_analysis.read.los_source import open_los
+    from pointing_analysis.report.image_pictures import draw_pictures
+    from pointing_analysis.report.report import labels, view
+
+    seconds("--transient", transient)
+    check_output(output, "--output", folder=True)
+    seen = None if optics is None else load_optics(optics)
+    limit = chunk_limit(max_chunk)
+    runs = [open_los(bag, los=los, unit=unit, rate=rate, max_chunk=limit) for bag in bags]
+    runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
+    for run in runs:
+        if optics_of(run) is None:
+            raise ValueError(f"{run.path}: {NONE_KNOWN}")
+    paths = draw_pictures([view(run, name, transient) for run, name in zip(runs, labels(runs))], output)
+    console = Screen(stderr=json_)
+    for path in paths:
+        say(console, str(path))
+    if json_:
+        print_json({"pictures": [str(path) for path in paths]})
+
+
+@image_app.command(help=EXPORT_EXAMPLES)
+def export(
+    bag: Bag,
+    output: Annotated[Path, typer.Option(help="File to write: .fits or .csv.")],
+    exposure: Annotated[float | None, typer.Option(help="Exposure [s]; default: the whole run is one.")] = None,
+    number_: Annotated[
+        int | None, typer.Option("--number", help="Which exposure, from 0; default: all, laid on each other.")
+    ] = None,
+    step: Annotated[float, typer.Option(help="Distance of the places of the kernel [mas].")] = 1.0,
+    path: Annotated[bool, typer.Option("--path", help="Also in FITS the path, not the kernel.")] = False,
+    los: Los = None,
+    unit: Unit = None,
+    rate: Rate = None,
+    transient: Transient = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See EXPORT_EXAMPLES."""
+    from pointing_analysis.files.atomic_output import check_output
+    from pointing_analysis.image.export import write_kernel, write_path
+    from pointing_analysis.indices.errors import performance_error
+    from pointing_analysis.read.los_source import open_los
+
+    seconds("--transient", transient)
+    number("--step", step, 1e-6, 1e6, "mas")
+    if output.suffix.lower() not in (".fits", ".csv"):
+        raise ValueError(f"--output must end in .fits or .csv, got {output}")
+    if number_ is not None and exposure is None:
+        raise ValueError(f"--exposure must be given with --number, got none with {number_}")
+    check_output(output, "--output")
+    run = open_los(bag, los=los, unit=unit, rate=rate, max_chunk=chunk_limit(max_chunk))
+    series = performance_error(run, transient)
+    if output.suffix.lower() == ".csv" or path:
+        found = write_path(output, series, run.path.name, exposure, number_)
+    else:
+        found = write_kernel(output, series, run.path.name, exposure, number_, step)
+    console = Screen(stderr=json_)
+    say(console, f"{found.text}")
+    say(console, str(output))
+    if json_:
+        print_json({"output": str(output), **found.values})
