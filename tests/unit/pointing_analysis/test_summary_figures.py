@@ -116,7 +116,7 @@ def test_samples_before_the_first_and_after_the_last_are_lost() -> None:
     assert found.problems == ("line of sight: 5 samples missing before the first one and after the last one",)
     assert found.ticks == 3005
     cut = summarise(replace(made, topic=replace(made["truth/los"], open_end=True)), transient=0.0)
-    assert cut.samples_lost == 0 and "truth/los: the recording was cut off" in cut.problems[0]
+    assert cut.samples_lost == 0 and "line of sight: the recording was cut off" in cut.problems[0]
     assert (cut.lost_text(), cut.lost_text(2), found.lost_text()) == ("unknown", "at least 2", "5")
     assert (cut.as_dict()["cut_off"], found.as_dict()["cut_off"]) == (True, False)
 
