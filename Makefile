@@ -10,6 +10,8 @@ LANES := -n 2 --dist loadfile --no-loadscope-reorder
 PACKAGES := lftkit titop_plant los_estimator fsm_pma_controller los_loop los_design pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# hundreds of processes start in the tests: without bytecode each of them compiles the packages anew
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help run test test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture campaign-pictures bench docs designs site lock clean

@@ -151,13 +151,16 @@ def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
     assert bounds.upper == pytest.approx(3.41740, abs=1e-5) and check_axis_proof(bounds.proof).stable
 
 
-def test_bands_levels_and_boxes() -> None:
+@pytest.mark.parametrize("band", [(0.5, 3.0), (2.0, np.inf), (0.0, 0.5), (300.0, 400.0)])
+def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
+    bounds = axis_gain(aligned_modes(2, damping=0.05), band=band, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
+    checked = check_axis_proof(bounds.proof)
+    assert checked.band == band and not checked.stable
+
+
+def test_levels_and_boxes() -> None:
     system = aligned_modes(2, damping=0.05)
-    for band in ((0.5, 3.0), (2.0, np.inf), (0.0, 0.5), (300.0, 400.0)):
-        bounds = axis_gain(system, band=band, wall_limit=LONG)
-        assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
-        checked = check_axis_proof(bounds.proof)
-        assert checked.band == band and not checked.stable
     assert axis_gain(system, level=19.0, wall_limit=LONG).status == "violated"  # 20 is reached
     assert axis_gain(system, level=21.0, wall_limit=LONG).upper == 21.0
     fixed = axis_gain(system, {"k0": (1.0, 1.0)}, wall_limit=LONG)

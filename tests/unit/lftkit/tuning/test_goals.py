@@ -169,7 +169,7 @@ def test_goals_hold_over_a_box_of_parameters() -> None:
     """The sensitivity of g / (s (s + 2)) grows with g."""
     goals = [HinfGain("r", "e", weight_out=transfer([1.0], [1.0, 1e-3])), Sensitivity("u", bound=1.3, hard=True)]
     options, box = TuningOptions(starts=0), {"gain": (0.5, 2.0)}
-    search = WorstCaseOptions(samples=20)
+    search = WorstCaseOptions(samples=8)
     structure = gain([("e", 1)], [("u", 1)])
     result = tune_robust(build, box, goals, structure, initial=[[0.5]], options=options, search=search)
     worst = worst_case(build, box, result.controller, goals, options=search)

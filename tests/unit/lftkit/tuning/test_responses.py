@@ -282,7 +282,7 @@ def descended(
 
 def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     """From several starts: lower at every look, the hard gain at most 1, and no plane left that lowers it much."""
-    omega = np.geomspace(0.02, 50.0, 150)
+    omega = np.geomspace(0.02, 50.0, 60)
     gains = (GAINS[0], ResponseGain("sensitivity", (0, 1), slice(0, 3), slice(0, 3), lambda w: 0.5 + 0 * w, hard=True))
     one = ResponseProblem(BLOCKS, samples(omega), gains)
     ends = []

@@ -83,16 +83,16 @@ def test_uncontrollable_undamped_mode_is_no_crash() -> None:
     assert result.status is TuningStatus.NOT_STABILISED and result.certificate is None
 
 
-def test_converged_means_certified_within_a_thousandth() -> None:
-    for name in ("AC6", "AC15"):
-        plant = PLANTS[name]()
-        ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
-        result = tune([plant], [HinfGain("w", "z")], gain([ports["y"]], [ports["u"]]), options=QUICK)
-        assert result.certificate is not None
-        if result.status is TuningStatus.CONVERGED:
-            assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-3)
-            assert result.certificate.upper.max() == pytest.approx(result.soft, rel=1e-3)
-        assert result.status in (TuningStatus.CONVERGED, TuningStatus.STALLED, TuningStatus.ITERATIONS)
+@pytest.mark.parametrize("name", ["AC6", pytest.param("AC15", marks=pytest.mark.slow)])
+def test_converged_means_certified_within_a_thousandth(name: str) -> None:
+    plant = PLANTS[name]()
+    ports = {p.name: p for p in (*plant.inputs, *plant.outputs)}
+    result = tune([plant], [HinfGain("w", "z")], gain([ports["y"]], [ports["u"]]), options=QUICK)
+    assert result.certificate is not None
+    if result.status is TuningStatus.CONVERGED:
+        assert result.certificate.values.max() == pytest.approx(result.soft, rel=1e-3)
+        assert result.certificate.upper.max() == pytest.approx(result.soft, rel=1e-3)
+    assert result.status in (TuningStatus.CONVERGED, TuningStatus.STALLED, TuningStatus.ITERATIONS)
 
 
 def test_many_models_share_one_controller() -> None:
@@ -214,7 +214,7 @@ def test_target_stops_early() -> None:
 
 def test_same_seed_same_bits_and_workers_change_nothing() -> None:
     def run(workers: int, seed: int) -> tuple[bytes, tuple[float, ...]]:
-        options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=6)
+        options = TuningOptions(starts=2, seed=seed, workers=workers, iterations=3)
         plant = PLANTS["REA1"]()
         result = tune([plant], [HinfGain("w", "z")], gain([plant.outputs[1]], [plant.inputs[1]]), options=options)
         return result.x.tobytes(), result.starts
@@ -237,7 +237,7 @@ def test_stable_controller_on_request() -> None:
     """By structure or by requirement; p(K) of a plant that would like an unstable one stays stable."""
     plant = integrators()
     by_structure = StableStateSpace((Port("y", 1),), (Port("u", 1),), 2, min_decay=0.01)
-    options = TuningOptions(starts=3, iterations=40)
+    options = TuningOptions(starts=2, iterations=15)
     a = tune([plant], [HinfGain("w", "z")], by_structure, options=options)
     assert np.linalg.eigvals(a.controller.A).real.max() <= -0.01
     free = state_space([("y", 1)], [("u", 1)], 2)

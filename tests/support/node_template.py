@@ -1,0 +1,230 @@
+"""Nodes of a run as copies of one process that has imported what they need: a fork in place of a start of Python.
+
+A start of Python with the imports of a node costs half a second of processor time, and a run has four nodes. In
+``tests/ros`` the runner gets its nodes from here (see ``conftest.py`` there): processes of their own as ever, each with
+the environment, folder and descriptors that the runner gives it, its parent the process of the runner. Whatever a fork
+cannot give is started as outside the tests: another command than that of a node, other variables of the interpreter or
+of the loader. Runs of the command line are not changed by this.
+
+    python node_template.py DESCRIPTOR        the process that is copied
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import importlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PACKAGE = "los_testbed.nodes"
+NODES = {
+    **{("-m", f"{PACKAGE}.{name}"): f"{PACKAGE}.{name}" for name in ("plant", "estimator", "controller", "recorder")},
+    (str(Path(__file__).with_name("simple_telescope.py")),): "simple_telescope",
+}
+"""Modules with a `main`, by the arguments of the interpreter that start them."""
+
+EARLY_VARIABLES = ("PYTHON", "ROS_PYTHON", "LD_", "MALLOC_", "OPENBLAS_")
+"""Beginnings of the names of variables that are read when a process starts or imports."""
+
+FIRST_FREE = 300
+"""Descriptors from here on are in nobody's way."""
+
+_SET_CHILD_SUBREAPER = 36
+
+
+def early(variables: Mapping[str, str]) -> dict[str, str]:
+    """The variables that a copy cannot take over."""
+    return {name: value for name, value in variables.items() if name.startswith(EARLY_VARIABLES)}
+
+
+class Copy:
+    """A copy of the template: the part of ``subprocess.Popen`` that a runner uses."""
+
+    def __init__(self, pid: int, output: int, errors: int) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
+        self.stdout, self.stderr = open(output, "rb"), open(errors, "rb")  # noqa: SIM115 (closed by the runner)
+        self._lock = threading.Lock()
+
+    def poll(self) -> int | None:
+        """Exit code, or the negative number of a signal; None while it runs."""
+        with self._lock:
+            if self.returncode is None:
+                found, status = os.waitpid(self.pid, os.WNOHANG)
+                self.returncode = os.waitstatus_to_exitcode(status) if found else None
+            return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, if it runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """Kill it, if it runs."""
+        self.send_signal(signal.SIGKILL)
+
+
+class NodeTemplate:
+    """Starts nodes; takes the place of the module ``subprocess`` where the runner starts its own."""
+
+    DEVNULL, PIPE = subprocess.DEVNULL, subprocess.PIPE
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._channel: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._early: dict[str, str] = {}
+
+    def Popen(  # noqa: N802 (the name in subprocess)
+        self, command: Sequence[str], *, env: Mapping[str, str], pass_fds: Sequence[int] = (), **options: Any
+    ) -> Copy | subprocess.Popen[bytes]:
+        """Start a command: a copy where it is a node, else as ever."""
+        module, arguments = _node_of(command)
+        with self._lock:
+            if module and self._channel is None and early(env) == early(os.environ):
+                self._begin(env)
+            if not module or early(env) != self._early:
+                return subprocess.Popen(list(command), env=dict(env), pass_fds=tuple(pass_fds), **options)
+            return self._copy(module, arguments, env, pass_fds)
+
+    def _begin(self, variables: Mapping[str, str]) -> None:
+        self._channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with other:
+            command = [sys.executable, __file__, str(other.fileno())]
+            self._early = early(variables)
+            self._process = subprocess.Popen(
+                command, env=dict(variables), stdin=subprocess.DEVNULL, pass_fds=[other.fileno()]
+            )
+
+    def _copy(self, module: str, arguments: list[str], variables: Mapping[str, str], passed: Sequence[int]) -> Copy:
+        assert self._channel is not None
+        output, errors = os.pipe(), os.pipe()
+        request = {
+            "module": module,
+            "arguments": arguments,
+            "variables": dict(variables),
+            "folder": os.getcwd(),
+            "parent": os.getpid(),
+            "descriptors": [1, 2, *passed],
+        }
+        kernel = ctypes.CDLL(None)
+        try:
+            kernel.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # the copy becomes a child of this process
+            socket.send_fds(self._channel, [json.dumps(request).encode()], [output[1], errors[1], *passed])
+            pid = int(self._channel.recv(100))
+        finally:
+            kernel.prctl(_SET_CHILD_SUBREAPER, 0, 0, 0, 0)
+            os.close(output[1])
+            os.close(errors[1])
+        return Copy(pid, output[0], errors[0])
+
+    def close(self) -> None:
+        """End the template; its copies go on."""
+        if self._channel is not None and self._process is not None:
+            self._channel.close()
+            self._process.wait()
+
+
+def _node_of(command: Sequence[str]) -> tuple[str, list[str]]:
+    """Module of a node and its arguments; an empty name for another command."""
+    program, *rest = command
+    for begin, module in NODES.items():
+        if program == sys.executable and tuple(rest[: len(begin)]) == begin:
+            return module, list(rest[len(begin) :])
+    return "", []
+
+
+def serve(channel: socket.socket) -> int:
+    """Make copies until the other side is closed. In a copy: its exit code."""
+    for name in NODES.values():
+        importlib.import_module(name)
+    assert threading.active_count() == 1, "a fork copies one thread only"
+    tracing = TracingLibrary()
+    while True:
+        data, descriptors, _, _ = socket.recv_fds(channel, 1 << 20, 100)
+        if not data:
+            return 0
+        reading, writing = os.pipe()
+        tracing.before_fork()
+        between = os.fork()
+        if not between:
+            copy = os.fork()
+            if copy:
+                os.write(writing, str(copy).encode())
+                os._exit(0)
+            tracing.in_copy()
+            for descriptor in (reading, writing, channel.detach()):
+                os.close(descriptor)
+            return become(json.loads(data), descriptors)
+        tracing.in_parent()
+        os.waitpid(between, 0)
+        for descriptor in (writing, *descriptors):
+            os.close(descriptor)
+        channel.send(os.read(reading, 100))
+        os.close(reading)
+
+
+class TracingLibrary:
+    """The tracing library that rclpy loads, which has threads: it must be told of a fork.
+
+    Where rclpy has none, nobody is told.
+    """
+
+    def __init__(self) -> None:
+        self._signals = ctypes.create_string_buffer(1024)  # a `sigset_t`: signals wait while it holds its locks
+        self._call = lambda moment: None
+        for path in {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if "/" in line}:
+            library = ctypes.CDLL(path) if Path(path).name.startswith("liblttng-ust") else None
+            begin = next((b for b in ("lttng_ust_", "ust_") if hasattr(library, f"{b}before_fork")), "")
+            if begin:
+                self._call = lambda moment, of=library, begin=begin: getattr(of, begin + moment)(self._signals)
+
+    def before_fork(self) -> None:
+        """Take its locks."""
+        self._call("before_fork")
+
+    def in_parent(self) -> None:
+        """Give its locks back."""
+        self._call("after_fork_parent")
+
+    def in_copy(self) -> None:
+        """Begin anew."""
+        self._call("after_fork_child")
+
+
+def become(request: Mapping[str, Any], descriptors: Sequence[int]) -> int:
+    """Be the node that is asked for; returns its exit code."""
+    while os.getppid() != request["parent"]:  # the process between has not ended yet
+        time.sleep(0.001)
+    os.setsid()
+    os.chdir(request["folder"])
+    moved = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, FIRST_FREE) for descriptor in descriptors]
+    for descriptor in descriptors:
+        os.close(descriptor)
+    for source, target in zip(moved, request["descriptors"]):
+        os.dup2(source, target)
+        os.close(source)
+    os.environ.clear()
+    os.environ.update(request["variables"])
+    own = importlib.import_module(request["module"])
+    if request["module"].startswith(PACKAGE):
+        sys.path[0] = request["folder"]
+    sys.argv[:] = [str(own.__file__), *request["arguments"]]
+    importlib.invalidate_caches()
+    return int(own.main())
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        sys.exit(serve(socket.socket(fileno=int(sys.argv[1]))))
