@@ -2,7 +2,7 @@
 
     python attacker.py DOMAIN CASE        CASE as JSON, see :class:`Case`
 
-It writes a line when it has start_time, and ends on SIGTERM.
+It writes a line when it listens and, where it is early, one when it begins to send; it ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -90,9 +90,10 @@ class Attacker:
     def __init__(self, domain: int, case: Case) -> None:
         command = [sys.executable, __file__, str(domain), json.dumps(asdict(case))]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        if case.begin == EARLY:
-            assert self.process.stdout is not None
-            self.process.stdout.readline()
+        assert self.process.stdout is not None
+        begins = "begins" if case.begin == EARLY else "listens"  # a run may be over before a process has started
+        while (line := self.process.stdout.readline().strip()) != begins:
+            assert line, "it has ended"
 
     def close(self) -> str:
         """End it; what it said since."""
@@ -134,6 +135,8 @@ def main(domain: int, case: Case) -> None:
     rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(case.name, namespace=case.namespace)
     heard = RawSubscription(node, f"/telescope/{TRUTH_LOS.name}", TRUTH_LOS.type_name, 1)
+    sys.stdout.write("listens\n")
+    sys.stdout.flush()
     newest, count_heard, start = 0, 0, time.time_ns() // 1_000_000 * 1_000_000
 
     def listen() -> None:

@@ -86,7 +86,7 @@ class NodeTemplate:
         self._process: subprocess.Popen[bytes] | None = None
         self._early: dict[str, str] = {}
 
-    def Popen(  # noqa: N802 (the name in subprocess)
+    def Popen(
         self, command: Sequence[str], *, env: Mapping[str, str], pass_fds: Sequence[int] = (), **options: Any
     ) -> Copy | subprocess.Popen[bytes]:
         """Start a command: a copy where it is a node, else as ever."""
