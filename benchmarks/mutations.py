@@ -74,6 +74,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/pointing_analysis/test_confidence.py",
     ),
     "pointing_analysis/requirements/verdict.py": ("tests/unit/pointing_analysis/test_verdict_laws.py",),
+    "pointing_analysis/requirements/text.py": ("tests/unit/pointing_analysis/test_requirement_text.py",),
     "pointing_analysis/requirements/rows.py": ("tests/unit/pointing_analysis/test_requirement_rows.py",),
     "pointing_analysis/indices/metrics.py": ("tests/unit/pointing_analysis/test_index_laws.py",),
     "pointing_analysis/requirements/summary.py": ("tests/unit/pointing_analysis/test_summary_figures.py",),

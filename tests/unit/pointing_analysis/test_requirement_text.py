@@ -1,0 +1,228 @@
+"""Laws of the text form of requirements: what is written is read again, and where what can be read ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from pointing_analysis.requirements.text import (
+    INDICES,
+    INTERPRETATIONS,
+    Requirement,
+    RequirementError,
+    entries,
+    from_entries,
+    load,
+    parse,
+)
+from pointing_analysis.units import ANGLES
+
+
+def text(
+    quantity: str = "|APE|", limit: str = "1 mas", p: str = "0.9", c: str = "95 %", kind: str = "", than: str = "<"
+) -> str:
+    return f"prob({quantity} {than} {limit}) >= {p} at {c} confidence{kind}"
+
+
+def random_requirement(rng: np.random.Generator) -> Requirement:
+    """Numbers with all their bits, over the whole range of each."""
+    index = str(rng.choice(list(INDICES)))
+    return Requirement(
+        index,
+        str(rng.choice(["", "x", "y"])),
+        tuple(float(10.0 ** rng.uniform(-7.0, 8.9)) for _ in range(INDICES[index])),
+        float(10.0 ** rng.uniform(-15.0, 3.0)),
+        str(rng.choice(list(ANGLES))),
+        round(float(rng.uniform(0.01, 0.99)), 6),
+        round(float(rng.uniform(0.01, 0.99)), 6),
+        str(rng.choice(INTERPRETATIONS)),
+        "name",
+        ("fsm",),
+        bool(index in ("RPE", "RKE") and rng.random() < 0.5),
+    )
+
+
+def same_but_for(one: Requirement, other: Requirement, *names: str) -> bool:
+    """Whether two are equal but for the attributes of these names and the last bits of the two probabilities."""
+    for name in ("probability", "confidence"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-9)
+    changed = {name: getattr(other, name) for name in (*names, "probability", "confidence")}
+    return dataclasses.replace(one, **changed) == other
+
+
+def test_the_exact_text_is_read_as_the_same_limit_and_times() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        wanted = random_requirement(rng)
+        found = parse(wanted.exact_text, wanted.name, wanted.loops)
+        assert same_but_for(found, wanted, "unit")
+        assert found.unit in (wanted.unit, "rad")
+        assert from_entries(entries([found]), "here") == (found,)
+
+
+@pytest.mark.parametrize("shown", ["20 ms", "999 ms", "1 s", "90 s", "0.001 ms", "2.5 s", "33.3 ms"])
+def test_a_time_of_few_digits_stays_as_it_is(shown: str) -> None:
+    """Below a second in milliseconds, from a second on in seconds."""
+    made = parse(text(f"|RPE({shown})|"))
+    assert made.exact_text == text(f"|RPE({shown})|") == str(made)
+
+
+def test_units_of_times_and_limits() -> None:
+    times = {"500 us": 5e-4, "3 ms": 3e-3, "4 s": 4.0, "2 min": 120.0}
+    for shown, seconds in times.items():
+        assert parse(text(f"|MPE({shown})|")).times == (pytest.approx(seconds, rel=1e-15),)
+    for unit, radians in ANGLES.items():
+        made = parse(text(limit=f"3 {unit}"))
+        assert (made.limit, made.scale, made.unit) == (pytest.approx(3 * radians), radians, unit)
+        assert f"< 3 {unit})" in str(made)
+
+
+@pytest.mark.parametrize("index", INDICES)
+def test_each_index_has_its_number_of_times_and_no_other(index: str) -> None:
+    for count in range(4):
+        quantity = f"|{index}({', '.join(['1 s'] * count)})|" if count else f"|{index}|"
+        if count == INDICES[index]:
+            made = parse(text(quantity))
+            assert (made.index, made.times, made.quantity) == (index, (1.0,) * count, quantity)
+        else:
+            with pytest.raises(RequirementError, match=f"must have {INDICES[index]} times, got {count}"):
+                parse(text(quantity))
+
+
+@pytest.mark.parametrize("value", ["0", "1", "100 %", "0 %", "1.5", "150 %", "1.2.3"])
+def test_probability_and_confidence_are_inside_of_zero_and_one(value: str) -> None:
+    for name in ("p", "c"):
+        with pytest.raises(RequirementError, match="must be between 0 and 1"):
+            parse(text(**{name: value}))
+
+
+@pytest.mark.parametrize(("percent", "share"), [("99.7 %", 0.997), ("0.1 %", 0.001), ("99.999 %", 0.99999)])
+def test_a_percentage_is_its_share(percent: str, share: float) -> None:
+    assert parse(text(p=percent)).probability == pytest.approx(share) == parse(text(p=str(share))).probability
+    assert parse(text(c=percent)).confidence == pytest.approx(share) == parse(text(c=str(share))).confidence
+    assert f">= {share:g} at " in str(parse(text(p=percent)))
+    assert f" at {100 * share:g} % confidence" in str(parse(text(c=percent)))
+
+
+@pytest.mark.parametrize("limit", ["0 mas", "-1 mas", "1e999 mas", "1.2.3 mas", "e mas"])
+def test_a_limit_is_positive_and_finite(limit: str) -> None:
+    with pytest.raises(RequirementError, match="limit must be positive"):
+        parse(text(limit=limit))
+
+
+@pytest.mark.parametrize("time", ["0 s", "1000000000 s", "1.2.3 s", "5", "5 h", "s"])
+def test_a_time_is_positive_and_below_a_billion(time: str) -> None:
+    with pytest.raises(RequirementError, match="time must read like '20 ms'"):
+        parse(text(f"|RPE({time})|"))
+    assert parse(text("|RPE(999999999 s)|")).times == (999999999.0,)
+    assert parse(text("|RPE(0.5 s)|")).times == (0.5,)
+
+
+def test_both_signs_of_less_mean_the_same() -> None:
+    assert parse(text(than="<=")) == parse(text(than="<"))
+    assert parse(text().replace(">=", ">")) == parse(text())
+
+
+def test_rms_is_of_windows_and_of_two_indices() -> None:
+    for index, count in INDICES.items():
+        quantity = f"{index}({', '.join(['1 s'] * count)})" if count else index
+        if index in ("RPE", "RKE"):
+            made, other = parse(text(f"rms {quantity}")), parse(text(f"|{quantity}|"))
+            assert made.of_windows and not other.of_windows
+            assert (made.quantity, other.quantity) == (f"rms {quantity}", f"|{quantity}|")
+        else:
+            with pytest.raises(RequirementError, match="index of rms must be one of RPE, RKE"):
+                parse(text(f"rms {quantity}"))
+
+
+def test_what_is_judged_across_runs() -> None:
+    for index in INDICES:
+        quantity = f"|{index}({', '.join(['1 s'] * INDICES[index])})|" if INDICES[index] else f"|{index}|"
+        for kind in INTERPRETATIONS:
+            made = parse(text(quantity, kind=f", {kind}"))
+            assert made.across_runs == (kind != "temporal" or index == "PRE")
+            assert str(made).endswith(" confidence" if kind == "temporal" else f", {kind}")
+        assert parse(text(quantity)).interpretation == "temporal"
+
+
+def test_the_name_is_the_index_where_none_is_given_and_the_axis_is_shown() -> None:
+    plain, named = parse(text("|APE_y|")), parse(text("|APE_y|"), "mine", ["fsm", "none"])
+    assert (plain.name, plain.loops, plain.axis, plain.quantity) == ("APE", (), "y", "|APE_y|")
+    assert (named.name, named.loops) == ("mine", ("fsm", "none"))
+
+
+def test_a_list_of_entries_holds_what_they_say() -> None:
+    made = from_entries(
+        [
+            {"text": text()},
+            {"text": text(), "name": "a", "loop": "fsm"},
+            {"text": text(), "loop": ["fsm", "none"]},
+            {"text": text(), "loop": ("fsm",)},
+        ],
+        "here",
+    )
+    assert [(r.name, r.loops) for r in made] == [
+        ("APE", ()),
+        ("a", ("fsm",)),
+        ("APE", ("fsm", "none")),
+        ("APE", ("fsm",)),
+    ]
+    assert from_entries(entries(made), "here") == made
+    assert from_entries([], "here") == ()
+    assert ["loop" in entry for entry in entries(made)] == [False, True, True, True]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("text", "must hold a list 'requirement'"),
+        ({"name": "a"}, "must hold a list 'requirement'"),
+        ({"text": text(), "limit": 3}, r"keys must be of text, name, loop, got \['limit'\]"),
+        ({"text": text(), "loop": 3}, "loop must be a name or a list of names, got 3"),
+        ({"text": text(), "loop": ["fsm", 3]}, "loop must be a name or a list of names"),
+        ({"text": text(), "loop": {"fsm": 1}}, "loop must be a name or a list of names"),
+    ],
+)
+def test_an_entry_of_another_form_is_refused_with_the_name_of_the_list(entry: object, message: str) -> None:
+    with pytest.raises(RequirementError, match=f"^here: {message}"):
+        from_entries([{"text": text()}, entry], "here")
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".yaml", ".yml", ".txt"])
+def test_files_of_both_kinds_have_the_same_requirements(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"mine{suffix}"
+    if suffix in (".yaml", ".yml"):
+        path.write_text(yaml.safe_dump({"requirement": [{"text": text(), "name": "a"}]}))
+    else:
+        path.write_text(f'[[requirement]]\ntext = "{text()}"\nname = "a"\n')
+    assert load(path) == load(str(path)) == (parse(text(), "a"),)
+
+
+@pytest.mark.parametrize("content", ["", "requirement = []\n", "requirement = 3\n", "[requirement]\na = 1\n"])
+def test_a_file_without_the_list_is_refused(content: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(content)
+    with pytest.raises(RequirementError, match="must hold a list 'requirement' whose entries have a 'text'"):
+        load(path)
+    with pytest.raises(RequirementError, match="No such file"):
+        load(tmp_path / "none.toml")
+
+
+def test_a_limit_that_its_unit_cannot_say_is_in_radians() -> None:
+    """Some doubles are no double times the unit: the text has them in radians."""
+    rng, radians = np.random.default_rng(5), 0
+    for _ in range(400):
+        limit = float(rng.uniform(1e-9, 2e-9))
+        made = dataclasses.replace(parse(text()), limit=limit)
+        found = parse(made.exact_text, made.name)
+        radians += " rad)" in made.exact_text
+        assert found.limit == limit
+        value = limit / ANGLES["mas"]
+        near = (value, math.nextafter(value, 0.0), math.nextafter(value, math.inf))
+        assert (" rad)" in made.exact_text) == (limit not in [x * ANGLES["mas"] for x in near])
+    assert 0 < radians < 400
