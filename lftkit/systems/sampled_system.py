@@ -31,6 +31,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
+from lftkit.systems.ordered_product import OrderedProduct
 from lftkit.systems.ports import Port, as_ports, spread_columns, total_size
 from lftkit.systems.system_summary import named_line
 
@@ -88,10 +89,7 @@ class SampledSystem:
     name: str = "controller"
     design_basis: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    _x: FloatArray = field(init=False, repr=False, compare=False)
-    _next: FloatArray = field(init=False, repr=False, compare=False)
-    _feed: FloatArray = field(init=False, repr=False, compare=False)
-    _through: FloatArray = field(init=False, repr=False, compare=False)
+    _product: OrderedProduct = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for side in ("inputs", "outputs"):
@@ -105,11 +103,7 @@ class SampledSystem:
             object.__setattr__(self, key, matrix)
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"{self.name}: sampling period must be positive, got {self.dt}")
-        n, p = len(self.A), sizes[1]
-        object.__setattr__(self, "_x", np.zeros(n))
-        object.__setattr__(self, "_next", np.zeros(n))
-        object.__setattr__(self, "_feed", np.zeros(n))
-        object.__setattr__(self, "_through", np.zeros(p))
+        object.__setattr__(self, "_product", OrderedProduct(np.block([[self.A, self.B], [self.C, self.D]])))
 
     def __repr__(self) -> str:
         return named_line(self, self.name, f"dt {self.dt:g} s")
@@ -122,7 +116,12 @@ class SampledSystem:
     @property
     def state(self) -> FloatArray:
         """Copy of the present state."""
-        return self._x.copy()
+        return self._product.values[: len(self.A)].copy()
+
+    @property
+    def product(self) -> OrderedProduct:
+        """``[[A, B], [C, D]]`` times ``(x, u)``, which holds the present state: for compiled loops."""
+        return self._product
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
         """Check the ports, by name and size, and the sampling period [s].
@@ -152,17 +151,20 @@ class SampledSystem:
         return replace(self, B=B, D=D, inputs=tuple(ports))
 
     def step(self, u: FloatArray, out: FloatArray) -> None:
-        """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing."""
-        np.matmul(self.C, self._x, out=out)
-        np.matmul(self.D, u, out=self._through)
-        np.add(out, self._through, out=out)
-        np.matmul(self.A, self._x, out=self._next)
-        np.matmul(self.B, u, out=self._feed)
-        np.add(self._next, self._feed, out=self._x)
+        """Write the output of this tick into `out` (p,) and go on to the next; allocates nothing.
+
+        Each row of ``[[A, B], [C, D]]`` times ``(x, u)`` is added up from left to right, see
+        :mod:`lftkit.systems.ordered_product`: the bits depend on no library and no processor.
+        """
+        n, values = self.A.shape[0], self._product.values
+        values[n:] = u
+        sums = self._product()
+        out[:] = sums[n:]
+        values[:n] = sums[:n]
 
     def reset(self, state: FloatArray | None = None) -> None:
         """Back to the zero state, or to another `state` (n,)."""
-        self._x[:] = 0.0 if state is None else state
+        self._product.values[: len(self.A)] = 0.0 if state is None else state
 
     def to_file(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file that :meth:`from_file` reads, whole or not at all."""
