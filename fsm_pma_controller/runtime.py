@@ -148,22 +148,25 @@ class FsmPmaController:
         """Copy of the largest commands, shape (8,): mirror [rad], forces [N]."""
         return self._limit.copy()
 
+    @property
+    def closed(self) -> tuple[bool, bool]:
+        """Whether the loops of mirror and forces are closed."""
+        return self._fsm_closed, self._pma_closed
+
+    @property
+    def mirror_gain(self) -> float:
+        """From the estimate to the command of the mirror, rad/rad."""
+        return self._mirror_gain
+
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""
         if self._pma_closed:
             self.k_pma.step(accel_Ip, self._force)
-        self.command(los_estimate, self._force, out)
-
-    def command(self, los_estimate: FloatArray, force: FloatArray, out: FloatArray) -> None:
-        """Write the command (..., 8) for an estimate (..., 2) and the output of K_PMA (..., 6): mirror law and limits.
-
-        One loop, or several at a time, each a row; states are left alone.
-        """
         if self._fsm_closed:
-            np.multiply(los_estimate, self._mirror_gain, out=out[..., MIRROR])
+            np.multiply(los_estimate, self._mirror_gain, out=out[MIRROR])
         else:
-            out[..., MIRROR] = 0.0
-        out[..., FORCES] = force if self._pma_closed else 0.0
+            out[MIRROR] = 0.0
+        out[FORCES] = self._force if self._pma_closed else 0.0
         np.minimum(out, self._limit, out=out)
         np.maximum(out, self._negative_limit, out=out)
 

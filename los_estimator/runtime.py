@@ -95,6 +95,11 @@ class LosEstimator:
                 raise ValueError(f"{name} must have shape {kept.shape}, got {np.shape(given)}")
         self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
+    @property
+    def held(self) -> FloatArray:
+        """The values that are held (h,), for compiled loops, which write them."""
+        return self._held
+
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
         """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
         u = self._u

@@ -30,8 +30,8 @@ from titop_plant.interface import (
     period_ticks,
     sample_ticks,
 )
-from titop_plant.simulation.build import sample
 from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.plant_step import step_matrix
 
 Made = TypeVar("Made")
 
@@ -196,7 +196,7 @@ def sampled_loop(
         The mirror's loop is closed and nothing says a sensitivity.
     """
     n = plant.A.shape[0]
-    step = sample(plant, no_tones(), 1).step
+    step = step_matrix(plant, no_tones())
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)
     size = H.stop

@@ -36,8 +36,9 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
-from titop_plant.simulation.build import PlantConfig, PlantFamily, sample
+from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.plant_step import step_matrix
 
 WINDOW = 0.02
 
@@ -164,7 +165,7 @@ class ToneModel:
         n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
         zeros = np.zeros(self.omega.size)
         tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
-        step = sample(self.plant, tones, 1).step[:, n + COMMANDS :]
+        step = step_matrix(self.plant, tones)[:, n + COMMANDS :]
         # Columns act on the real and imaginary parts of the phasor in turn.
         factors = step[:, 1::2] + 1j * step[:, 0::2]
         drive = np.zeros((size, self.omega.size), complex)

@@ -12,8 +12,9 @@ from los_estimator.runtime import LosEstimator
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from titop_plant.interface import DT, MEASURED
-from titop_plant.simulation.build import DISTURBANCES, sample, telescope
+from titop_plant.simulation.build import DISTURBANCES, telescope
 from titop_plant.simulation.disturbances import Tones, no_tones
+from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import design_basis, load_parameters
@@ -37,7 +38,7 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     sensors = SensorModel(np.zeros(22) if sigma is None else sigma, np.zeros(22), frame_ticks, 0.0, 3)
     limits = np.full(8, 1e6)
     plant = SampledPlant(
-        [sample(data, tones, 10**9)], state, sensors, limits, dt=DT, tones=tones.frequency, parameters_hash="test"
+        plant_step(data, tones), state, sensors, limits, dt=DT, tones=tones.frequency, parameters_hash="test"
     )
     estimator, controller = (
         LosEstimator(k_fsm),

@@ -39,9 +39,10 @@ from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
 from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, PLATFORM
-from titop_plant.simulation.build import PlantFamily, control_loop_plant, sample, telescope
+from titop_plant.simulation.build import PlantFamily, control_loop_plant, telescope
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.plant_config import PlantConfig
+from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.parameters import load_parameters
 
@@ -112,7 +113,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     for name, error in (("quiet", np.zeros(22)), ("biased", bias)):
         disturbance = Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1))
         simulated = SampledPlant(
-            [sample(plant, disturbance, 10**9)],
+            plant_step(plant, disturbance),
             start.plant,
             SensorModel(np.zeros(22), error, FRAME_TICKS, 0.0, 0),
             limits,

@@ -12,8 +12,9 @@ from los_testbed.variants import of_scenario
 from los_loop.sampled_loop import sampled_loop
 from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
-from titop_plant.simulation.build import plant_and_tones, sample
+from titop_plant.simulation.build import plant_and_tones
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.parameters import load_parameters
 from titop_plant.telescope.weights import rpe_weight
@@ -116,7 +117,7 @@ def test_imbalance_begins_at_structural_modes() -> None:
         )
         sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
         run = SampledPlant(
-            [sample(plant, tones, 10**9)],
+            plant_step(plant, tones),
             at_rest.imag,
             sensors,
             np.ones(8),

@@ -36,9 +36,10 @@ from titop_plant.interface import (
     PLATFORM,
     DesignBasis,
 )
-from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant, sample, telescope
+from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant, telescope
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.plant_config import PlantConfig
+from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.budget import error_budget
 from titop_plant.telescope.parameters import load_parameters
@@ -89,9 +90,9 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     bias = np.zeros(MEASUREMENTS)
     start = steady_start(model, bias, (k_fsm.order, K_PMA.order))
     predicted = model.record(TICKS)
-    segment = sample(plant, Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1)), 10**9)
+    step = plant_step(plant, Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1)))
     sensors = SensorModel(bias, bias, FRAME_TICKS, 0.0, 0)
-    simulated = SampledPlant([segment], start.plant, sensors, limits, dt=DT, tones=omega, parameters_hash="")
+    simulated = SampledPlant(step, start.plant, sensors, limits, dt=DT, tones=omega, parameters_hash="")
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
     sensitivity = PARAMETERS["fsm"]["los_sensitivity"]
     estimator = LosEstimator(k_fsm)

@@ -13,13 +13,14 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import System
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
+from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
-from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, with_sensors
@@ -80,8 +81,8 @@ class PlantFamily:
         common, name = (state, self._sensors(config), self.limits), self.name(config)
         if config.ramps:
             return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
-        segments = [sample(number, tones, 1)]
-        return SampledPlant(segments, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+        step = plant_step(number, tones)
+        return SampledPlant(step, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
 
     def plant_and_tones(self, config: PlantConfig) -> tuple[System, Tones]:
         """The continuous plant at the start of a run, and the disturbance that acts on it.
@@ -156,7 +157,7 @@ class PlantFamily:
 
         def matrices(time: float) -> FloatArray:
             data = self.control_loop.at(values_along(config, profile, time))
-            return sample(data, tones.at(profile.speeds(time)), 1, dt).step
+            return step_matrix(data, tones.at(profile.speeds(time)), dt)
 
         return node_matrices(profile, interval, dt, matrices), interval, tones
 
@@ -252,41 +253,6 @@ def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     if not config.disturbance or config.scenario not in FOLLOWING:
         return None
     return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(4)))
-
-
-def sample(data: System, tones: Tones, ticks: int, dt: float = DT) -> Segment:
-    """Exact sampling: commands held, tones integrated, all in one matrix exponential (Van Loan 1978).
-
-    Parameters
-    ----------
-    data : System
-        Inputs: commands (8), disturbances (22); outputs: measurements (22), truth (2).
-    tones : Tones
-    ticks : int
-        Length of the segment.
-    dt : float
-        Sampling period [s].
-    """
-    n, m = data.A.shape[0], COMMANDS
-    K = tones.frequency.size
-    size = n + m + 2 * K
-    whole = np.zeros((size, size))
-    whole[:n, :n], whole[:n, n : n + m] = data.A, data.B[:, :m]
-    whole[:n, n + m :] = _imaginary_part(data.B[:, m:] @ tones.amplitude)
-    real, imaginary = n + m + 2 * np.arange(K), n + m + 2 * np.arange(K) + 1
-    whole[real, imaginary], whole[imaginary, real] = -tones.frequency, tones.frequency
-    through = _imaginary_part(data.D[:, m:] @ tones.amplitude)
-    turn = np.exp(1j * tones.frequency * dt)
-    step = np.vstack([linalg.expm(whole * dt)[:n], np.hstack([data.C, data.D[:, :m], through])])
-    return Segment(ticks, np.ascontiguousarray(step), turn)
-
-
-def _imaginary_part(factors: ComplexArray) -> FloatArray:
-    """Matrix that gives Im(factors @ p) from the real and imaginary parts of p in turn."""
-    rows, tones = factors.shape
-    result = np.empty((rows, 2 * tones))
-    result[:, 0::2], result[:, 1::2] = factors.imag, factors.real
-    return result
 
 
 def _steady_state(data: System, tones: Tones) -> FloatArray:

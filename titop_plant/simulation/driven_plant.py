@@ -66,7 +66,8 @@ class DrivenPlant:
         self.plant, self.disturbance = plant, disturbance
         self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
         self.parameters_hash = f"{plant.parameters_hash} with {name}"
-        self._held = np.ascontiguousarray(held)
+        order = held.shape[0] - MEASUREMENTS - TRUTH
+        self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
         self._value, self._added = np.zeros(held.shape[1]), np.zeros(held.shape[0])
         self._on = True
 

@@ -21,13 +21,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
-from titop_plant.interface import MEASUREMENTS, TRUTH
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.systems.ordered_product import add_up
+from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import Profile
-from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 """Largest change of a wheel speed [rad/s] and of the array angle [rad] from one node to the next."""
@@ -62,12 +65,13 @@ class MovingTones:
         signed = self.unit.harmonic * speed[np.maximum(self.unit.wheel, 0)]
         return replace(self.unit, frequency=np.where(follows, signed, self.unit.frequency))
 
-    def phasors(self, time: float) -> ComplexArray:
-        """Phasors at a time [s], shape (K,): ``Omega^2 exp(i h phi)``, of fixed tones ``exp(i w t)``."""
+    def phasors(self, time: ArrayLike) -> ComplexArray:
+        """Phasors at times (...) [s], shape (..., K): ``Omega^2 exp(i h phi)``, of fixed tones ``exp(i w t)``."""
+        t = np.asarray(time, dtype=float)
         follows, wheel = self.unit.wheel >= 0, np.maximum(self.unit.wheel, 0)
-        phase = self.unit.harmonic * self.profile.turned(time)[wheel]
-        size = np.where(follows, self.profile.speeds(time)[wheel] ** 2, 1.0)
-        return np.asarray(size * np.exp(1j * np.where(follows, phase, self.unit.frequency * time)))
+        phase = self.unit.harmonic * self.profile.turned(t)[..., wheel]
+        size = np.where(follows, self.profile.speeds(t)[..., wheel] ** 2, 1.0)
+        return np.asarray(size * np.exp(1j * np.where(follows, phase, self.unit.frequency * t[..., None])))
 
     def start(self) -> Tones:
         """The tones at the start as tones of constant, positive frequency."""
@@ -87,7 +91,7 @@ def node_interval(profile: Profile, dt: float, finer: float = 1.0) -> int:
 def node_matrices(
     profile: Profile, interval: int, dt: float, matrices: Callable[[float], FloatArray]
 ) -> list[FloatArray]:
-    """Step matrices (as `Segment.step`, phasors of size 1) at the nodes; `matrices` gives them at a time [s]."""
+    """Step matrices (of `step_matrix`, phasors of size 1) at the nodes; `matrices` gives them at a time [s]."""
     count = math.ceil(profile.duration / (interval * dt) - 1e-9) + 1
     return [matrices(min(k * interval * dt, profile.duration)) for k in range(count)]
 
@@ -118,11 +122,13 @@ class RampedPlant(SampledPlant):
         parameters_hash: str,
     ) -> None:
         self.profile = tones.profile
-        self._nodes, self._interval, self._moving = tuple(nodes), interval, tones
-        self._other = np.zeros(state.size + MEASUREMENTS + TRUTH)
+        self._nodes = np.ascontiguousarray(np.stack(nodes).transpose(0, 2, 1))
+        self._interval, self._moving = interval, tones
+        self._next, self._other = np.zeros(self._nodes.shape[2]), np.zeros(self._nodes.shape[2])
+        self._products = np.zeros(self._nodes.shape[1:])
         still = np.ones(tones.unit.frequency.size, complex)
         super().__init__(
-            [Segment(1, nodes[0], still)],
+            whole_step(nodes[0], still),
             state,
             sensors,
             limits,
@@ -155,28 +161,43 @@ class RampedPlant(SampledPlant):
     def _modes(self, node: int) -> list[float]:
         """Frequencies of the lightly damped modes at a node [rad/s]."""
         n = self._n
-        poles = np.log(linalg.eigvals(self._nodes[node][:n, :n]).astype(complex)) / self.dt
+        poles = np.log(linalg.eigvals(self._nodes[node][:n, :n].T).astype(complex)) / self.dt
         light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT * np.abs(poles))]
         return [float(f"{value:.6g}") for value in np.sort(light.imag)]
 
-    def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
-        super().reset()
-        self._p[:] = self._moving.phasors(0.0)
+    def _begin(self) -> None:
+        """Phasors at tick 0."""
+        self._phasors[:] = _in_turn(self._moving.phasors(0.0))
+
+    def _course(self, ticks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Nodes, places and phasors of these ticks, the next ones."""
+        phasors = _in_turn(self._moving.phasors(np.append(ticks, ticks[-1] + 1) * self.dt))
+        return self._nodes, (ticks + 0.5) / self._interval, phasors
 
     def _propagate(self) -> None:
         place = (self.tick + 0.5) / self._interval
+        if self._compiled and (compiled := kernel()) is not None:
+            compiled.between(self._nodes, place, self._values, self._next, self._other, self._sums)
+            return
         k = int(place)
         last = len(self._nodes) - 1
-        np.matmul(self._nodes[min(k, last)], self._z, out=self._out)
+        add_up(self._nodes[min(k, last)], self._values, self._products, self._next)
         if k < last:
-            np.matmul(self._nodes[k + 1], self._z, out=self._other)
-            self._other -= self._out
+            add_up(self._nodes[k + 1], self._values, self._products, self._other)
+            self._other -= self._next
             self._other *= place - k
-            self._out += self._other
+            self._next += self._other
+        self._values[: self._n] = self._next[: self._n]
+        self._sums[:] = self._next[self._n :]
 
-    def _turn(self, phasor: ComplexArray) -> None:
-        phasor[:] = self._moving.phasors((self.tick + 1) * self.dt)
+    def _turn(self) -> None:
+        phasors = self._phasors if self._disturbed else self._phasor
+        phasors[:] = _in_turn(self._moving.phasors((self.tick + 1) * self.dt))
+
+
+def _in_turn(phasors: ComplexArray) -> FloatArray:
+    """Real and imaginary parts in turn, along the last axis."""
+    return np.ascontiguousarray(phasors).view(float)
 
 
 __all__ = ["MovingTones", "RampedPlant", "node_interval", "node_matrices"]

@@ -1,45 +1,25 @@
 """The telescope as a sampled simulation: one step a tick, nothing allocated.
 
-Commands are held between ticks (zero-order hold). Disturbance tones are not held but integrated exactly
-from tick to tick, so tones above half the sampling rate do not alias into the structure::
-
-    x+ = e^(A h) x + B_h v + sum_k Im(G_k p_k),   G_k = (i w_k - A)^-1 (e^(i w_k h) - e^(A h)) B_d a_k
-    y  = C x + D v + sum_k Im(D_d a_k p_k) + noise,   p_k+ = e^(i w_k h) p_k
-
-**v is the command computed from the last tick's measurement, in force from this tick to the next.**
+The arithmetic of a tick, its coordinates and its order are those of :mod:`titop_plant.simulation.plant_step`.
+:meth:`SampledPlant.step` computes them with numpy, or, after :meth:`SampledPlant.compile`, with the compiled code of
+:mod:`titop_plant.simulation.kernel`, which also runs whole loops (:mod:`los_testbed.loop.compiled_loop`). **All of them
+have the same bits.**
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.systems.ordered_product import OrderedProduct
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, MEASUREMENTS, TRUTH, sample_ticks
+from titop_plant.simulation.compilation import kernel
+from titop_plant.simulation.plant_step import PlantStep
 
 _NOISE_BLOCK = 64
-
-
-@dataclass(frozen=True)
-class Segment:
-    """Matrices that hold for a stretch of time.
-
-    Parameters
-    ----------
-    ticks : int
-        Length; the last segment goes on for ever.
-    step : ndarray, shape (n + 24, n + 8 + 2 K)
-        Next state (n), then measurement (22) and
-        truth (2) from state, command (8) and the phasors of K tones (real, imaginary in turn).
-    turn : ndarray, shape (K,), complex
-        e^(i w h) of each tone.
-    """
-
-    ticks: int
-    step: FloatArray
-    turn: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -78,12 +58,33 @@ def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
     return tuple((columns, ticks) for columns, ticks in found if columns != CAMERA)
 
 
+class KernelTicks(NamedTuple):
+    """What :func:`titop_plant.simulation.kernel.loop` needs of a plant for some ticks, in its order."""
+
+    pairs: int
+    own: FloatArray
+    cross: FloatArray
+    driven: FloatArray
+    block: FloatArray
+    outputs: FloatArray
+    turn: FloatArray
+    nodes: FloatArray
+    places: FloatArray
+    phasors: FloatArray
+    values: FloatArray
+    order: int
+    limits: FloatArray
+    noise: FloatArray
+    bias: FloatArray
+    absent: BoolArray
+
+
 class SampledPlant:
     """Telescope with sensors and disturbances, one step a tick.
 
     Parameters
     ----------
-    segments : sequence of Segment
+    step : PlantStep
     state : ndarray, shape (n,)
         Initial state.
     sensors : SensorModel
@@ -99,7 +100,7 @@ class SampledPlant:
 
     def __init__(
         self,
-        segments: Sequence[Segment],
+        step: PlantStep,
         state: FloatArray,
         sensors: SensorModel,
         limits: FloatArray,
@@ -114,31 +115,54 @@ class SampledPlant:
         self.parameters_hash = parameters_hash
         self.limits = limits
         self._lowest = -limits
-        self._segments = tuple(segments)
-        self._start = state.copy()
+        self._step = step
+        self._start = self.coordinates(state)
         self._sensors = sensors
-        self._n = n = state.size
-        self._z = np.zeros(self._segments[0].step.shape[1])
-        self._x, self._v = self._z[:n], self._z[n : n + COMMANDS]
-        self._p = self._z[n + COMMANDS :].view(complex)
-        self._out = np.zeros(n + MEASUREMENTS + TRUTH)
-        self._phasor = np.zeros(self._p.size, complex)
-        self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
+        self._n, plain = step.order, len(step.own)
+        self._outputs, self._block = OrderedProduct(step.outputs.T), OrderedProduct(step.block.T)
+        self._values = self._outputs.values
+        self._phasor = np.zeros(step.turn.size)
+        self._terms = np.zeros((2 + len(step.driven), max(plain, 2)))
+        self._later, self._sums = np.zeros(max(self._n, 2)), np.zeros(MEASUREMENTS + TRUTH)
+        self._noise_block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
         self._slow = slow_sensors(self.frame_ticks)
+        self._compiled = False
         self.reset()
 
     def reset(self) -> None:
         """Back to tick 0: same seed, same bits."""
         noise, camera = np.random.SeedSequence(self._sensors.seed).spawn(2)
         self._noise, self._camera = np.random.default_rng(noise), np.random.default_rng(camera)
-        self._x[:] = self._start
-        self._p[:] = 1.0
+        self._values[:] = 0.0
+        self._begin()
+        self._values[: self._n] = self._start - self._steady
         self._noisy = self._disturbed = True
         self._dropout = self._sensors.dropout
-        self._v[:] = 0.0
         self.tick = 0
-        self._index, self._left = 0, self._segments[0].ticks
+
+    def _begin(self) -> None:
+        """Phasors at tick 0."""
+        self._phasors[0::2] = 1.0
+
+    def compile(self) -> None:
+        """Step with compiled code from now on, if there is any: the same bits in less time."""
+        self._compiled = kernel() is not None
+
+    @property
+    def _phasors(self) -> FloatArray:
+        """Phasors of this tick, real and imaginary parts in turn."""
+        return self._values[self._n + COMMANDS :]
+
+    @property
+    def _steady(self) -> FloatArray:
+        """Coordinates of the steady motion at this tick, shape (n,)."""
+        return np.asarray((self._step.steady * self._phasors.view(complex)).imag.sum(axis=1))
+
+    def coordinates(self, states: FloatArray) -> FloatArray:
+        """States (n,) or (n, k) in the coordinates of :meth:`push`."""
+        columns = states[:, None] if states.ndim == 1 else states
+        return np.asarray(self._step.form.excited(columns).reshape(states.shape))
 
     def change(self, name: str, value: float) -> None:
         """Change a setting from the next tick on; a reset undoes it.
@@ -158,10 +182,13 @@ class SampledPlant:
         if name == "noise":
             self._noisy = bool(value)
         elif name == "disturbance":
+            moved = self._values[: self._n]
             if self._disturbed and not value:
-                self._phasor[:], self._p[:] = self._p, 0.0
+                moved += self._steady  # what the tones have moved goes on freely
+                self._phasor[:], self._phasors[:] = self._phasors, 0.0
             elif value and not self._disturbed:
-                self._p[:] = self._phasor
+                self._phasors[:] = self._phasor
+                moved -= self._steady
             self._disturbed = bool(value)
         elif name == "camera_dropout":
             self._dropout = float(value)
@@ -170,8 +197,8 @@ class SampledPlant:
 
     @property
     def state(self) -> FloatArray:
-        """Copy of the present state."""
-        return self._x.copy()
+        """Present state, shape (n,)."""
+        return np.asarray(self._step.form.basis @ (self._values[: self._n] + self._steady))
 
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick.
@@ -179,43 +206,106 @@ class SampledPlant:
         A sensor that is slower than the tick has its sample every so many ticks and NaN otherwise, the camera also for
         a frame that is lost. `truth` is the controlled line of sight without noise or filter [rad].
         """
-        n = self._n
-        np.minimum(command, self.limits, out=self._v)  # two ufuncs: np.clip takes five times as long
-        np.maximum(self._v, self._lowest, out=self._v)
+        v = self._values[self._n : self._n + COMMANDS]
+        np.minimum(command, self.limits, out=v)  # two ufuncs: np.clip takes five times as long
+        np.maximum(v, self._lowest, out=v)
         self._propagate()
         row = self.tick % _NOISE_BLOCK
         if row == 0:
-            self._noise.standard_normal(out=self._block)
-            self._block *= self._sensors.sigma
-        np.add(self._out[n : n + MEASUREMENTS], self._block[row] if self._noisy else 0.0, out=measurement)
+            self._draw()
+        np.add(self._sums[:MEASUREMENTS], self._noise_block[row] if self._noisy else 0.0, out=measurement)
         measurement += self._sensors.bias
-        truth[:] = self._out[n + MEASUREMENTS :]
+        truth[:] = self._sums[MEASUREMENTS:]
         for columns, ticks in self._slow:
             if self.tick % ticks:
                 measurement[columns] = np.nan
-        if self.tick % self.frame_ticks:
+        if self.tick % self.frame_ticks or self._lost():
             measurement[CAMERA] = np.nan
-        elif self._dropout > 0.0:
-            self._camera.random(out=self._frame)
-            if self._frame[0] < self._dropout:
-                measurement[CAMERA] = np.nan
-        self._x[:] = self._out[:n]
-        phasor = self._p if self._disturbed else self._phasor
-        self._turn(phasor)
+        self._turn()
         self.tick += 1
-        self._left -= 1
-        if self._left == 0 and self._index + 1 < len(self._segments):
-            self._index += 1
-            self._left = self._segments[self._index].ticks
 
-    def push(self, state: FloatArray) -> None:
-        """Add `state` (n,) to the present state: what an input that the matrices do not hold did in the last tick."""
-        self._x += state
+    def kernel_ticks(self, rows: int) -> KernelTicks | None:
+        """What compiled code needs for the next `rows` ticks, which are then done; None after a change."""
+        if not (self._noisy and self._disturbed):
+            return None
+        noise, absent = np.empty((rows, MEASUREMENTS)), np.zeros((rows, MEASUREMENTS), bool)
+        ticks = np.arange(self.tick, self.tick + rows)
+        done = 0
+        while done < rows:
+            row = (self.tick + done) % _NOISE_BLOCK
+            if row == 0:
+                self._draw()
+            some = min(_NOISE_BLOCK - row, rows - done)
+            noise[done : done + some] = self._noise_block[row : row + some]
+            done += some
+        for columns, every in self._slow:
+            absent[ticks % every != 0, columns] = True
+        absent[:, CAMERA] = (ticks % self.frame_ticks != 0)[:, None]
+        if self._dropout > 0.0:
+            for row in np.flatnonzero(ticks % self.frame_ticks == 0):
+                absent[row, CAMERA] = self._lost()
+        self.tick += rows
+        return KernelTicks(
+            *self._arithmetic(),
+            *self._course(ticks),
+            self._values,
+            self._n,
+            self.limits,
+            noise,
+            self._sensors.bias,
+            absent,
+        )
+
+    def _arithmetic(self) -> tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """First entries of `KernelTicks`."""
+        step = self._step
+        return step.pairs, step.own, step.cross, step.driven, step.block, step.outputs, step.turn
+
+    def _course(self, ticks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Nodes, places and phasors of these ticks, the next ones: none for constant parameters."""
+        return np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0))
+
+    def push(self, moved: FloatArray) -> None:
+        """Add to the present state, in :meth:`coordinates`: what an input beside the matrices did in the last tick."""
+        self._values[: self._n] += moved
+
+    def _draw(self) -> None:
+        """Noise of the next ticks."""
+        self._noise.standard_normal(out=self._noise_block)
+        self._noise_block *= self._sensors.sigma
+
+    def _lost(self) -> bool:
+        """Whether the frame of this tick is lost."""
+        if not self._dropout > 0.0:
+            return False
+        self._camera.random(out=self._frame)
+        return bool(self._frame[0] < self._dropout)
 
     def _propagate(self) -> None:
-        """Next state, measurement and truth from the present state, command and phasors."""
-        np.matmul(self._segments[self._index].step, self._z, out=self._out)
+        """Measurement and truth from the present coordinates, command and phasors, and the next coordinates."""
+        step, n, values, later = self._step, self._n, self._values, self._later
+        if self._compiled and (compiled := kernel()) is not None:
+            compiled.advance(*self._arithmetic()[:-1], values, later[:n], self._sums)
+            return
+        plain, m, terms = len(step.own), step.pairs, self._terms
+        self._sums[:] = self._outputs()
+        np.multiply(step.own, values[:plain], out=terms[0, :plain])
+        np.multiply(step.cross[:m], values[m : 2 * m], out=terms[1, :m])
+        np.multiply(step.cross[m : 2 * m], values[:m], out=terms[1, m : 2 * m])
+        np.multiply(step.driven, values[n : n + len(step.driven), None], out=terms[2:, :plain])
+        if n > plain:
+            self._block.values[:] = values[plain : plain + len(step.block)]
+            later[plain:n] = self._block()
+        values[:plain] = np.add.reduce(terms, axis=0)[:plain]
+        values[plain:n] = later[plain:n]
 
-    def _turn(self, phasor: ComplexArray) -> None:
+    def _turn(self) -> None:
         """Phasors of the next tick."""
-        np.multiply(phasor, self._segments[self._index].turn, out=phasor)
+        phasors = self._phasors if self._disturbed else self._phasor
+        re, im = phasors[0::2].copy(), phasors[1::2].copy()
+        cos, sin = self._step.turn
+        phasors[0::2] = re * cos - im * sin
+        phasors[1::2] = re * sin + im * cos
+
+
+__all__ = ["KernelTicks", "SampledPlant", "SensorModel", "slow_sensors"]

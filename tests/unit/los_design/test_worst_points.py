@@ -26,8 +26,9 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE, INPUTS
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation.build import control_loop_plant, sample, telescope
+from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import no_tones, weight_amplitudes
+from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.parameters import load_parameters, parameter_box
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -78,7 +79,7 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.at(values)
     n = plant.A.shape[0]
-    one = sample(plant, no_tones(), 1).step
+    one = step_matrix(plant, no_tones())
     z = np.exp(1j * w * 1e-3)
     held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ np.linalg.solve(
         z * np.eye(n) - one[:n, :n], one[:n, n : n + 2]

@@ -11,8 +11,8 @@ from small_loop import DT, small_controllers, small_plant
 from fsm_pma_controller.runtime import FsmPmaController
 from los_estimator.runtime import LosEstimator
 from los_loop.sampled_loop import sampled_loop
-from titop_plant.simulation.build import sample
 from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 STAGES = ("none", "isolator", "fsm", "fsm+pma")
@@ -32,7 +32,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
     plant = SampledPlant(
-        [sample(data, no_tones(), 1)], state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
+        plant_step(data, no_tones()), state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
     )
     estimator, controller = (
         LosEstimator(k_fsm),

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import los_testbed.campaign.member
+import los_testbed.loop.compiled_loop
 import numpy as np
 import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, assemble_controller
+from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
 from los_estimator.runtime import LosEstimator
@@ -55,16 +57,14 @@ def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluat
     assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
 
 
-def test_rows_of_members_that_are_simulated_together_are_those_of_each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_members_of_one_part_are_those_of_each_alone() -> None:
     """One of them fails before its run."""
     evaluator = MemberEvaluator.of(replace(BASE, scenario="design", duration=1.1))
     asked = [{**member(k), "index": k} for k in range(4)]
     asked[2]["omega_1"] = 3.0
     together = evaluator.rows(asked, "time")
     assert [row["status"] for row in together] == ["ok", "ok", "failed", "ok"]
-    assert together == [evaluator.row(m["index"], m, "time") for m in asked]
-    monkeypatch.setattr(los_testbed.campaign.member, "RECORDED", 2500)
-    assert evaluator.rows(asked, "time") == together
+    assert together == [evaluator.row(m["index"], m, "time") for m in asked[::-1]][::-1]
 
 
 @pytest.mark.parametrize(
@@ -75,37 +75,44 @@ def test_rows_of_members_that_are_simulated_together_are_those_of_each_alone(mon
         ({"loop": "fsm+pma"}, 3.0),
     ],
 )
-def test_loops_together_have_the_bits_of_the_loop_alone(changes: dict[str, Any], growth: float) -> None:
-    """With frames that are lost, and with loops that diverge, which say when; against the loop that runs record."""
+def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
+    changes: dict[str, Any], growth: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With frames that are lost, and with loops that diverge, which say when; with compiled code and without."""
     base = replace(BASE, scenario="design", duration=1.1, **changes)
     evaluator = MemberEvaluator.of(base)
     k_fsm = evaluator.controllers["k_fsm"]
     pair = {**evaluator.controllers, "k_fsm": replace(k_fsm, A=k_fsm.A + growth * np.eye(k_fsm.order))}
     evaluator = replace(evaluator, controllers=pair)
-    runs = [evaluator._prepared(replace(base, **settings(member(k)))) for k in range(3)]
-    evaluator._simulate(runs)
-    for k, run in enumerate(runs):
-        start = RunParts(replace(base, **settings(member(k))), pair).start
-        plant = evaluator._prepared(replace(base, **settings(member(k)))).loop.plant
-        estimator = LosEstimator(pair["k_fsm"])
-        controller = assemble_controller(pair, evaluator.telescope, base.loop)
-        if start.states is not None:
-            estimator.start_at(start.states.k_fsm, start.states.camera)
-            controller.start_at(start.states.k_pma)
-        estimator.reset()
-        controller.reset()
-        record = type(run.record)(np.empty((base.ticks, 4)), run.record.gain)
-        said = ""
-        try:
-            with np.errstate(all="ignore"):
-                simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
-        except LoopDivergedError as error:
-            said = str(error)
-        assert said == str(run.end or "") and bool(said) == (growth > 0.0)
-        done = record.done
-        assert done == run.record.done
-        np.testing.assert_array_equal(record.values[:done], run.record.values[:done])
-        np.testing.assert_array_equal(record.largest, run.record.largest)
+    given = replace(base, **settings(member(1)))
+    row = evaluator.row(1, member(1), "time")
+    with monkeypatch.context() as patched:
+        patched.setattr(los_testbed.loop.compiled_loop, "kernel_for", lambda ticks: None)
+        assert evaluator.row(1, member(1), "time") == row
+
+    class Own(LosEstimator):
+        """No class of the testbed: it is called tick by tick."""
+
+    start = RunParts(given, pair).start
+    rest = np.zeros(evaluator.family.control_loop.order) if start.states is None else start.states.plant
+    plant = evaluator.family.build(RunParts(given, pair).physical, rest)
+    estimator, controller = Own(pair["k_fsm"]), assemble_controller(pair, evaluator.telescope, base.loop)
+    if start.states is not None:
+        estimator.start_at(start.states.k_fsm, start.states.camera)
+        controller.start_at(start.states.k_pma)
+    estimator.reset()
+    controller.reset()
+    record = los_testbed.campaign.member._Record(
+        np.empty((base.ticks, 4)), float(evaluator.family.parameters["fsm"]["los_sensitivity"])
+    )
+    if growth:
+        with np.errstate(all="ignore"), pytest.raises(LoopDivergedError) as caught:
+            simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
+        assert (row["status"], row["reason"]) == ("diverged", str(caught.value))
+    else:
+        simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
+        first = 1000 if start.states is None else 0
+        assert {name: row[name] for name in TIME_METRICS} == record.metrics(first, evaluator.requirements)
 
 
 def test_member_that_fails_is_a_row_with_its_reason(
@@ -117,19 +124,25 @@ def test_member_that_fails_is_a_row_with_its_reason(
     short = MemberEvaluator.of(replace(BASE, duration=0.5, start="rest")).row(5, member(0), "time")
     assert short["status"] == "failed" and short["reason"] == "duration must exceed the start-up of 1 s, got 0.5 s"
 
-    def diverge(*_: Any) -> list[LoopDivergedError]:
-        return [LoopDivergedError("the loop diverged within the first 1000 ms")]
+    def diverge(*_: Any) -> None:
+        raise LoopDivergedError("the loop diverged within the first 1000 ms")
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate_members", diverge)
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate", diverge)
     diverged = evaluator.row(5, member(0), "time")
     assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
 
     def without_memory(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate_members", without_memory)
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate", without_memory)
     crashed = evaluator.row(5, member(0), "time")
     assert (crashed["status"], crashed["reason"]) == ("crashed", "no memory")
+
+    def within_a_step(*_: Any) -> None:
+        raise RunFailedError("plant failed at tick 3: MemoryError") from MemoryError()
+
+    monkeypatch.setattr(los_testbed.campaign.member, "simulate", within_a_step)
+    assert evaluator.row(5, member(0), "time")["status"] == "crashed"
 
 
 def test_hash_of_a_row_sees_every_bit(evaluator: MemberEvaluator) -> None:

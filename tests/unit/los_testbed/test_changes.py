@@ -9,7 +9,8 @@ from los_testbed.factories import build_controller
 from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, Fade, parse_change
 
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
-from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.plant_step import whole_step
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 
 def recording():
@@ -113,12 +114,12 @@ def test_a_fade_is_smooth_both_ways_and_can_turn_round():
 
 def small_plant(dropout=0.0):
     """Measurement 20 is the sine of one tone; no dynamics."""
-    step = np.zeros((MEASUREMENTS + TRUTH, COMMANDS + 2))
-    step[20, COMMANDS + 1] = 1.0
+    matrix = np.zeros((MEASUREMENTS + TRUTH, COMMANDS + 2))
+    matrix[20, COMMANDS + 1] = 1.0
     sensors = SensorModel(np.full(MEASUREMENTS, 0.1), np.zeros(MEASUREMENTS), 2, dropout, 3)
-    segment = Segment(1 << 60, step, np.exp(1j * np.array([0.3])))
+    step = whole_step(matrix, np.exp(1j * np.array([0.3])))
     tones = np.array([300.0])
-    return SampledPlant([segment], np.zeros(0), sensors, np.ones(COMMANDS), dt=1e-3, tones=tones, parameters_hash="")
+    return SampledPlant(step, np.zeros(0), sensors, np.ones(COMMANDS), dt=1e-3, tones=tones, parameters_hash="")
 
 
 def outputs(plant, changes, ticks=100):

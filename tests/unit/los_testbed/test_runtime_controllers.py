@@ -132,21 +132,18 @@ def test_a_stage_is_one_of_four(tmp_path):
 
 
 @pytest.mark.parametrize("stage", ["none", "isolator", "fsm", "fsm+pma"])
-def test_the_command_of_several_loops_is_that_of_each(stage: str) -> None:
-    """Estimates and forces on both sides of the limits, row by row and all at once."""
-    law = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, 1e-3)
+def test_commands_are_mirror_law_and_forces_within_the_limits(stage: str) -> None:
+    """Estimates and forces on both sides of the limits."""
+    law = SampledSystem([], [], [], np.eye(6), K_PMA_INPUTS, K_PMA_OUTPUTS, 1e-3)
     controller = FsmPmaController(law, stage, los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
     rng = np.random.default_rng(0)
     los, force = 4e-4 * rng.standard_normal((50, 2)), 40.0 * rng.standard_normal((50, 6))
-    together = np.full((50, 8), np.nan)
-    controller.command(los, force, together)
-    alone = np.full((50, 8), np.nan)
+    found = np.full((50, 8), np.nan)
     for row in range(50):
-        controller.command(los[row], force[row], alone[row])
-    assert np.array_equal(together, alone)
+        controller.step(los[row], force[row], found[row])
     mirror = np.clip(-los / 0.1, -2e-3, 2e-3) if "fsm" in stage else np.zeros((50, 2))
-    assert together[:, :2] == pytest.approx(mirror, rel=1e-15)
-    assert np.array_equal(together[:, 2:], np.clip(force, -30.0, 30.0) if "pma" in stage else np.zeros((50, 6)))
+    assert found[:, :2] == pytest.approx(mirror, rel=1e-15)
+    assert np.array_equal(found[:, 2:], np.clip(force, -30.0, 30.0) if "pma" in stage else np.zeros((50, 6)))
 
 
 def test_a_camera_value_is_held_unless_both_axes_are_finite() -> None:

@@ -12,9 +12,10 @@ from scipy.integrate import solve_ivp
 
 from lftkit import Port, System
 from titop_plant.interface import COMMANDS, DT
-from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant, sample
+from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones
 from titop_plant.simulation.plant_config import motion, parameter_values, values_along
+from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -107,7 +108,7 @@ def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float)
     interval = node_interval(profile, DT)
 
     def matrices(time: float) -> np.ndarray:
-        return sample(gyroscope(float(profile.speeds(time)[0]), 250.0**2 + stretch * time), no_tones(), 1).step
+        return step_matrix(gyroscope(float(profile.speeds(time)[0]), 250.0**2 + stretch * time), no_tones())
 
     nodes = node_matrices(profile, interval, DT, matrices)
     tones = MovingTones(profile, no_tones())
@@ -152,7 +153,7 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     tones = MovingTones(motion(ramp, family.parameters), plant._moving.unit).start()
     data = family.control_loop.at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
     constant = SampledPlant(
-        [sample(data, tones, 1)], plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
+        plant_step(data, tones), plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
     )
     first, second = line_of_sight(plant, 300), line_of_sight(constant, 300)
     assert np.abs(first - second).max() < 1e-7 * np.abs(second).max()

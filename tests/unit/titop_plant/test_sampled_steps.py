@@ -2,84 +2,150 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import linalg
 
+from lftkit import Port, System
 from titop_plant.interface import CAMERA, DT
+from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones, joined, no_tones
-from titop_plant.simulation.sampled_plant import SampledPlant, Segment, SensorModel
+from titop_plant.simulation.plant_step import plant_step
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
-N, K = 3, 2
-
-
-def segment(seed: int, ticks: int) -> Segment:
-    rng = np.random.default_rng(seed)
-    step = rng.standard_normal((N + 24, N + 8 + 2 * K))
-    step[:N, :N] = np.diag([0.9, 0.5, -0.3])
-    return Segment(ticks, step, np.exp(1j * rng.uniform(0.1, 2.0, K)))
-
-
+K = 3
 SENSORS = SensorModel(np.linspace(0.1, 2.3, 22), np.linspace(-1.0, 1.0, 22), 4, 0.3, 11)
 LIMITS = np.linspace(0.5, 1.2, 8)
+TICKS = 150
 
 
-def plant(*segments: Segment, sensors: SensorModel = SENSORS) -> SampledPlant:
-    state = np.array([1.0, -2.0, 0.5])
-    return SampledPlant(segments, state, sensors, LIMITS, dt=DT, tones=np.array([1.0, 2.0]), parameters_hash="name")
+def system(A: np.ndarray) -> System:
+    rng, n = np.random.default_rng(0), len(A)
+    B, C, D = (rng.standard_normal(shape) for shape in ((n, 30), (24, n), (24, 30)))
+    return System(A, 100.0 * B, C, D, (Port("u", 30),), (Port("y", 24),))
 
 
-def expected(segments: list[Segment], commands: np.ndarray, sensors: SensorModel):
-    """The recursion of the module's documentation, with its own noise and frames drawn beforehand."""
+MODES = linalg.block_diag([[-1.0, 300.0], [-300.0, -1.0]], [[-0.5, 40.0], [-40.0, -0.5]], [[-30.0]], [[-7.0]])
+COORDINATES = np.random.default_rng(9).standard_normal((6, 6))
+PLANTS = {
+    "pairs and real poles": COORDINATES @ MODES @ np.linalg.inv(COORDINATES),
+    "a free mass beside a mode": linalg.block_diag([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-900.0, -0.1]]),
+    "one real pole": np.array([[-50.0]]),
+    "three free masses": np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(3)),
+    "an undamped mode": np.array([[0.0, 1.0, 0.0], [-900.0, 0.0, 0.0], [1.0, 2.0, -5.0]]),
+    "no states": np.zeros((0, 0)),
+}
+ON_POLE = {"a free mass beside a mode": 0.0, "three free masses": 0.0, "an undamped mode": 30.0}
+FREQUENCIES = np.array([3.0, 33.0, 2500.0])
+
+
+def tones_at(frequency: np.ndarray) -> Tones:
+    rng = np.random.default_rng(4)
+    amplitude = rng.standard_normal((22, K)) + 1j * rng.standard_normal((22, K))
+    return Tones(frequency, amplitude, np.zeros(K), np.full(K, -1))
+
+
+def plant(A: np.ndarray, sensors: SensorModel = SENSORS, frequency: np.ndarray = FREQUENCIES) -> SampledPlant:
+    step = plant_step(system(A), tones_at(frequency))
+    state = np.linspace(1.0, -2.0, len(A))
+    return SampledPlant(step, state, sensors, LIMITS, dt=DT, tones=frequency, parameters_hash="name")
+
+
+def expected(A: np.ndarray, commands: np.ndarray, sensors: SensorModel, frequency: np.ndarray):
+    """States with held commands and tones by one matrix exponential, with their own noise and frames."""
     noise, camera = (np.random.default_rng(s) for s in np.random.SeedSequence(sensors.seed).spawn(2))
-    blocks = [noise.standard_normal((64, 22)) for _ in range(len(commands) // 64 + 1)]
-    draws = np.vstack(blocks) * sensors.sigma
-    x, p = np.array([1.0, -2.0, 0.5]), np.ones(K, complex)
-    of_tick = [s for s in segments for _ in range(s.ticks)]
-    measured, truth = [], []
+    draws = np.vstack([noise.standard_normal((64, 22)) for _ in range(len(commands) // 64 + 1)]) * sensors.sigma
+    data, tones, n = system(A), tones_at(frequency), len(A)
+    drive = data.B[:, 8:] @ tones.amplitude
+    whole = np.zeros((n + 8 + 2 * K, n + 8 + 2 * K))
+    whole[:n, :n], whole[:n, n : n + 8] = data.A, data.B[:, :8]
+    for k, w in enumerate(frequency):
+        re, im = n + 8 + 2 * k, n + 8 + 2 * k + 1
+        whole[:n, re], whole[:n, im] = drive[:, k].imag, drive[:, k].real
+        whole[re, im], whole[im, re] = -w, w
+    over = linalg.expm(whole * DT)
+    x, measured, truth = np.linspace(1.0, -2.0, n), [], []
     for k, command in enumerate(commands):
-        current = of_tick[min(k, len(of_tick) - 1)]
-        phasors = np.column_stack([p.real, p.imag]).ravel()
-        out = current.step @ np.concatenate([x, np.minimum(np.maximum(command, -LIMITS), LIMITS), phasors])
-        y = out[N : N + 22] + draws[k] + sensors.bias
+        p, v = np.exp(1j * frequency * k * DT), np.clip(command, -LIMITS, LIMITS)
+        out = data.C @ x + data.D[:, :8] @ v + (data.D[:, 8:] @ tones.amplitude @ p).imag
+        y = out[:22] + draws[k] + sensors.bias
         lost = k % sensors.frame_ticks == 0 and sensors.dropout > 0 and camera.random(3)[0] < sensors.dropout
         if k % sensors.frame_ticks or lost:
             y[CAMERA] = np.nan
         measured.append(y)
-        truth.append(out[N + 22 :])
-        x, p = out[:N], p * current.turn
+        truth.append(out[22:])
+        x = (over @ np.concatenate([x, v, np.column_stack([p.real, p.imag]).ravel()]))[:n]
     return np.array(measured), np.array(truth), x
 
 
 @pytest.mark.parametrize("dropout", [0.0, 0.3, 1.0])
-def test_a_run_is_the_recursion_of_its_segments(dropout: float) -> None:
-    """Three segments, more than two blocks of noise, commands beyond their limits on either side, lost frames."""
-    sensors = SensorModel(SENSORS.sigma, SENSORS.bias, 4, dropout, 11)
-    segments = [segment(0, 7), segment(1, 5), segment(2, 3)]
-    commands = 2.0 * np.random.default_rng(3).standard_normal((150, 8))
-    model = plant(*segments, sensors=sensors)
-    measured, truth = np.zeros((150, 22)), np.zeros((150, 2))
-    for _ in range(2):
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("on_a_pole", [False, True])
+def test_a_run_is_the_one_of_matrix_exponentials(name: str, dropout: float, on_a_pole: bool) -> None:
+    """More than two blocks of noise, commands beyond their limits, lost frames; a tone on a pole, or beside them."""
+    A = PLANTS[name]
+    frequency = np.array([ON_POLE.get(name, 3.0), 33.0, 2500.0]) if on_a_pole else FREQUENCIES
+    sensors = replace(SENSORS, dropout=dropout)
+    commands = 2.0 * np.random.default_rng(3).standard_normal((TICKS, 8))
+    model = plant(A, sensors, frequency)
+    y, t, x = expected(A, commands, sensors, frequency)
+    for compiled in (False, True):
+        if compiled:
+            model.compile()
         model.reset()
-        assert (model.tick, model.state.tolist()) == (0, [1.0, -2.0, 0.5])
-        for k in range(150):
-            assert model.tick == k
+        assert model.tick == 0
+        np.testing.assert_allclose(model.state, np.linspace(1.0, -2.0, len(A)), rtol=1e-12)
+        measured, truth = np.zeros((TICKS, 22)), np.zeros((TICKS, 2))
+        for k in range(TICKS):
             model.step(commands[k], measured[k], truth[k])
-        y, t, x = expected(segments, commands, sensors)
-        np.testing.assert_allclose(measured, y, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(truth, t, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(model.state, x, rtol=1e-12)
+        scale = np.abs(t).max()
+        np.testing.assert_allclose(measured, y, rtol=1e-10, atol=1e-11 * scale)
+        np.testing.assert_allclose(truth, t, rtol=1e-10, atol=1e-11 * scale)
+        np.testing.assert_allclose(model.state, x, rtol=1e-9, atol=1e-11 * np.abs(x).max(initial=0.0))
     frames = np.isfinite(measured[:, 18])
     assert np.isfinite(np.delete(measured, [18, 19], axis=1)).all()
     assert frames.sum() == {0.0: 38, 1.0: 0}.get(dropout, frames.sum())
     assert np.all(np.flatnonzero(frames) % 4 == 0)
 
 
+@pytest.mark.parametrize("name", PLANTS)
+def test_compiled_code_has_the_bits_of_numpy(name: str) -> None:
+    """Tick by tick, over changes of its settings too."""
+    if kernel() is None:
+        pytest.skip("numba is not installed: pip install '.[fast]'")
+    records = []
+    for compiled in (False, True):
+        model = plant(PLANTS[name])
+        if compiled:
+            model.compile()
+        commands = 2.0 * np.random.default_rng(3).standard_normal((TICKS, 8))
+        rows = np.zeros((TICKS, 24))
+        for k in range(TICKS):
+            if k in (40, 90):
+                model.change("disturbance", float(k == 90))
+            model.step(commands[k], rows[k, :22], rows[k, 22:])
+        records.append(rows.tobytes() + model.state.tobytes())
+    assert records[0] == records[1]
+
+
+def test_a_disturbance_that_ends_leaves_the_state_where_it_is() -> None:
+    model = plant(PLANTS["pairs and real poles"])
+    for _ in range(20):
+        model.step(np.zeros(8), np.zeros(22), np.zeros(2))
+    for value in (0.0, 1.0):
+        before = model.state
+        model.change("disturbance", value)
+        np.testing.assert_allclose(model.state, before, rtol=1e-12)
+
+
 def test_the_state_is_a_copy_and_the_settings_are_kept() -> None:
-    model = plant(segment(0, 10))
+    model = plant(PLANTS["one real pole"])
     model.state[:] = 9.0
-    assert model.state.tolist() == [1.0, -2.0, 0.5]
+    assert model.state.tolist() == pytest.approx([1.0])
     assert (model.dt, model.frame_ticks, model.parameters_hash) == (DT, 4, "name")
-    assert model.tones.tolist() == [1.0, 2.0] and model.limits is LIMITS
+    assert model.tones is FREQUENCIES and model.limits is LIMITS
 
 
 def tones() -> Tones:

@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,20 @@ from scipy.linalg import LinAlgError
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from los_loop.steady_state import LoopStart
-from los_testbed.campaign.batch import MemberLoop, Signals, simulate_members
+from los_estimator.runtime import LosEstimator
 from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import INDICES, judged, quantile_column, share_column
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, assemble_controller
-from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.loop.compiled_loop import Signals
+from los_testbed.loop.contract import RunFailedError
+from los_testbed.loop.simulate import LoopDivergedError, simulate
+from pointing_analysis.indices.errors import default_transient
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import COMMANDS, DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
+from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
 from titop_plant.simulation.build import PlantFamily
-from titop_plant.simulation.plant_batch import PlantBatch
+from titop_plant.simulation.compilation import kernel
 
 COMMON_METRICS = (
     "ape_max_arcsec",
@@ -73,10 +75,6 @@ def metric_columns(depth: str, requirements: Sequence[Requirement]) -> tuple[str
 
 def _share_column(requirement: Requirement) -> str:
     return share_column(requirement.index, requirement.limit)
-
-
-RECORDED = 2_000_000
-"""Ticks that are recorded at a time, by all members that are simulated together: 64 MB."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +123,11 @@ class MemberEvaluator:
         depth : {"time", "model"}
         """
         if depth == "time":
-            return self.rows([{**values, "index": index}], depth)[0]
+            return self._row(index, values, depth, lambda: self._simulated(replace(self.base, **settings(values))))
         return self._row(index, values, depth, lambda: self._modelled(values))
 
     def rows(self, members: Sequence[Mapping[str, Any]], depth: str) -> list[dict[str, Any]]:
-        """Row of each member, which does not depend on the others; simulated runs go together, tick by tick.
+        """Row of each member, which does not depend on the others.
 
         Parameters
         ----------
@@ -137,26 +135,7 @@ class MemberEvaluator:
             ``index``, ``seed`` and `COLUMNS`.
         depth : {"time", "model"}
         """
-        if depth != "time":
-            return [self.row(member["index"], member, depth) for member in members]
-        together = max(1, RECORDED // self.base.ticks)
-        parts = [members[k : k + together] for k in range(0, len(members), together)]
-        return [row for part in parts for row in self._simulated(part)]
-
-    def _simulated(self, members: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Rows of simulated runs."""
-        runs: dict[int, _MemberRun] = {}
-
-        def prepared(member: Mapping[str, Any]) -> dict[str, float]:
-            runs[member["index"]] = self._prepared(replace(self.base, **settings(member)))
-            return {}
-
-        rows = {m["index"]: self._row(m["index"], m, "time", partial(prepared, m)) for m in members}
-        self._simulate(list(runs.values()))
-        for member in members:
-            if (run := runs.get(member["index"])) is not None:
-                rows[member["index"]] = self._row(member["index"], member, "time", run.metrics)
-        return [rows[member["index"]] for member in members]
+        return [self.row(member["index"], member, depth) for member in members]
 
     def _row(
         self, index: int, values: Mapping[str, Any], depth: str, evaluate: Callable[[], Mapping[str, float]]
@@ -169,47 +148,43 @@ class MemberEvaluator:
                 status, reason = "unstable", "the sampled loop is unstable"
         except LoopDivergedError as error:
             status, reason = "diverged", str(error)
+        except RunFailedError as error:
+            status, reason = CRASHED if isinstance(error.__cause__, MemoryError) else "failed", str(error)
         except MemoryError as error:
             status, reason = CRASHED, " ".join(str(error).split()) or "no memory"
         except (ValueError, ArithmeticError, LinAlgError) as error:
             status, reason = "failed", " ".join(str(error).split()) or type(error).__name__
         return finished_row(index, values, metrics, status, reason)
 
-    def _prepared(self, config: RunConfig) -> _MemberRun:
-        """The loop of a member at its start, and where its run is kept."""
-        from pointing_analysis.indices.errors import default_transient
+    def _simulated(self, config: RunConfig) -> dict[str, float]:
+        """Metrics of a simulated run, start-up left out.
 
+        Raises
+        ------
+        LoopDivergedError
+            A signal is no longer finite.
+        ValueError
+            No start, or a run that is over before its start-up.
+        """
         parts = RunParts(config, self.controllers)
-        start, states = parts.start, parts.start.states
-        rest = np.zeros(self.family.control_loop.order)
-        plant = self.family.build(parts.physical, rest if states is None else states.plant)
-        first = round((default_transient(config.duration) if states is None else 0.0) / DT)
+        start = parts.start
+        first = round((default_transient(config.duration) if start.states is None else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
+        rest = np.zeros(self.family.control_loop.order) if start.states is None else start.states.plant
+        plant = self.family.build(parts.physical, rest)
+        controllers = {name: replace(law) for name, law in self.controllers.items()}  # each with a state of its own
+        estimator = LosEstimator(controllers["k_fsm"])
+        controller = assemble_controller(controllers, self.telescope, config.loop)
+        if start.states is not None:
+            estimator.start_at(start.states.k_fsm, start.states.camera)
+            controller.start_at(start.states.k_pma)
+        estimator.reset()
+        controller.reset()
         record = _Record(np.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"]))
-        if states is None:
-            k_fsm, k_pma = (np.zeros(self.controllers[name].order) for name in ("k_fsm", "k_pma"))
-            states = LoopStart(rest, np.zeros(COMMANDS), k_fsm, k_pma, np.zeros(2))
-        command = np.zeros(COMMANDS) if start.command is None else start.command
-        loop = MemberLoop(plant, states.k_fsm, states.k_pma, states.camera, command, record.keep)
-        return _MemberRun(loop, record, first, self.requirements)
-
-    def _simulate(self, runs: Sequence[_MemberRun]) -> None:
-        """Runs of equal sizes together."""
-        kinds: dict[tuple[object, ...], list[_MemberRun]] = {}
-        for run in runs:
-            kinds.setdefault(PlantBatch.kind(run.loop.plant), []).append(run)
-        for alike in kinds.values():
-            controller = assemble_controller(self.controllers, self.telescope, self.base.loop)
-            loops = [run.loop for run in alike]
-            ends: Sequence[LoopDivergedError | MemoryError | None]
-            try:
-                with one_thread(), np.errstate(all="ignore"):
-                    ends = simulate_members(loops, self.controllers, controller, self.base.ticks)
-            except MemoryError as error:
-                ends = [error] * len(loops)
-            for run, end in zip(alike, ends):
-                run.end = end
+        kernel()  # of many runs, so that the first one pays for all
+        simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
+        return record.metrics(first, self.requirements)
 
     @cached_property
     def _model(self) -> ModelDepth:
@@ -250,31 +225,12 @@ class _Record:
             self.largest[k] = max(self.largest[k], float(np.abs(block.command[:rows, columns]).max()))
         self.done += rows
 
-
-@dataclass
-class _MemberRun:
-    """A member's loop, its record, the first row that is judged, requirements, and what the run ended with."""
-
-    loop: MemberLoop
-    record: _Record
-    first: int
-    requirements: Sequence[Requirement]
-    end: LoopDivergedError | MemoryError | None = None
-
-    def metrics(self) -> dict[str, float]:
-        """Metrics of the simulated run, start-up left out.
-
-        Raises
-        ------
-        LoopDivergedError, MemoryError
-            What the run ended with.
-        """
+    def metrics(self, first: int, requirements: Sequence[Requirement]) -> dict[str, float]:
+        """Metrics of the rows from `first` on."""
         from pointing_analysis.requirements.summary import Knowledge, Performance
 
-        if self.end is not None:
-            raise self.end
-        samples = _Samples.of(self.record.values[self.first :, :2])
-        judged_rows, largest = self.record.values[self.first :], self.record.largest
+        judged_rows, largest = self.values[first:], self.largest
+        samples = _Samples.of(judged_rows[:, :2])
         performance = Performance.of(judged_rows[:, :2], DT)
         knowledge = Knowledge.of(judged_rows[:, 2:4], DT)
         found = dict(
@@ -293,7 +249,7 @@ class _MemberRun:
                 ),
             )
         )
-        return {**found, **samples.required(self.requirements)}
+        return {**found, **samples.required(requirements)}
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, plant_notes
+from los_testbed.loop.compiled_loop import CompiledLoop
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
@@ -111,35 +112,55 @@ def simulate(
     block = SampleBlock(BLOCK)
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
-    plant_step, estimate, control = plant.step, estimator.step, controller.step
+    compiled = CompiledLoop.of(plant, estimator, controller, ticks)
     for first in range(0, ticks, BLOCK):
         rows = min(BLOCK, ticks - first)
         block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
-        done, who = 0, "plant"
-        try:
-            # what overflows is found below, with tick and port
-            with np.errstate(over="ignore", invalid="ignore"):
-                for y, truth, los, u in zip(
-                    block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
-                ):
-                    who = "plant"
-                    plant_step(command, y, truth)
-                    who = "observer"
-                    estimate(y, los)
-                    who = "controller"
-                    control(los, y[PLATFORM], u)
-                    command[:] = u
-                    done += 1
-        except BlockFailedError as error:  # says itself who failed at which tick
-            sink(block, done)
-            raise RunFailedError(str(error)) from error
-        except RAISED as error:
-            sink(block, done)
-            raise RunFailedError(f"{who} failed at tick {first + done}: {in_one_line(error)}") from error
+        if compiled is None or not compiled.run(command, block, rows):
+            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first)
+            if error is not None:
+                sink(block, done)
+                raise RunFailedError(str(error)) from error.__cause__
         odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
         sink(block, rows if odd is None else odd[0])
         if odd is not None:
             raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
+
+
+def _step_by_step(
+    plant: Plant,
+    estimator: EstimatorCore,
+    controller: ControllerCore,
+    command: FloatArray,
+    block: SampleBlock,
+    rows: int,
+    first: int,
+) -> tuple[RunFailedError | None, int]:
+    """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
+    plant_step, estimate, control = plant.step, estimator.step, controller.step
+    done, who = 0, "plant"
+    try:
+        # what overflows is found by the caller, with tick and port
+        with np.errstate(over="ignore", invalid="ignore"):
+            for y, truth, los, u in zip(
+                block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+            ):
+                who = "plant"
+                plant_step(command, y, truth)
+                who = "observer"
+                estimate(y, los)
+                who = "controller"
+                control(los, y[PLATFORM], u)
+                command[:] = u
+                done += 1
+    except RAISED as error:
+        # a block of the user says itself who failed at which tick
+        own = isinstance(error, BlockFailedError)
+        text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
+        failed = RunFailedError(text)
+        failed.__cause__ = error
+        return failed, done
+    return None, done
 
 
 class BagSink:

@@ -1,0 +1,198 @@
+"""A linear system in coordinates in which its poles are apart: blocks of two rows for pairs, one row for real poles.
+
+``x = basis q`` and, for a pair ``s +- i w``, ``q1' = s q1 + w q2``, ``q2' = -w q1 + s q2``. Poles whose eigenvectors
+are nearly parallel (a free body is a double zero; two equal modes that act on each other) have no such coordinates:
+they share one block, in an orthonormal basis of their invariant subspace. The eigenvectors are those of the balanced
+matrix, with digits beyond the working precision (:mod:`lftkit.analysis.eigenvectors`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.eigenvectors import EPS, Modes, balanced, corrected_modes, modes
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+
+PARALLEL = 1e5
+"""Condition number of a pole, of its left and right eigenvectors, above which it is kept in the block."""
+
+MAX_CONDITION = 1e8
+"""Of all coordinates together, in balanced units; above it, the block holds the whole matrix."""
+
+
+@dataclass(frozen=True)
+class ModalForm:
+    """Coordinates of a matrix A (n, n): m pairs, r real poles, a block of order d; ``n = 2 m + r + d``.
+
+    The coordinates stand in this order: the first of each pair, the second of each pair, the real poles, the block.
+
+    Parameters
+    ----------
+    pairs : ndarray, shape (m,), complex
+        Poles with positive imaginary part, by rising size.
+    real : ndarray, shape (r,)
+    block : ndarray, shape (d, d)
+        ``q' = block q`` of the last coordinates.
+    units : ndarray, shape (n,)
+        Of the states, powers of two.
+    vectors : Modes
+        ``x = units (vectors + low) q``; its poles are not used.
+
+    Examples
+    --------
+    A light mode beside a free mass, of which only the mass needs a block:
+
+    >>> A = linalg.block_diag([[0.0, 1.0], [-4.0, -0.01]], [[0.0, 1.0], [0.0, 0.0]])
+    >>> form = ModalForm.of(A)
+    >>> form.pairs.round(3).tolist(), form.real.size, len(form.block)
+    ([(-0.005+2j)], 0, 2)
+    """
+
+    pairs: ComplexArray
+    real: FloatArray
+    block: FloatArray
+    units: FloatArray
+    vectors: Modes
+
+    @classmethod
+    def of(cls, A: FloatArray) -> ModalForm:
+        """Modal form of `A`.
+
+        Raises
+        ------
+        ArithmeticError
+            The QR algorithm did not converge (entries near overflow).
+        """
+        A = np.asarray(A, dtype=float)
+        units = np.asarray(linalg.lapack.dgebal(A, scale=1, permute=0)[3]) if len(A) else np.ones(0)
+        a, _, _ = balanced(A, np.zeros((len(A), 0)), np.zeros((0, len(A))))
+        if not len(A):
+            return cls._whole(a, units)
+        found = corrected_modes(a, modes(a))
+        found = _sorted(found)
+        parallel = _parallel(found)
+        if parallel.any():
+            return cls._with_block(a, units, found, parallel)
+        if found.reciprocal_condition * MAX_CONDITION < 1.0:
+            return cls._whole(a, units)
+        heads = np.flatnonzero(found.poles.imag > 0)
+        real = np.flatnonzero(found.poles.imag == 0)
+        order = np.concatenate([heads, heads + 1, real])
+        return cls(
+            found.poles[heads], found.poles[real].real, np.zeros((0, 0)), units, _columns(found, order, np.zeros(0))
+        )
+
+    @classmethod
+    def whole(cls, A: FloatArray) -> ModalForm:
+        """The states themselves as coordinates: one block."""
+        return cls._whole(np.asarray(A, dtype=float), np.ones(len(A)))
+
+    @classmethod
+    def _whole(cls, a: FloatArray, units: FloatArray) -> ModalForm:
+        eye = np.eye(len(a))
+        basis = Modes(np.zeros(len(a), complex), eye, np.zeros_like(eye), (eye, np.arange(len(a), dtype=np.int32)))
+        return cls(np.zeros(0, complex), np.zeros(0), a, units, basis)
+
+    @classmethod
+    def _with_block(cls, a: FloatArray, units: FloatArray, found: Modes, parallel: BoolArray) -> ModalForm:
+        """The poles marked as parallel in a block, the others as they are."""
+        inside, outside = found.poles[parallel], found.poles[~parallel]
+
+        def chosen(real: float, imaginary: float) -> bool:
+            pole = complex(real, imaginary)
+            return bool(np.abs(inside - pole).min() < np.abs(outside - pole).min(initial=np.inf))
+
+        T, Q, count = linalg.schur(a, output="real", sort=chosen)
+        if count != parallel.sum():
+            return cls._whole(a, units)
+        heads = np.flatnonzero((found.poles.imag > 0) & ~parallel)
+        real = np.flatnonzero((found.poles.imag == 0) & ~parallel)
+        basis = _columns(found, np.concatenate([heads, heads + 1, real]), Q[:, :count])
+        if not basis.reciprocal_condition * MAX_CONDITION >= 1.0:
+            return cls._whole(a, units)
+        return cls(found.poles[heads], found.poles[real].real, T[:count, :count], units, basis)
+
+    @property
+    def order(self) -> int:
+        """Number of coordinates."""
+        return len(self.units)
+
+    @property
+    def plain(self) -> int:
+        """Number of coordinates before the block."""
+        return 2 * len(self.pairs) + len(self.real)
+
+    @property
+    def basis(self) -> FloatArray:
+        """``x = basis q``, shape (n, n)."""
+        return np.asarray(self.units[:, None] * (self.vectors.vectors + self.vectors.low))
+
+    def observed(self, C: FloatArray) -> FloatArray:
+        """``C basis``, shape (p, n), rounded once."""
+        C = np.asarray(C, dtype=float)
+        return self.vectors.observed(C * self.units) if self.order else C
+
+    def excited(self, B: FloatArray) -> FloatArray:
+        """``basis^-1 B``, shape (n, k) for `B` (n, k), accurate to its own rounding."""
+        B = np.asarray(B, dtype=float)
+        return self.vectors.excited(B / self.units[:, None]) if self.order and B.size else B
+
+    def resolvent(self, s: ComplexArray, forcing: ComplexArray) -> ComplexArray:
+        """``(s_k - L)^-1 forcing_k`` for the columns of `forcing` (n, K) in these coordinates: shape (n, K)."""
+        m, plain = len(self.pairs), self.plain
+        out = np.empty_like(forcing)
+        pole = self.pairs[:, None]
+        away = s - pole.real
+        scale = 1.0 / ((s - pole) * (s - pole.conj()))
+        first, second = forcing[:m], forcing[m : 2 * m]
+        out[:m] = scale * (away * first + pole.imag * second)
+        out[m : 2 * m] = scale * (away * second - pole.imag * first)
+        out[2 * m : plain] = forcing[2 * m : plain] / (s - self.real[:, None])
+        eye = np.eye(len(self.block))
+        for k, value in enumerate(s if len(eye) else ()):
+            out[plain:, k] = linalg.solve(value * eye - self.block, forcing[plain:, k])
+        return out
+
+    def distances(self, s: ComplexArray) -> FloatArray:
+        """Distance of each value (K,) from the nearest pole: shape (K,); infinite without poles."""
+        poles = np.concatenate([self.pairs, self.pairs.conj(), self.real, linalg.eigvals(self.block)])
+        return np.asarray(np.abs(np.asarray(s) - poles[:, None]).min(axis=0, initial=np.inf))
+
+
+def _sorted(found: Modes) -> Modes:
+    """By the size of the poles, so that the order does not depend on the library."""
+    heads = np.flatnonzero(found.poles.imag >= 0)
+    size = np.abs(found.poles[heads])
+    order = np.concatenate(
+        [[k] if found.poles[k].imag == 0 else [k, k + 1] for k in heads[np.lexsort((heads, size))]]
+    ).astype(int)
+    return _columns(found, order, np.zeros(0))
+
+
+def _columns(found: Modes, order: IntArray, added: FloatArray) -> Modes:
+    """Some of the columns, and further ones behind them (n, d)."""
+    vectors, low = found.vectors[:, order], found.low[:, order]
+    if added.size:
+        vectors, low = np.hstack([vectors, added]), np.hstack([low, np.zeros_like(added)])
+    poles = np.concatenate([found.poles[order], np.zeros(vectors.shape[1] - len(order))])
+    return Modes(poles, vectors, low, linalg.lapack.dgetrf(vectors)[:2])
+
+
+def _parallel(found: Modes) -> BoolArray:
+    """Poles, pairs together, whose left and right eigenvectors are nearly orthogonal."""
+    n = len(found.poles)
+    if found.reciprocal_condition < EPS:
+        U, values, Vt = linalg.svd(found.vectors)  # parallel columns are those of the null space
+        inverse = (Vt.T / np.maximum(values, EPS * values[0])) @ U.T
+    else:
+        inverse = linalg.lapack.dgetrs(*found.factors, np.eye(n))[0]
+    size = np.asarray(linalg.norm(found.vectors, axis=0) * linalg.norm(inverse, axis=1))
+    first = np.flatnonzero(found.poles.imag > 0)
+    size[first] = size[first + 1] = np.maximum(size[first], size[first + 1])
+    return np.asarray(~(size < PARALLEL))
+
+
+__all__ = ["ModalForm"]

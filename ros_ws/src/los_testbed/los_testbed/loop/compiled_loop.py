@@ -1,0 +1,119 @@
+"""Plant, observer and controller as one piece of compiled code, where all three are the testbed's own.
+
+The bits are those of their `step` functions, one after the other (:mod:`titop_plant.simulation.plant_step` says the
+order of operations). Code of the user is called tick by tick, as :func:`los_testbed.loop.simulate.simulate` does.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
+from lftkit.systems.sampled_system import SampledSystem
+from los_estimator.runtime import LosEstimator
+from titop_plant.interface import HELD, HELD_PARTS, PLATFORM
+from titop_plant.simulation.compilation import kernel_for
+from titop_plant.simulation.ramped_plant import RampedPlant
+from titop_plant.simulation.sampled_plant import SampledPlant
+
+_PARTS = np.array([0, *(part.stop for part in HELD_PARTS.values())])
+
+
+class Signals(Protocol):
+    """Ticks of one loop, as :class:`los_testbed.loop.simulate.SampleBlock` holds them: a row for each."""
+
+    @property
+    def measurement(self) -> FloatArray:
+        """Shape (n, 22)."""
+
+    @property
+    def truth(self) -> FloatArray:
+        """Shape (n, 2)."""
+
+    @property
+    def los_estimate(self) -> FloatArray:
+        """Shape (n, 2)."""
+
+    @property
+    def command(self) -> FloatArray:
+        """Shape (n, 8)."""
+
+
+class CompiledLoop:
+    """A loop whose parts are the testbed's own; their states are those of the parts, which it moves on.
+
+    Parameters
+    ----------
+    plant : SampledPlant
+    estimator : LosEstimator
+    controller : FsmPmaController
+        With a `SampledSystem` as K_PMA.
+    """
+
+    def __init__(self, plant: SampledPlant, estimator: LosEstimator, controller: FsmPmaController) -> None:
+        self._plant, self._estimator, self._controller = plant, estimator, controller
+
+    @classmethod
+    def of(cls, plant: object, estimator: object, controller: object, ticks: int) -> CompiledLoop | None:
+        """The loop of these parts; None where one of them is of another class, or compiled code does not pay.
+
+        A plant that is stepped by others is told to use compiled code, too.
+        """
+        compiled = kernel_for(ticks)
+        own = type(plant) in (SampledPlant, RampedPlant) and type(estimator) is LosEstimator
+        if compiled is not None and not own and (inner := _telescope(plant)) is not None:
+            inner.compile()
+        if compiled is None or not own or type(controller) is not FsmPmaController:
+            return None
+        if type(estimator.k_fsm) is not SampledSystem or type(controller.k_pma) is not SampledSystem:  # type: ignore[attr-defined]
+            return None
+        return cls(plant, estimator, controller)  # type: ignore[arg-type]
+
+    def run(self, command: FloatArray, block: Signals, rows: int) -> bool:
+        """Write the next `rows` ticks into `block`; `command` (8,) is that of the tick before, and then of the last.
+
+        Returns
+        -------
+        bool
+            False: settings of the plant were changed, nothing was done.
+        """
+        ticks = self._plant.kernel_ticks(rows)
+        compiled = kernel_for(rows)
+        if ticks is None or compiled is None:
+            return False
+        controller, observer = self._controller, self._estimator.k_fsm.product
+        law = controller.k_pma
+        assert isinstance(law, SampledSystem)
+        compiled.loop(
+            *ticks,
+            observer.columns,
+            observer.values,
+            _PARTS,
+            HELD,
+            self._estimator.held,
+            law.product.columns,
+            law.product.values,
+            PLATFORM.start,
+            np.array(controller.closed, dtype=np.int64),
+            controller.mirror_gain,
+            controller.limits,
+            command,
+            block.measurement[:rows],
+            block.truth[:rows],
+            block.los_estimate[:rows],
+            block.command[:rows],
+        )
+        return True
+
+
+def _telescope(plant: object) -> SampledPlant | None:
+    """The simulated telescope inside a plant with device limits or another disturbance."""
+    while plant is not None and not isinstance(plant, SampledPlant):
+        plant = getattr(plant, "plant", None)
+    return plant
+
+
+__all__ = ["CompiledLoop", "Signals"]
