@@ -41,6 +41,7 @@ $(READY): requirements.lock pyproject.toml lftkit/pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e ./lftkit -e .
+	$(BIN)/python -m los_testbed.loop.compiled_loop
 	@touch $(READY)
 
 run: $(READY)

@@ -11,6 +11,7 @@ REMEDIES = {
     "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'cryptography": "install the extra: pip install 'los-testbed[campaign]'",
+    "could not import 'numba": "install the extra: pip install 'los-testbed[fast]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'astropy": "install the extra: pip install 'los-testbed[image]'",
     "could not import 'poppy": "install the extra: pip install 'los-testbed[dev]'",

@@ -148,6 +148,9 @@ class SampledPlant:
     def compile(self) -> None:
         """Step with compiled code from now on, if there is any: the same bits in less time."""
         self._compiled = kernel() is not None
+        before = self._values.copy()
+        self._propagate()  # numba reads or makes the code at the first call, which must not be a tick of a run
+        self._values[:] = before
 
     @property
     def _phasors(self) -> FloatArray:

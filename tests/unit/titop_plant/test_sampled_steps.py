@@ -114,7 +114,7 @@ def test_a_run_is_the_one_of_matrix_exponentials(name: str, dropout: float, on_a
 def test_compiled_code_has_the_bits_of_numpy(name: str) -> None:
     """Tick by tick, over changes of its settings too."""
     if kernel() is None:
-        pytest.skip("numba is not installed: pip install '.[fast]'")
+        pytest.skip("could not import 'numba'")
     records = []
     for compiled in (False, True):
         model = plant(PLANTS[name])

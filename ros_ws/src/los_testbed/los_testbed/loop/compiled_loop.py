@@ -6,6 +6,7 @@ order of operations). Code of the user is called tick by tick, as :func:`los_tes
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -14,10 +15,27 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from titop_plant.interface import HELD, HELD_PARTS, PLATFORM
-from titop_plant.simulation.compilation import kernel_for
-from titop_plant.simulation.ramped_plant import RampedPlant
-from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.interface import (
+    COMMANDS,
+    DT,
+    ESTIMATES,
+    FORCES,
+    HELD,
+    HELD_PARTS,
+    K_FSM_INPUTS,
+    K_FSM_OUTPUTS,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MEASUREMENTS,
+    PLATFORM,
+    TRUTH,
+)
+from titop_plant.simulation.compilation import kernel, kernel_for
+from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.plant_step import whole_step
+from titop_plant.simulation.profiles import linear_profile
+from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant
+from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 _PARTS = np.array([0, *(part.stop for part in HELD_PARTS.values())])
 
@@ -62,11 +80,11 @@ class CompiledLoop:
 
         A plant that is stepped by others is told to use compiled code, too.
         """
-        compiled = kernel_for(ticks)
         own = type(plant) in (SampledPlant, RampedPlant) and type(estimator) is LosEstimator
-        if compiled is not None and not own and (inner := _telescope(plant)) is not None:
-            inner.compile()
-        if compiled is None or not own or type(controller) is not FsmPmaController:
+        if kernel_for(ticks) is None:
+            return None
+        if not own or type(controller) is not FsmPmaController:
+            compile_telescope(plant, ticks)
             return None
         if type(estimator.k_fsm) is not SampledSystem or type(controller.k_pma) is not SampledSystem:  # type: ignore[attr-defined]
             return None
@@ -109,11 +127,55 @@ class CompiledLoop:
         return True
 
 
-def _telescope(plant: object) -> SampledPlant | None:
-    """The simulated telescope inside a plant with device limits or another disturbance."""
+def compile_telescope(plant: object, ticks: int) -> None:
+    """Have the simulated telescope, also inside device limits or another disturbance, use compiled code if it pays."""
     while plant is not None and not isinstance(plant, SampledPlant):
         plant = getattr(plant, "plant", None)
-    return plant
+    if plant is not None and kernel_for(ticks) is not None:
+        plant.compile()
 
 
-__all__ = ["CompiledLoop", "Signals"]
+def prepare() -> bool:
+    """Compile everything, or read it from the cache: what `make` does once, so that no run has to.
+
+    Returns
+    -------
+    bool
+        Whether there is compiled code.
+    """
+    if kernel() is None:
+        return False
+    matrix, still = np.zeros((MEASUREMENTS + TRUTH, COMMANDS)), np.zeros(0, complex)
+    common = (
+        np.zeros(0),
+        SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0),
+        np.ones(COMMANDS),
+    )
+    plant = SampledPlant(whole_step(matrix, still), *common, dt=DT, tones=np.zeros(0), parameters_hash="")
+    moving = MovingTones(linear_profile(0.0, 0.0, np.zeros(4), np.zeros(4), 1.0), no_tones())
+    ramped = RampedPlant([matrix], 1, moving, *common, dt=DT, parameters_hash="")
+    gain = np.zeros((FORCES.stop - FORCES.start, PLATFORM.stop - PLATFORM.start))
+    law = SampledSystem([], [], [], gain, K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    observer = SampledSystem([], [], [], np.zeros((ESTIMATES, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+    controller = FsmPmaController(law, los_sensitivity=1.0, fsm_authority=1.0, pma_authority=1.0)
+    block = _Ticks(*(np.zeros((1, width)) for width in (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)))
+    for one in (plant, ramped):
+        one.compile()
+        CompiledLoop(one, LosEstimator(observer), controller).run(np.zeros(COMMANDS), block, 1)
+    return True
+
+
+@dataclass(frozen=True)
+class _Ticks:
+    """Signals of some ticks."""
+
+    measurement: FloatArray
+    truth: FloatArray
+    los_estimate: FloatArray
+    command: FloatArray
+
+
+if __name__ == "__main__":
+    prepare()
+
+__all__ = ["CompiledLoop", "Signals", "compile_telescope", "prepare"]

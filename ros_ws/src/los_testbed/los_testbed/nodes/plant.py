@@ -20,6 +20,7 @@ from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, build_plant, plant_notes
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
+from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
@@ -65,6 +66,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
         elif context.config.start != "rest":
             context.event("warning", message=OWN_PLANT)
             context.warn_alone([OWN_PLANT])
+        compile_telescope(plant, context.config.ticks)
         with one_thread():
             return PlantLoop(context, plant, command).run(others)
 
