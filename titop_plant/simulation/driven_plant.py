@@ -53,18 +53,21 @@ class DrivenPlant:
 
     Parameters
     ----------
-    plant : SampledPlant
+    plant : SampledPlant or DrivenPlant
     held : ndarray, shape (n + 24, 28)
         Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22) and
         the truth (2).
+        Of sources with another number of values as many columns.
     disturbance : Disturbance
+        Frequencies of its tones [rad/s], an attribute ``lines``, are added to those of the plant.
     name : str
         Of the disturbance, for the name of the configuration.
     """
 
-    def __init__(self, plant: SampledPlant, held: FloatArray, disturbance: Disturbance, name: str) -> None:
+    def __init__(self, plant: SampledPlant | DrivenPlant, held: FloatArray, disturbance: Disturbance, name: str) -> None:
         self.plant, self.disturbance = plant, disturbance
-        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
+        self.dt, self.frame_ticks, self.limits = plant.dt, plant.frame_ticks, plant.limits
+        self.tones = np.union1d(plant.tones, getattr(disturbance, "lines", []))
         self.parameters_hash = f"{plant.parameters_hash} with {name}"
         order = held.shape[0] - MEASUREMENTS - TRUTH
         self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
@@ -82,6 +85,10 @@ class DrivenPlant:
         self.plant.change(name, value)
         if name == "disturbance":
             self._on = bool(value)
+
+    def push(self, state: FloatArray) -> None:
+        """Add `state` (n,) to the present state, see `SampledPlant.push`."""
+        self.plant.push(state)
 
     def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""

@@ -39,6 +39,7 @@ integrated twice: the realisation is minimal by construction (204 states for the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,6 +66,13 @@ EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
 WHEEL_TORQUE = Port("wheel_torque", 4, "Nm")
 LOS = Port("los", 2, "rad")
 OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
+UNLOADED = ("M1", "M2", "DET")
+"""Points of the payload without an attached body."""
+
+
+def load_port(node: str) -> Port:
+    """Wrench from outside on a node of the structure, an input of a telescope with `loads` there."""
+    return Port(f"load_{node}", 6, ports.WRENCH_UNIT)
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,11 @@ class Telescope:
 
 
 def build_telescope(
-    parameters: Parameters | None = None, *, isolated: bool = True, attitude_controlled: bool = True
+    parameters: Parameters | None = None,
+    *,
+    isolated: bool = True,
+    attitude_controlled: bool = True,
+    loads: tuple[str, ...] = (),
 ) -> Telescope:
     """Assemble the telescope.
 
@@ -99,6 +111,9 @@ def build_telescope(
         False: the platform is fixed to the body without the isolator's springs.
     attitude_controlled : bool
         Close the attitude loop; without it the attitude is free.
+    loads : tuple of str
+        Nodes with an input ``load_<node>``, a wrench from outside in the axes of the node's body: ``I_w``, ``I_p``,
+        ``A1``, ``A2`` of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same without them.
 
     Returns
     -------
@@ -106,10 +121,10 @@ def build_telescope(
     """
     given = load_parameters() if parameters is None else parameters
     body, payload = build_body(given), build_payload(given)
-    driven = _driven_at_G(given, body, payload, isolated)
+    driven = _driven_at_G(given, body, payload, isolated, loads)
     free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
-    system = _free_flying(free, given, inertia, attitude_controlled)
+    system = _free_flying(free, given, inertia, attitude_controlled, loads)
     order = list(uncertain_parameters(given))
     return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
 
@@ -123,7 +138,9 @@ def line_of_sight(parameters: Parameters) -> System:
     return static_gain(gain, [ports.angle("I_p"), *(ports.deflection(p) for p in OPTICAL_POINTS)], [LOS])
 
 
-def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool) -> System:
+def _driven_at_G(
+    parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool, loads: tuple[str, ...]
+) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     uncertain = uncertain_parameters(parameters)
     tau = uncertain["solar_array.tau"]
@@ -139,7 +156,7 @@ def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, is
         "array_1": solar_array(component.array_component(parameters, "A1"), "A1", tau, omegas),
         "array_2": solar_array(component.array_component(parameters, "A2"), "A2", tau, omegas),
         "platform": actuated_platform(plate, component.actuator_components(parameters), "platform"),
-        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), ("M1", "M2", "DET")),
+        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(UNLOADED) - set(loads)),
         "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
         "optics": line_of_sight(parameters),
         "steering": static_gain(
@@ -152,7 +169,7 @@ def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, is
     }
     return connect(
         systems,
-        _wires(),
+        _with_loads(_wires(), loads),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
             WHEEL_TORQUE,
@@ -160,6 +177,7 @@ def _driven_at_G(parameters: Parameters, body: ModalData, payload: ModalData, is
             SADM_TORQUE,
             FSM_COMMAND,
             PMA_FORCE,
+            *map(load_port, loads),
         ],
         outputs={
             "wrench_G": "body.wrench_G",
@@ -207,7 +225,21 @@ def _wires() -> list[Connection]:
     return wires
 
 
-def _without_loads(body: System, points: tuple[str, ...]) -> System:
+def _with_loads(wires: list[Connection], loads: tuple[str, ...]) -> list[Connection]:
+    """Add the wrenches from outside to what acts on their nodes."""
+    bodies = {"platform": "platform", **dict.fromkeys(UNLOADED, "payload")}
+    result = list(wires)
+    for node in loads:
+        target = f"{bodies.get(node, 'body')}.wrench_{node}"
+        at = next((i for i, wire in enumerate(result) if wire[1] == target), None)
+        if at is None:
+            result.append((load_port(node).name, target))
+        else:
+            result[at] = ((result[at][0], load_port(node).name), target)  # type: ignore[assignment]
+    return result
+
+
+def _without_loads(body: System, points: Iterable[str]) -> System:
     """Remove the wrench inputs of points without an attached body."""
     loads = {f"wrench_{point}" for point in points}
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
@@ -221,7 +253,9 @@ def _torque_to_acceleration(free: System) -> System:
     return transform(both, inputs={"wrench_G": (-pick, torque)}, outputs={"accel_G": (pick.T, response)})
 
 
-def _free_flying(free: System, parameters: Parameters, inertia: FloatArray, controlled: bool) -> System:
+def _free_flying(
+    free: System, parameters: Parameters, inertia: FloatArray, controlled: bool, loads: tuple[str, ...]
+) -> System:
     """Free motion of G: the wrench of all bodies there balances the external one; close the attitude loop."""
     table = parameters["attitude_control"]
     law = attitude_control(
@@ -248,7 +282,7 @@ def _free_flying(free: System, parameters: Parameters, inertia: FloatArray, cont
     return connect(
         systems,
         wires,
-        inputs=[WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH, WHEEL_TORQUE, FSM_COMMAND, PMA_FORCE],
+        inputs=[WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH, WHEEL_TORQUE, FSM_COMMAND, PMA_FORCE, *map(load_port, loads)],
         outputs={
             **{p.name: f"free.{p.name}" for p in free.outputs if p.name != "accel_G"},
             "attitude": "attitude.angle_G",

@@ -1,0 +1,134 @@
+"""From sources to what they add to the state of the telescope and to its measurements, tick by tick.
+
+Within a tick the forces and torques are the polynomial through their values at `NODES` instants; what it adds to the
+state at the end of the tick is integrated exactly (matrix exponential). The instants are those of Gauss and Legendre,
+so that a tone is right to 1e-9 at 100 Hz and to 1e-6 at 500 Hz, however fast the structure is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from titop_plant.interface import DT, MEASURED
+from titop_plant.simulation.build import PlantFamily
+from titop_plant.simulation.plant_config import PlantConfig, parameter_values
+from titop_plant.simulation.sources.places import NODES as LOADED
+from titop_plant.simulation.sources.places import PORTS
+from titop_plant.simulation.sources.signals import Signal
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.control_plant import with_sensors
+from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+NODES = 6
+GAUSS: FloatArray = 0.5 * (np.polynomial.legendre.leggauss(NODES)[0] + 1.0)
+INSTANTS: FloatArray = np.concatenate([[0.0], GAUSS])
+"""Parts of a tick at which a source is asked for its values: the tick itself, for the measurement, and the nodes."""
+FADE = 1.0
+"""Seconds at the start of a run in which the sources grow to their size, so that they do not shake the structure."""
+
+
+@dataclass(frozen=True)
+class PlacedSource:
+    """A source with its name, its place and its signal.
+
+    Parameters
+    ----------
+    name, kind, place : str
+        For rows of reports.
+    matrix : ndarray, shape (size, 6)
+        Of :func:`titop_plant.simulation.sources.places.place_matrix`.
+    signal : Signal
+    remarks : tuple of str
+        What was done to its values, one sentence each.
+    """
+
+    name: str
+    kind: str
+    place: str
+    matrix: FloatArray
+    signal: Signal
+    remarks: tuple[str, ...] = ()
+
+
+@lru_cache(maxsize=2)
+def _loaded(path: str | None, isolated: bool) -> Telescope:
+    return build_telescope(load_parameters(path or REFERENCE), isolated=isolated, loads=tuple(LOADED.values()))
+
+
+def source_matrix(family: PlantFamily, config: PlantConfig, sources: Sequence[PlacedSource], dt: float = DT) -> FloatArray:
+    """What the values of the sources within a tick add to next state (n), measurement and truth (24).
+
+    Parameters
+    ----------
+    family : PlantFamily
+    config : PlantConfig
+        Member of the family, a telescope of constant parameters.
+    sources : sequence of PlacedSource
+    dt : float
+        Tick [s].
+
+    Returns
+    -------
+    ndarray, shape (n + 24, 6 s (`NODES` + 1))
+        Columns: source, then instant, then axis.
+    """
+    whole = with_sensors(_loaded(family.path, family.isolated).system, family.parameters)
+    chosen = whole.select(inputs=tuple(p.name for p in PORTS), outputs=(*MEASURED, "los_controlled"))
+    data = chosen.at(parameter_values(config, family.parameters))
+    B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
+    pushes = _integrals(data.A, B, dt)
+    n, m = B.shape
+    table = np.zeros((n + D.shape[0], len(sources), NODES + 1, 6))
+    table[n:, :, 0] = D.reshape(D.shape[0], len(sources), 6)
+    table[:n, :, 1:] = pushes.reshape(NODES, n, len(sources), 6).transpose(1, 2, 0, 3)
+    return table.reshape(n + D.shape[0], m * (NODES + 1))
+
+
+def _integrals(A: FloatArray, B: FloatArray, dt: float) -> FloatArray:
+    """Next state due to a unit value at each node, shape (nodes, n, m)."""
+    n, m = B.shape
+    whole = np.zeros((n + NODES * m, n + NODES * m))
+    whole[:n, :n], whole[:n, n : n + m] = A * dt, B * dt
+    for j in range(NODES - 1):
+        here = n + j * m
+        whole[here : here + m, here + m : here + 2 * m] = np.eye(m)
+    taylor = linalg.expm(whole)[:n, n:].reshape(n, NODES, m)
+    powers = np.array([[tau**j / math.factorial(j) for j in range(NODES)] for tau in GAUSS])
+    return np.asarray(np.einsum("njm,jq->qnm", taylor, linalg.inv(powers)))
+
+
+class Sources:
+    """Sources as a :class:`titop_plant.simulation.driven_plant.Disturbance` for :func:`source_matrix`.
+
+    Parameters
+    ----------
+    sources : sequence of PlacedSource
+    dt : float
+        Tick [s].
+    """
+
+    def __init__(self, sources: Sequence[PlacedSource], dt: float = DT) -> None:
+        self.sources, self.dt, self._tick = tuple(sources), dt, 0
+        found = [one.signal.lines for one in self.sources]
+        self.lines = np.unique(np.concatenate(found)) if found else np.zeros(0)
+
+    def reset(self) -> None:
+        """Back to the first tick."""
+        self._tick = 0
+
+    def step(self, out: FloatArray) -> None:
+        """Write the values of this tick, shape (6 s (`NODES` + 1),) [N, Nm]."""
+        values = out.reshape(len(self.sources), NODES + 1, 6)
+        for row, one in zip(values, self.sources):
+            row[:] = one.signal.tick(self._tick, INSTANTS)
+        since = (self._tick + INSTANTS) * self.dt
+        if since[0] < FADE:
+            values *= np.square(np.sin(0.5 * np.pi * np.minimum(since / FADE, 1.0)))[:, None]
+        self._tick += 1

@@ -1,0 +1,245 @@
+"""What a source exerts over time: forces and torques (6) at the instants inside of each tick that are asked for.
+
+A source is a function of time and of its seed alone: `Signal.tick` gives the same bits in any order of calls, so that a
+run in one process, in lockstep and in real time has the same values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+from scipy import fft, special
+
+from lftkit.arrays import ComplexArray, FloatArray
+
+ATTENUATION = 140.0
+"""Of what the resampling filter stops [dB]."""
+PASSES, STOPS = 400.0, 500.0
+"""Edges of the resampling filter [Hz]: half of the tick rate is the upper one."""
+PHASES_KEPT = 20_000
+"""Weights of the filter that are kept, one set for each position of an instant between two samples."""
+NOISE_SECONDS = 600.0
+"""Longest stretch of noise that is made; a longer run has it again."""
+
+
+class Signal(Protocol):
+    """Forces and torques of a source."""
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values (q, 6) [N, Nm] at the `instants` (q,) of tick k, parts of a tick."""
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies [rad/s] of what are tones; empty where none is."""
+
+
+NO_LINES = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class ToneSignal:
+    """Tones of constant amplitude; with phase noise the phase of the fundamental is a random walk.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (q,)
+        rad/s.
+    amplitude : ndarray, shape (q, 6), complex
+        N, Nm; the value is the imaginary part of ``amplitude exp(i frequency t)``.
+    dt : float
+        Tick [s].
+    order : ndarray, shape (q,)
+        By which phase noise is multiplied.
+    phase : ndarray, shape (n,), optional
+        Phase noise at the ticks [rad], linear between them.
+    """
+
+    frequency: FloatArray
+    amplitude: ComplexArray
+    dt: float
+    order: FloatArray
+    phase: FloatArray | None = None
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies of the tones."""
+        return self.frequency
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick."""
+        whole = np.multiply.outer(np.fmod(k * self.dt * self.frequency, 2 * np.pi), np.ones(instants.size))
+        angle = whole + np.multiply.outer(self.frequency * self.dt, instants)
+        if self.phase is not None:
+            first = min(k, self.phase.size - 2)
+            noise = self.phase[first] + (k - first + instants) * (self.phase[first + 1] - self.phase[first])
+            angle += np.multiply.outer(self.order, noise)
+        return np.asarray((np.exp(1j * angle).T @ self.amplitude).imag)
+
+
+def phase_walk(linewidth: float, ticks: int, dt: float, rng: np.random.Generator) -> FloatArray:
+    """Phase of an oscillator with a Lorentzian line of this full width at half maximum [Hz], shape (ticks + 2,)."""
+    steps = math.sqrt(2 * math.pi * linewidth * dt) * rng.standard_normal(ticks + 1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+@dataclass(frozen=True)
+class PulseSignal:
+    """Rectangular pulses; a tick has the mean of its part of the pulse, so that the impulse is right.
+
+    Parameters
+    ----------
+    wrench : ndarray, shape (6,)
+        N, Nm.
+    first, width, period : float
+        Of the pulses [s].
+    last : float
+        No pulse begins after this time [s].
+    dt : float
+        Tick [s].
+    """
+
+    wrench: FloatArray
+    first: float
+    width: float
+    period: float
+    last: float
+    dt: float
+
+    lines = NO_LINES
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick."""
+        share = (self._on_until((k + 1) * self.dt) - self._on_until(k * self.dt)) / self.dt
+        return np.asarray(np.ones((instants.size, 1)) * (share * self.wrench))
+
+    def _on_until(self, time: float) -> float:
+        """Seconds with force up to a time."""
+        since = time - self.first
+        if since <= 0.0:
+            return 0.0
+        count = math.floor(since / self.period + 1e-12)
+        most = math.floor((self.last - self.first) / self.period + 1e-12) + 1 if math.isfinite(self.last) else count + 1
+        if count >= most:
+            return most * self.width
+        return count * self.width + min(since - count * self.period, self.width)
+
+
+@dataclass(frozen=True)
+class SampledSignal:
+    """A uniformly sampled series, periodic, between its samples by a band-limited filter (Kaiser window).
+
+    What is below `PASSES` (of a slow series 0.8 times half of its rate) is passed to 1e-6, what is above `STOPS` (or
+    half of its rate) and all images are stopped: nothing folds back at the ticks.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, 6)
+        N, Nm.
+    rate : float
+        Of the samples [Hz].
+    dt : float
+        Tick [s].
+    """
+
+    values: FloatArray
+    rate: float
+    dt: float
+    _weights: dict[tuple[int, bytes], FloatArray] = field(default_factory=dict, repr=False, compare=False)
+
+    lines = NO_LINES
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Pass band and stop band [Hz]."""
+        half = 0.5 * self.rate
+        return (PASSES, STOPS) if half >= STOPS else (0.8 * half, 1.2 * half)
+
+    @property
+    def reach(self) -> int:
+        """Samples on each side of an instant that have a weight."""
+        low, high = self.edges
+        return math.ceil((ATTENUATION - 7.95) / (14.36 * (high - low) / self.rate) / 2) + 1
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick."""
+        step = Fraction(self.rate * self.dt).limit_denominator(PHASES_KEPT)
+        exact = abs(float(step) - self.rate * self.dt) * max(k, 1) < 1e-9
+        if exact:
+            whole, part = divmod(k * step.numerator, step.denominator)
+            begin = part / step.denominator
+        else:
+            whole, begin = divmod(k * self.rate * self.dt, 1.0)
+            whole, part = int(whole), -1
+        key = (part, instants.tobytes())
+        weights = self._weights.get(key) if exact else None
+        if weights is None:
+            weights = self._kernel(begin + instants * self.rate * self.dt)
+            if exact:
+                self._weights[key] = weights
+        rows = (whole - self.reach + np.arange(weights.shape[1])) % len(self.values)
+        return np.asarray(weights @ self.values[rows])
+
+    def _kernel(self, position: FloatArray) -> FloatArray:
+        """Weights (q, 2 reach + 1 + span) of the samples from `reach` before to as many behind the instants."""
+        reach, (low, high) = self.reach, self.edges
+        span = math.ceil(float(position.max())) + 1
+        distance = position[:, None] - (np.arange(2 * reach + span) - reach)
+        cutoff = (low + high) / self.rate  # in units of half of the rate
+        beta = 0.1102 * (ATTENUATION - 8.7)
+        inside = np.clip(1.0 - (distance / reach) ** 2, 0.0, None)
+        window = special.i0(beta * np.sqrt(inside)) / special.i0(beta) * (np.abs(distance) < reach)
+        return np.asarray(cutoff * np.sinc(cutoff * distance) * window)
+
+
+def repeated(values: FloatArray, rate: float, fade: float = 0.5) -> FloatArray:
+    """A record that can be repeated: its end runs into its beginning over `fade` [s], with constant power."""
+    n = min(round(fade * rate), len(values) // 4)
+    if n < 1:
+        return values
+    turn = 0.5 * np.pi * (np.arange(n) + 0.5)[:, None] / n
+    kept = values[: len(values) - n].copy()
+    kept[:n] = np.sin(turn) * values[:n] + np.cos(turn) * values[-n:]
+    return kept
+
+
+def noise_of_density(
+    frequency: FloatArray, density: FloatArray, seconds: float, dt: float, rng: np.random.Generator
+) -> SampledSignal:
+    """Gaussian noise of a one-sided power spectral density, interpolated between its points on logarithmic axes.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (f,)
+        Hz, ascending; below the first and above the last one, and above `PASSES`, the density is 0.
+    density : ndarray, shape (f, 6)
+        N^2/Hz, Nm^2/Hz; the axes are independent.
+    seconds : float
+        Length of the run.
+    dt : float
+        Tick [s].
+    rng : numpy.random.Generator
+    """
+    rate = 2.0 / dt
+    n = fft.next_fast_len(math.ceil(min(seconds + 2.0, NOISE_SECONDS) * rate), real=True)
+    grid = np.arange(n // 2 + 1) * rate / n
+    values = np.zeros((n, 6))
+    inside = (grid >= frequency[0]) & (grid <= min(frequency[-1], PASSES)) & (grid > 0)
+    for axis in np.flatnonzero(density.any(axis=0)):
+        with np.errstate(divide="ignore"):
+            level = np.exp(np.interp(np.log(grid[inside]), np.log(frequency), np.log(density[:, axis])))
+        spectrum = np.zeros(grid.size, complex)
+        normal = rng.standard_normal((2, level.size))
+        spectrum[inside] = np.sqrt(level * rate * n / 4.0) * (normal[0] + 1j * normal[1])
+        values[:, axis] = fft.irfft(spectrum, n)
+    return SampledSignal(values, rate, dt)
+
+
+def tone_signal(rows: Sequence[tuple[float, float, ComplexArray]], dt: float, phase: FloatArray | None = None) -> ToneSignal:
+    """Tones from rows of order, frequency [rad/s] and amplitudes (6,)."""
+    order, frequency, amplitude = (np.array(x) for x in zip(*rows))
+    return ToneSignal(frequency.astype(float), amplitude.astype(complex), dt, order.astype(float), phase)
