@@ -64,7 +64,15 @@ class DrivenPlant:
         Of the disturbance, for the name of the configuration.
     """
 
-    def __init__(self, plant: SampledPlant | DrivenPlant, held: FloatArray, disturbance: Disturbance, name: str) -> None:
+    dt: float
+    frame_ticks: int
+    limits: FloatArray
+    tones: FloatArray
+    parameters_hash: str
+
+    def __init__(
+        self, plant: SampledPlant | DrivenPlant, held: FloatArray, disturbance: Disturbance, name: str
+    ) -> None:
         self.plant, self.disturbance = plant, disturbance
         self.dt, self.frame_ticks, self.limits = plant.dt, plant.frame_ticks, plant.limits
         self.tones = np.union1d(plant.tones, getattr(disturbance, "lines", []))
@@ -85,6 +93,10 @@ class DrivenPlant:
         self.plant.change(name, value)
         if name == "disturbance":
             self._on = bool(value)
+
+    def coordinates(self, states: FloatArray) -> FloatArray:
+        """States in the coordinates in which the plant adds them, see `SampledPlant.coordinates`."""
+        return self.plant.coordinates(states)
 
     def push(self, state: FloatArray) -> None:
         """Add `state` (n,) to the present state, see `SampledPlant.push`."""
