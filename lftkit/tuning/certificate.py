@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from lftkit.analysis.band_gain import band_gain
 from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
 from lftkit.arrays import FloatArray
 from lftkit.systems.delay import pade_delay
@@ -103,7 +104,7 @@ def _gain(model: System, controller: System, r: HinfGain | H2Gain, rtol: float) 
         D = np.where(np.abs(loop.D) <= 1e-12 * max(1.0, float(np.abs(loop.C).max(initial=0.0))), 0.0, loop.D)
         value = h2_norm(loop.A, loop.B, loop.C, D) / r.bound
         return value, value, 0.0
-    norm = hinf_norm(*loop.matrices, rtol=rtol)
+    norm = band_gain(*loop.matrices, r.band, rtol=rtol) if r.banded else hinf_norm(*loop.matrices, rtol=rtol)
     return norm.value / r.bound, norm.upper / r.bound, norm.omega
 
 

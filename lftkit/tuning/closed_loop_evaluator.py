@@ -21,7 +21,7 @@ from lftkit.systems.feedback import close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import delayed_controller, weighted_loop
 from lftkit.tuning.problem import delay_radius
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, band_edges
 
 
 class ClosedLoopEvaluator:
@@ -62,7 +62,7 @@ class ClosedLoopEvaluator:
             return np.full(count, np.inf), frequencies
         gains = [i for i, r in enumerate(requirements) if isinstance(r, HinfGain)]
         if gains:
-            grid = self._grid()
+            grid = np.unique(np.concatenate([self._grid(), band_edges(requirements)]))
             T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
@@ -88,7 +88,7 @@ class ClosedLoopEvaluator:
             part = self._weight(r.weight_out).at(omega) @ part
         if r.weight_in is not None:
             part = part @ self._weight(r.weight_in).at(omega)
-        return part
+        return part * r.counts(omega)[:, None, None]
 
     def _weight(self, weight: System) -> FrequencyResponse:
         """A weight ready for evaluation, made once."""
@@ -137,6 +137,8 @@ def gain_at(model: System, controller: System, r: HinfGain, omega: float, K: Com
 
     `K` is the controller's response (u, y) at `omega`.
     """
+    if not r.counts(np.array([omega]))[0]:
+        return 0.0
     u, y = [p.name for p in controller.outputs], [p.name for p in controller.inputs]
     cw, cu = model.input_indices(r.inputs), model.input_indices(u)
     rz, ry = model.output_indices(r.outputs), model.output_indices(y)

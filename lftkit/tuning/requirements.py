@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.analysis.norms import spectral_abscissa
-from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.system import System
 
 
@@ -60,7 +60,32 @@ class HinfGain(_Gain):
     hard : bool
         At most 1 (True) or minimised (False).
     name : str
+    band : (lowest, highest)
+        Frequencies that count [rad/s], all by default.
     """
+
+    band: tuple[float, float] = (0.0, float("inf"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.band
+        if not 0.0 <= low < high:
+            raise ValueError(f"band must be a lowest and a higher highest frequency [rad/s], got ({low:g}, {high:g})")
+
+    def counts(self, omega: FloatArray) -> BoolArray:
+        """Which of the frequencies (N,) are in the band."""
+        return np.asarray((omega >= self.band[0]) & (omega <= self.band[1]))
+
+    @property
+    def banded(self) -> bool:
+        """Not all frequencies count."""
+        return self.band != (0.0, np.inf)
+
+
+def band_edges(requirements: Sequence[object]) -> FloatArray:
+    """Finite edges of the bands of gains [rad/s]."""
+    edges = {w for r in requirements if isinstance(r, HinfGain) and r.banded for w in r.band}
+    return np.array(sorted(w for w in edges if np.isfinite(w)), dtype=float)
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ class ExactValue:
     @staticmethod
     def suits(problem: Problem) -> bool:
         """Whether all requirements are soft H-infinity gains, there is no delay, and every loop is small."""
-        gains = all(isinstance(r, HinfGain) and not r.hard for r in problem.requirements)
+        gains = all(isinstance(r, HinfGain) and not (r.hard or r.banded) for r in problem.requirements)
         if not gains or problem.loop_delay or len(problem.models) * len(problem.requirements) > 4:
             return False
         weights = [w for r in problem.requirements if isinstance(r, HinfGain) for w in (r.weight_in, r.weight_out) if w]

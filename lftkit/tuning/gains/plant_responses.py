@@ -20,7 +20,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import ControllerFactors, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
-from lftkit.tuning.requirements import H2Gain, HinfGain
+from lftkit.tuning.requirements import H2Gain, HinfGain, band_edges
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50
@@ -115,7 +115,7 @@ class PlantResponses:
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
         at_origin = np.any(np.abs(every) <= 1e-9)
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
-        return np.unique(self._apart_from_poles(grid))
+        return np.unique(np.concatenate([self._apart_from_poles(grid), band_edges(self.requirements)]))
 
     def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
         """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
@@ -142,6 +142,10 @@ class PlantResponses:
                 P11[i], P12[i] = W @ P11[i], W @ P12[i]
             if w_in is not None:
                 P11[i] = P11[i] @ w_in.at(omega)
+            r = self.requirements[i]
+            if isinstance(r, HinfGain) and r.banded:  # no response at other frequencies
+                count = r.counts(omega)[:, None, None]
+                P11[i], P12[i] = np.where(count, P11[i], 0.0), np.where(count, P12[i], 0.0)
             if self.groups[i] not in shared:
                 third = P[:, nz:][:, :, columns]
                 shared[self.groups[i]] = third if w_in is None else third @ w_in.at(omega)
