@@ -222,11 +222,6 @@ class SmoothObjective:
                 gradient = gradient + 2.0 * self._penalty * shifted * slope
         return value, gradient
 
-    def value(self, x: FloatArray) -> float:
-        """Largest values instead of p-norms and no multiplier, without gradient."""
-        soft, hard = self.largest(x)
-        return (soft if soft > LEAST_LOG else 0.0) + PENALTY * max(hard, 0.0) ** 2
-
     def largest(self, x: FloatArray) -> tuple[float, float]:
         """Logarithms of the largest soft and of the largest hard value on the grid; infinite where unstable."""
         if self._last is None or self._last[0] is not x:

@@ -115,7 +115,7 @@ class PlantResponses:
         above = np.geomspace(inner[-1], 100.0 * inner[-1], per_decade)[1:]
         at_origin = np.any(np.abs(every) <= 1e-9)
         grid = np.concatenate([[1e-5 * sizes.min() if at_origin else 0.0], inner, above, [np.inf]])
-        return np.unique(np.concatenate([self._apart_from_poles(grid), band_edges(self.requirements)]))
+        return np.asarray(np.unique(np.concatenate([self._apart_from_poles(grid), band_edges(self.requirements)])))
 
     def _apart_from_poles(self, omega: FloatArray) -> FloatArray:
         """Frequencies moved off the poles that no feedback takes off the imaginary axis."""
