@@ -1,0 +1,226 @@
+"""Optics on the command line: verdicts, pictures, kernels and paths; mistakes are one line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+
+from pointing_analysis.image.export import kernel
+from pointing_analysis.image.motion_blur import motion_transfer
+from pointing_analysis.image.optics import with_optics
+from pointing_analysis.read.series import series
+from pointing_analysis.report.image_figures import image_views, siemens_star, stars
+from pointing_analysis.report.report import render, view
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.units import RAD_PER_MAS
+
+MAS = RAD_PER_MAS
+TABLE = {"aperture_diameter": 1.5, "obscuration": 0.3, "wavelength": 550e-9, "pixel_mas": 38.0}
+OPTICS = "[optics]\naperture_diameter = 1.5\nobscuration = 0.3\nwavelength = 550e-9\npixel_mas = 38.0\n"
+MISSION = """
+[[requirement]]
+text = "prob(MTF(20 ms, Nyquist) > 0.90) >= 0.9 at 95 % confidence"
+[[requirement]]
+text = "prob(EE80(20 ms) < 140 mas) >= 0.9 at 95 % confidence"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two seconds of noise of 3 mas as CSV, optics and requirements."""
+    los = 3.0 * np.random.default_rng(0).standard_normal((2001, 2))
+    rows = "".join(f"{k / 1000:.3f},{x:.6f},{y:.6f}\n" for k, (x, y) in enumerate(los.tolist()))
+    (tmp_path / "los.csv").write_text(f"t,x,y\n{rows}")
+    (tmp_path / "optics.toml").write_text(OPTICS)
+    (tmp_path / "mission.toml").write_text(MISSION)
+    return tmp_path
+
+
+def source(folder: Path) -> list[str]:
+    return [str(folder / "los.csv"), "--los", "x,y", "--unit", "mas", "--transient", "0"]
+
+
+def test_from_samples_and_optics_to_a_verdict(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = folder / "page.html"
+    options = ["--optics", str(folder / "optics.toml"), "--requirements", str(folder / "mission.toml")]
+    main(["analyse", *source(folder), *options, "--report", str(page), "--json"])
+    found = capsys.readouterr()
+    content = json.loads(found.out.splitlines()[-1])
+    first, second = content["requirements"]
+    assert first["status"] == second["status"] == "compliant" and first["unit"] == ""
+    assert first["quantity"] == "MTF(20 ms, Nyquist), 90 %" and first["lower_bound"] < first["quantile"] < 1.0
+    assert content["image"]["exposures"] == 100 and 0.9 < content["image"]["strehl_p997"] < 1.0
+    assert "bound" in found.err and "upper bound" not in found.err and "above 0.9" in found.err
+    text = page.read_text()
+    for name in ("star", "target", "mtf", "energy", "ellipticity"):
+        assert f'<figure id="{name}">' in text
+    assert 'data-label="Bound"' in text and "MTF(20 ms, Nyquist)" in text
+
+
+def test_without_optics_nothing_is_added(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["analyse", *source(folder), "--json"])
+    content = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert "image" not in content
+    run = series(None, np.zeros((500, 2)), unit="mas", rate=1000.0)
+    assert summarise(run, transient=0.0).image is None
+    assert 'id="star"' not in render([run], transient=0.0)
+
+
+def test_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = folder / "pictures"
+    main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
+    names = sorted(path.name for path in target.iterdir())
+    stems = ("ellipticity", "energy", "mtf", "star", "target")
+    assert names == sorted(f"{stem}.{suffix}" for stem in stems for suffix in ("png", "svg"))
+    first = {name: (target / name).read_bytes() for name in names}
+    main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
+    assert first == {name: (target / name).read_bytes() for name in names}, "the same bytes"
+
+
+def test_the_exposure_that_is_shown() -> None:
+    """One exposure in 500 is bad: it is not shown; three in 500 are: the best of these is."""
+    los = np.zeros((10_001, 2))
+    los[20:38, 0] = 40.0 * np.linspace(-1, 1, 18)
+    one = image_views([view(with_optics(series(None, los, unit="mas", rate=1000.0), TABLE), "bench", 0.0)])
+    assert one[0].shown_strehl == pytest.approx(1.0, abs=1e-9)
+    los[2020:2038, 0] = 20.0 * np.linspace(-1, 1, 18)
+    (three,) = image_views([view(with_optics(series(None, los, unit="mas", rate=1000.0), TABLE), "bench", 0.0)])
+    assert three.shown_strehl == sorted(three.strehl)[1] < 0.99
+    found = stars([three])
+    assert found is not None and three.strehl_text in found.alt
+    assert siemens_star().min() == 0.0 and 0.2 < siemens_star().mean() < 0.4
+
+
+def test_a_kernel_has_the_transfer_of_the_motion() -> None:
+    """To second order in the step; mean in the middle, sum 1."""
+    paths = np.cumsum(np.random.default_rng(1).standard_normal((3, 21, 2)), axis=1) * 4 * MAS
+    found, step = kernel(paths, 1 * MAS), 1 * MAS
+    line = step * (np.arange(len(found)) - len(found) // 2)
+    assert found.sum() == pytest.approx(1.0) and len(found) % 2 == 1
+    assert abs(found.sum(axis=0) @ line) < 1e-3 * step and abs(found.sum(axis=1) @ line) < 1e-3 * step
+    from pointing_analysis.image.motion_blur import centred
+
+    for f in ([1e6, 0.0], [-5e5, 8e5]):
+        wave = np.exp(-2j * np.pi * (f[0] * line[None, :] + f[1] * line[:, None]))
+        expected = motion_transfer(centred(paths), np.array([f])).mean()
+        assert abs(np.sum(found * wave) - expected) < 2e-3
+
+
+def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fits: Any = pytest.importorskip("astropy.io.fits")
+    options = source(folder)
+    main(["image", "export", *options, "--output", str(folder / "k.fits"), "--exposure", "0.02", "--json"])
+    content = json.loads(capsys.readouterr().out.splitlines()[-1])
+    with fits.open(folder / "k.fits") as file:
+        header, picture = file[0].header, np.array(file[0].data)
+    assert picture.shape == (content["places"],) * 2 and picture.sum() == pytest.approx(1.0)
+    assert header["PIXELSCL"] == pytest.approx(1e-3) and header["EXPTIME"] == pytest.approx(0.02)
+    assert (header["NEXPOS"], header["ORIGFILE"]) == (100, "los.csv")
+    main(["image", "export", *options, "--output", str(folder / "p.csv"), "--exposure", "0.02", "--number", "7"])
+    rows = np.genfromtxt(folder / "p.csv", delimiter=",", skip_header=2)
+    los = np.genfromtxt(folder / "los.csv", delimiter=",", skip_header=1)
+    assert rows.shape == (21, 3) and np.allclose(rows[:, 1:] * 1000, los[140:161, 1:], atol=1e-5)
+    assert rows[0, 0] == pytest.approx(0.14)
+    main(["image", "export", *options, "--output", str(folder / "p.fits"), "--path"])
+    with fits.open(folder / "p.fits") as file:
+        table = file[1]
+        assert len(table.data) == 2001 and table.columns.units == ["s", "arcsec", "arcsec"]
+    poppy_kernel = picture[::-1, ::-1]
+    assert np.allclose(np.abs(np.fft.fft2(poppy_kernel)), np.abs(np.fft.fft2(picture)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "optics", "message"),
+    [
+        (["analyse"], OPTICS.replace("38.0", "-38.0"), "optics.pixel_mas must be above 0 mas, got -38.0"),
+        (["analyse"], OPTICS.replace("0.3", "1.5"), "optics.obscuration must be at least 0 and below 1, got 1.5"),
+        (["analyse"], "[telescope]\na = 1\n", "must hold a table [optics]"),
+        (["analyse"], OPTICS + 'pupil = "zeros.fits"\n', "pupil must transmit somewhere, got zeros only"),
+        (
+            ["analyse"],
+            OPTICS + 'pupil = "bare.fits"\n',
+            "metres per pixel as PUPLSCAL or PIXELSCL in its header, got none",
+        ),
+        (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a FITS file, got one that cannot be read"),
+        (["image", "figures", "--output", "new"], None, "no optics are known of this recording"),
+        (
+            ["image", "export", "--output", "k.fits", "--exposure", "5"],
+            None,
+            "the run must last for one exposure of 5 s",
+        ),
+        (["image", "export", "--output", "k.fits", "--exposure", "0.0205"], None, "window must be a whole number"),
+        (["image", "export", "--output", "k.txt"], None, "--output must end in .fits or .csv, got k.txt"),
+        (["image", "export", "--output", "k.fits", "--number", "3"], None, "--exposure must be given with --number"),
+        (
+            ["image", "export", "--output", "k.csv", "--exposure", "0.02", "--number", "400"],
+            None,
+            "number of the exposure must be from 0 to 99, got 400",
+        ),
+        (
+            ["image", "export", "--output", "k.csv", "--exposure", "0.02"],
+            None,
+            "--number must be given with --exposure",
+        ),
+        (["image", "export", "--output", "k.fits", "--step", "1e-5"], None, "step must give at most 4001 places"),
+    ],
+)
+def test_mistakes(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    optics: str | None,
+    message: str,
+) -> None:
+    monkeypatch.chdir(folder)
+    options = []
+    if optics is not None:
+        if "fits" in optics:
+            fits: Any = pytest.importorskip("astropy.io.fits")
+            bare = fits.PrimaryHDU(np.zeros((8, 8)))
+            bare.writeto("bare.fits")
+            bare.header["PUPLSCAL"] = 0.1
+            bare.writeto("zeros.fits")
+        Path("optics.toml").write_text(optics)
+        options = ["--optics", "optics.toml"]
+    words = 2 if arguments[0] == "image" else 1
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments[:words], *source(folder), *arguments[words:], *options])
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert message in line
+    assert not Path("new").exists() and not Path("k.fits").exists() and not Path("k.csv").exists()
+
+
+def test_a_telescope_with_optics_that_make_no_image_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the parameter file, before anything runs."""
+    for text, message in (
+        ("[optics]\npixel_mas = -1.0\n", "'optics.pixel_mas' must be positive, got -1.0"),
+        ("[optics]\nobscuration = 1.0\n", "'optics.obscuration' must be between 0 and 0.99, got 1.0"),
+        ('[optics]\npupil = "none.fits"\n', "cannot read the pupil"),
+    ):
+        (tmp_path / "t.toml").write_text(text)
+        with pytest.raises(SystemExit) as stopped:
+            main(
+                [
+                    "run",
+                    "--mode",
+                    "inprocess",
+                    "--duration",
+                    "0.1",
+                    "--parameters",
+                    str(tmp_path / "t.toml"),
+                    "--no-report",
+                ]
+                + ["--output", str(tmp_path / "bag")]
+            )
+        assert stopped.value.code == 2
+        assert message in capsys.readouterr().err.strip().splitlines()[-1]
+        assert not (tmp_path / "bag").exists()
