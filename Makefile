@@ -14,7 +14,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture campaign-pictures bench docs designs site lock clean
+.PHONY: help run test test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -26,6 +26,7 @@ help:
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
+	@echo "make image-pictures  docs/figures/star.png and target.png anew"
 	@echo "make campaign-pictures  those of docs/campaigns.md and docs/telescope.md (needs chromium; some minutes)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
@@ -92,6 +93,14 @@ report-picture: $(READY)
 	$(BIN)/los-testbed stages --scenario worst_case --output build/stages
 	$(BIN)/python docs/report_picture.py build/stages/report-worst_case.html docs/figures/report.png
 
+image-pictures: $(READY)
+	rm -rf build/image
+	for stage in none isolator fsm fsm+pma; do $(BIN)/los-testbed run --mode inprocess --duration 4 --loop $$stage \
+	    --scenario worst_case --no-report --output build/image/$$stage || exit 1; done
+	$(BIN)/los-testbed image figures build/image/none build/image/isolator build/image/fsm build/image/fsm+pma \
+	    --output build/image/pictures
+	cp build/image/pictures/star.png build/image/pictures/target.png docs/figures/
+
 campaign-pictures: $(READY)
 	rm -rf build/campaign build/spin_up
 	$(BIN)/los-testbed campaign --samples 500 --output build/campaign
@@ -107,6 +116,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/campaign.py --members 3 --json
 	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
+	$(BIN)/python benchmarks/image_quality.py --json
 	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json
 	$(BIN)/python benchmarks/lockstep.py --seconds 5 --json
 	$(BIN)/python benchmarks/deadline_qos.py --seconds 4 --json

@@ -5,6 +5,7 @@
 `errors`           performance and knowledge error of a run, start-up transient dropped
 `metrics`          APE, MPE, RPE, PDE, PRE; `weights`: their spectral weights
 `confidence`       quantiles with confidence bounds; `spectra`: densities and disturbance lines
+`image`            pupil, transfer of the motion, Strehl ratio, encircled energy, ellipticity of each exposure
 `requirements`     the verdict on requirements, `requirement_text` their form; `budget`: error budgets
 `tone_budget`      noise, slow and fast tones of the relative error beside their allowances
 `requirement_rows` what every table says of a verdict

@@ -33,6 +33,7 @@ MADE = {
     "mission.toml",
     "my_module.py",
     "my_plant_node.py",
+    "optics.toml",
     "panel.toml",
     "rounds.json",
 }

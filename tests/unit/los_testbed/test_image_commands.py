@@ -19,7 +19,7 @@ from pointing_analysis.report.report import render, view
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.units import RAD_PER_MAS
 
-MAS = RAD_PER_MAS
+MAS, ROOT = RAD_PER_MAS, Path(__file__).parents[3]
 TABLE = {"aperture_diameter": 1.5, "obscuration": 0.3, "wavelength": 550e-9, "pixel_mas": 38.0}
 OPTICS = "[optics]\naperture_diameter = 1.5\nobscuration = 0.3\nwavelength = 550e-9\npixel_mas = 38.0\n"
 MISSION = """
@@ -85,10 +85,10 @@ def test_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_exposure_that_is_shown() -> None:
     """One exposure in 500 is bad: it is not shown; three in 500 are: the best of these is."""
     los = np.zeros((10_001, 2))
-    los[20:38, 0] = 40.0 * np.linspace(-1, 1, 18)
+    los[21:39, 0] = 40.0 * np.linspace(-1, 1, 18)
     one = image_views([view(with_optics(series(None, los, unit="mas", rate=1000.0), TABLE), "bench", 0.0)])
     assert one[0].shown_strehl == pytest.approx(1.0, abs=1e-9)
-    los[2020:2038, 0] = 20.0 * np.linspace(-1, 1, 18)
+    los[2021:2039, 0] = 20.0 * np.linspace(-1, 1, 18)
     (three,) = image_views([view(with_optics(series(None, los, unit="mas", rate=1000.0), TABLE), "bench", 0.0)])
     assert three.shown_strehl == sorted(three.strehl)[1] < 0.99
     found = stars([three])
@@ -144,14 +144,14 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (
             ["analyse"],
             OPTICS + 'pupil = "bare.fits"\n',
-            "metres per pixel as PUPLSCAL or PIXELSCL in its header, got none",
+            "as PUPLSCAL or PIXELSCL in its header, got none",
         ),
         (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a FITS file, got one that cannot be read"),
         (["image", "figures", "--output", "new"], None, "no optics are known of this recording"),
         (
             ["image", "export", "--output", "k.fits", "--exposure", "5"],
             None,
-            "the run must last for one exposure of 5 s",
+            "must last for one exposure of 5 s",
         ),
         (["image", "export", "--output", "k.fits", "--exposure", "0.0205"], None, "window must be a whole number"),
         (["image", "export", "--output", "k.txt"], None, "--output must end in .fits or .csv, got k.txt"),
@@ -224,3 +224,20 @@ def test_a_telescope_with_optics_that_make_no_image_is_refused(
         assert stopped.value.code == 2
         assert message in capsys.readouterr().err.strip().splitlines()[-1]
         assert not (tmp_path / "bag").exists()
+
+
+def test_the_five_lines_of_the_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From samples and a pupil to a verdict, as docs/image_quality.md writes it."""
+    fits: Any = pytest.importorskip("astropy.io.fits")
+    text = (ROOT / "docs/image_quality.md").read_text()
+    lines = text.split("```toml\n")[1].split("```")[0].strip().splitlines()
+    command = next(line.split() for line in text.splitlines() if line.startswith("    los-testbed analyse"))
+    assert len(lines) + 1 == 5
+    monkeypatch.chdir(folder)
+    Path("optics.toml").write_text("\n".join(lines))
+    unit = fits.PrimaryHDU((np.hypot(*np.mgrid[-31.5:32, -31.5:32]) < 30).astype(float))
+    unit.header["PUPLSCAL"] = 0.025
+    unit.writeto("pupil.fits")
+    main([*command[1:], "--transient", "0"])
+    page = Path("seen.html").read_text()
+    assert "MTF(20 ms, Nyquist)" in page and "keeps its limits" in page and '<figure id="star">' in page
