@@ -55,7 +55,7 @@ from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash
+from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash, without_image_optics
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
@@ -202,7 +202,8 @@ def write_bundle(
         Files of ``design certify``.
     """
     members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
-    content = {key: dict(value) if isinstance(value, Mapping) else value for key, value in parameters.items()}
+    of_loop = without_image_optics(parameters)
+    content = {key: dict(value) if isinstance(value, Mapping) else value for key, value in of_loop.items()}
     for body in OWN_BODIES:
         file = content[body].get("modal_data", "")
         if file:

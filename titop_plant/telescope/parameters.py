@@ -138,6 +138,12 @@ def _parsed(text: str) -> bytes:
     return pickle.dumps(tomllib.loads(text))
 
 
+def without_image_optics(parameters: Parameters) -> dict[str, Any]:
+    """The parameters without `IMAGE_OPTICS`: those of plant, loop and designs."""
+    optics = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
+    return {**parameters, "optics": optics}
+
+
 def parameters_hash(parameters: Parameters) -> str:
     """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
 
@@ -145,8 +151,7 @@ def parameters_hash(parameters: Parameters) -> str:
     that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
     optics those of images (`IMAGE_OPTICS`) do not count.
     """
-    content = {key: value for key, value in parameters.items() if key != "requirement"}
-    content["optics"] = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
+    content = {key: value for key, value in without_image_optics(parameters).items() if key != "requirement"}
     probability = window_probability(telescope_requirements(parameters))
     if probability != FIRST_PROBABILITY:
         content["window_probability"] = probability

@@ -203,3 +203,18 @@ def gaussian_profile(sigma: float, x: Any) -> Any:
     blur = np.exp(-2 * math.pi**2 * sigma**2 * np.sum(q.frequencies**2, axis=1))
     places = np.column_stack([x, np.zeros(len(x))])
     return q.over_plane(q.diffraction * blur * np.exp(2j * math.pi * places @ q.frequencies.T))
+
+
+def test_energy_against_photutils() -> None:
+    """Exact circular apertures on a fine picture: what lies within, about its centroid."""
+    aperture: Any = pytest.importorskip("photutils.aperture")
+    centroids: Any = pytest.importorskip("photutils.centroids")
+    paths, step = random_paths(1, 5.0), 4 * MAS
+    picture = star_image(paths, REFERENCE, half=150, step=step) * (step / REFERENCE.pixel) ** 2
+    assert np.allclose(centroids.centroid_com(picture), 150.0, atol=0.05)
+    radii = np.array([50.0, 100.0, 200.0, 400.0]) * MAS
+    found = [
+        float(aperture.CircularAperture((150.0, 150.0), r / step).do_photometry(picture, method="exact")[0][0])
+        for r in radii
+    ]
+    assert np.abs(found - encircled_energy(paths, REFERENCE, radii)).max() < 1e-3

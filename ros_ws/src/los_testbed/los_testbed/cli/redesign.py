@@ -60,8 +60,9 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if parameters is None or any(own[body]["modal_data"] for body in ("body", "payload")):
-            return  # the reference, or modal data that belong beside the file
+        beside = any(own[body]["modal_data"] for body in ("body", "payload")) or own["optics"]["pupil"]
+        if parameters is None or beside:
+            return  # the reference, or modal data or a pupil that belong beside the file
         if not (kept.exists() and kept.samefile(parameters)):
             with atomic_file(kept) as temporary:
                 shutil.copyfile(parameters, temporary)
