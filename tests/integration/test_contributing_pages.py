@@ -143,7 +143,8 @@ def test_a_scenario_runs_with_its_tones(disturbed: PackageCopy) -> None:
     np.testing.assert_allclose(np.abs(found["tones"]), [0.37 * speeds, 0.37 * (speeds + 1.0)], rtol=1e-12)
 
 
-def test_a_picture_is_on_the_page_of_the_report(copy: PackageCopy) -> None:
+def test_a_picture_is_on_the_page_of_the_report(tmp_path: Path) -> None:
+    copy = PackageCopy.of(tmp_path, pictures=True)
     copy.follow("Add a picture to the report")
     page = (copy.folder / "report.html").read_text("utf-8")
     figures = re.findall(r'<figure id="([\w-]+)">', page)

@@ -22,6 +22,11 @@ STEP = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 BEGIN = "import sys; sys.path[:0] = [{!r}, {!r}]\n"
+COMMAND = "from los_testbed.cli.app import main\nsys.exit(main(sys.argv[1:]))"
+NO_PICTURES = "from pointing_analysis.report import report\nreport.PICTURES = ()\n"
+"""Before a command that writes a report, whose pictures take more than a second."""
+REPORTING = ("run", "report")
+"""Commands that write a report."""
 
 
 def section(title: str) -> str:
@@ -39,18 +44,21 @@ class PackageCopy:
     ----------
     folder : Path
         Its root, where files of the user are written and commands are run.
+    pictures : bool
+        Whether reports have their pictures.
     """
 
     folder: Path
+    pictures: bool = False
 
     @classmethod
-    def of(cls, folder: Path) -> PackageCopy:
+    def of(cls, folder: Path, pictures: bool = False) -> PackageCopy:
         """Copy the packages to `folder`, with the reference bag beside them."""
         for name in FOLDERS:
             shutil.copytree(ROOT / name, folder / name)
         (folder / "bags").mkdir()
         (folder / "bags/reference").symlink_to(ROOT / "bags/reference")
-        return cls(folder)
+        return cls(folder, pictures)
 
     def follow(self, title: str) -> list[str]:
         """Carry out the steps of a page in their order; what its commands print."""
@@ -80,7 +88,9 @@ class PackageCopy:
 
     def run(self, command: str) -> str:
         """What `los-testbed` of the copy prints; a failure is an error."""
-        return self.python("from los_testbed.cli.app import main\nsys.exit(main(sys.argv[1:]))", *shlex.split(command))
+        words = shlex.split(command)
+        plain = NO_PICTURES if words[0] in REPORTING and not self.pictures else ""
+        return self.python(plain + COMMAND, *words)
 
     def python(self, code: str, *arguments: str) -> str:
         """What a program prints that imports the copy."""
