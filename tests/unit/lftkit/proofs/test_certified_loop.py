@@ -171,12 +171,13 @@ def test_no_proof_below_the_truth() -> None:
     assert bounds.uncovered or bounds.lower >= 0.999 * peak(0.8)
 
 
-def test_an_unstable_member_is_never_covered() -> None:
+@pytest.mark.parametrize("part", [1e-3, pytest.param(1e-2, marks=pytest.mark.slow)])
+def test_an_unstable_member_is_never_covered(part: float) -> None:
     """Negative damping beyond d = 0: a pole crosses the axis inside the box."""
     d = RealParameter("d", 0.1, -0.02, 0.2)
     A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
     system = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("d",), elements=(d,))
-    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3)
+    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3, part=part)
     assert bounds.uncovered or bounds.lower >= 1e3
 
 
