@@ -13,7 +13,7 @@ pytest.importorskip("tornado")
 pytest.importorskip("foxglove")
 from los_testbed.cli.live_options import SERVED, check_live, server_for_viewers
 from los_testbed.config import RunConfig
-from los_testbed.live import gate
+from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
@@ -143,7 +143,9 @@ def test_web_sockets_that_never_answer_take_no_place_of_a_viewer():
     assert asyncio.run(lock_out()) == '{"tick":1}'
 
 
-def test_a_viewer_that_stops_to_answer_loses_its_place():
+def test_a_viewer_that_stops_to_answer_loses_its_place(monkeypatch):
+    monkeypatch.setattr(page_server, "PING_S", 1.0)
+
     async def lock_out():
         async with serving(page) as server:
             address = f"ws://127.0.0.1:{server.port}/data"

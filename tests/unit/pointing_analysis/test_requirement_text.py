@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from pointing_analysis.requirements.text import (
-    INDICES,
     INTERPRETATIONS,
     Requirement,
     RequirementError,
@@ -21,6 +20,9 @@ from pointing_analysis.requirements.text import (
     parse,
 )
 from pointing_analysis.units import ANGLES
+
+INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
+"""Times that each index has by its definition: none at an instant, the window of a mean, for drift the separation too."""
 
 
 def text(
