@@ -62,7 +62,7 @@ def test_a_flood_under_the_name_of_a_node_changes_no_message_of_the_bag(tmp_path
     ("topic", "stamps"),
     [
         ("recorder/progress", "hold"),
-        ("isolator/accel", "future"),
+        pytest.param("isolator/accel", "future", marks=pytest.mark.slow),
         pytest.param("recorder/progress", "future", marks=pytest.mark.slow),
         pytest.param("truth/los", "hold", marks=pytest.mark.slow),
         pytest.param("los_estimate", "future", marks=pytest.mark.slow),

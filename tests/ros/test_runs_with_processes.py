@@ -168,7 +168,14 @@ tell("done", bag=None, statistics={})
 """A recorder that ends in order without a bag, at once or when it is told to."""
 
 
-@pytest.mark.parametrize("node", ["estimator", "controller", "recorder"])
+@pytest.mark.parametrize(
+    "node",
+    [
+        "recorder",
+        pytest.param("estimator", marks=pytest.mark.slow),
+        pytest.param("controller", marks=pytest.mark.slow),
+    ],
+)
 def test_a_node_that_is_told_to_end_before_the_run_begins_ends_it_at_once(tmp_path, node):
     commands = {"plant": PLANT, node: [sys.executable, "-c", FAKE.replace("PATIENT", "False")]}
     with pytest.raises(RunError, match=rf"^{node} was told to end before the run began$") as error:
@@ -199,7 +206,7 @@ sys.exit({node}.main(sys.argv[1:]))
     ("node", "mode"),
     [
         ("estimator", "lockstep"),
-        ("recorder", "realtime"),
+        pytest.param("recorder", "realtime", marks=pytest.mark.slow),
         pytest.param("controller", "lockstep", marks=pytest.mark.slow),
         pytest.param("recorder", "lockstep", marks=pytest.mark.slow),
         pytest.param("estimator", "realtime", marks=pytest.mark.slow),
@@ -280,7 +287,7 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
 @pytest.mark.parametrize("loop", ["fsm+pma"])
 def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp_path, loop):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=2.0, seed=3, loop=loop, start="steady")
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.0, seed=3, loop=loop, start="steady")
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")

@@ -15,7 +15,7 @@ MS = 1_000_000
 TICKS = 2500
 
 
-@pytest.fixture(scope="module", params=[veth_pair, lossy_link])
+@pytest.fixture(scope="module", params=[pytest.param(veth_pair, marks=pytest.mark.slow), lossy_link])
 def recorded(request, tmp_path_factory):
     """A run over two hosts: the hosts with the link's account, and the bag."""
     folder = tmp_path_factory.mktemp(request.param.__name__)

@@ -162,7 +162,12 @@ sys.exit({node}.main(sys.argv[1:], build=lambda config: {made}))
 
 
 @pytest.mark.parametrize(
-    ("node", "outputs"), [("plant", 1), pytest.param("estimator", -1, marks=pytest.mark.slow), ("controller", -1)]
+    ("node", "outputs"),
+    [
+        ("controller", -1),
+        pytest.param("plant", 1, marks=pytest.mark.slow),
+        pytest.param("estimator", -1, marks=pytest.mark.slow),
+    ],
 )
 def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, node: str, outputs: int) -> None:
     file = tmp_path / "own_node.py"
@@ -174,7 +179,14 @@ def test_an_object_that_a_node_was_given_is_named_when_it_fails(tmp_path: Path, 
     assert len(Run.open(tmp_path / "bag")["truth/los"]) > 300
 
 
-@pytest.mark.parametrize("node", ["plant", pytest.param("estimator", marks=pytest.mark.slow), "controller"])
+@pytest.mark.parametrize(
+    "node",
+    [
+        "plant",
+        pytest.param("estimator", marks=pytest.mark.slow),
+        pytest.param("controller", marks=pytest.mark.slow),
+    ],
+)
 def test_a_function_that_makes_nothing_for_a_node_is_a_mistake_of_the_user(tmp_path: Path, node: str) -> None:
     file = tmp_path / "own_node.py"
     file.write_text(BUILT.format(node=node, outputs=1, made='{}["telescope"]'))

@@ -22,7 +22,7 @@ from pointing_analysis.requirements.text import (
 from pointing_analysis.units import ANGLES
 
 INDICES = {"APE": 0, "MPE": 1, "RPE": 1, "PDE": 2, "PRE": 1, "AKE": 0, "MKE": 1, "RKE": 1}
-"""Times that each index has by its definition: none at an instant, the window of a mean, for drift the separation too."""
+"""Times of each index by its definition: none at an instant, the window of a mean, for drift its separation too."""
 
 
 def text(
