@@ -12,6 +12,8 @@ import pytest
 
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.mcap.bag_loss import Span, TopicLoss
+from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.summary import (
@@ -263,6 +265,33 @@ def test_a_topic_ends_where_the_truth_was_to_end() -> None:
     assert found.lost_by_topic == {"truth/los": 3, "m1/accel": 3}
     assert found.problems[-1] == "m1/accel: 3 samples missing at the start or the end of the run"
     assert summarise(Beside(made, **{"m1/accel": replace(truth, name="m1/accel")}), transient=0.0).samples_lost == 0
+
+
+class Refuted(Beside):
+    """A recording that contradicts its own digests."""
+
+    contradictions = ("m1/accel: other bytes than recorded",)
+
+
+def test_a_bag_without_a_verdict_is_refuted_where_it_contradicts_itself() -> None:
+    """Too short for any: an error of its own kind, with the first contradiction, where there is one."""
+    made = series(None, np.full((3, 2), np.nan), unit="rad", rate=1000.0)
+    with pytest.raises(BagError) as plain:
+        summarise(Beside(made), transient=0.0)
+    assert type(plain.value) is BagError and "digests" not in str(plain.value)
+    with pytest.raises(RefutedBagError, match=r"; the bag contradicts its own digests: m1/accel: other bytes") as told:
+        summarise(Refuted(made), transient=0.0)
+    assert str(told.value).startswith(str(plain.value))
+
+
+@pytest.mark.parametrize(("places", "shown"), [(1, 1), (100, 100), (101, 100), (250, 100)])
+def test_lost_messages_are_all_counted_and_at_most_a_hundred_places_are_told(places: int, shown: int) -> None:
+    found = summarise(series(None, NOISE, unit="rad", rate=1000.0), transient=0.0)
+    spans = tuple(Span(k, k + 0.5, 2) for k in range(places))
+    loss = TopicLoss("m1/accel", 3000, 2 * places, 0, 0, spans)
+    content = replace(found, losses=(loss,)).as_dict()["lost_messages"]["m1/accel"]
+    assert content == {"messages": 2 * places, "places": [str(span) for span in spans[:shown]]}
+    assert len(content["places"]) == shown
 
 
 def test_a_topic_of_one_message_says_nothing_of_its_rate(tmp_path: Path) -> None:
