@@ -15,7 +15,7 @@ from support import headless_browser
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.cumulative_figure import cumulative
-from pointing_analysis.report.figures import LaidOutFigure
+from pointing_analysis.report.figures import LaidOutFigure, by_line
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
@@ -245,11 +245,15 @@ def test_requirements_over_several_runs_are_judged_once(stages) -> None:
     assert "all runs" in page
 
 
-def test_model_is_drawn_beside_the_measured_lines(stages) -> None:
-    runs = [Run.open(bag) for bag in stages[2:]]
+def test_model_is_drawn_beside_the_measured_lines(stages, page, monkeypatch) -> None:
+    """On pages of this picture alone."""
+    monkeypatch.setattr("pointing_analysis.report.report.PICTURES", (lambda d: by_line(d.views, d.model),))
+    title, runs = "Disturbance lines, run by run", [Run.open(bag) for bag in stages[2:]]
     model = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
-    assert render(runs, model=model) != render(runs)
-    assert "Disturbance lines, run by run" not in render(runs[:1], model=model)
+    without, drawn = render(runs), render(runs, model=model)
+    assert drawn != without and title in drawn and title in without
+    assert title not in render(runs[:1], model=model)
+    assert title in page.read_text(), "it is among the pictures of a page"
 
 
 @pytest.mark.usefixtures("without_pictures")
