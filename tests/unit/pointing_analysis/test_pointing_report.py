@@ -117,9 +117,13 @@ def page_of_one(stages) -> str:
     return render([Run.open(stages[3])])
 
 
-def test_same_bag_same_bytes(stages, page, page_of_one, tmp_path) -> None:
+@pytest.mark.slow
+def test_same_bags_same_bytes(stages, page, tmp_path) -> None:
     again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html", predictions=PREDICTED)
     assert again.read_bytes() == page.read_bytes()
+
+
+def test_same_bag_same_bytes(stages, page_of_one, tmp_path) -> None:
     moved = shutil.copytree(stages[3], tmp_path / stages[3].name)
     assert render([Run.open(moved)]) == page_of_one
 
