@@ -114,6 +114,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
 	$(BIN)/python benchmarks/campaign.py --members 3 --json
+	$(BIN)/python benchmarks/tick.py --json
 	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/image_quality.py --json

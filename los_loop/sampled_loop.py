@@ -117,6 +117,10 @@ class SampledLoop:
 
     def multipliers(self) -> ComplexArray:
         """Eigenvalues of the matrix over a period."""
+        return self._multipliers.copy()
+
+    @cached_property
+    def _multipliers(self) -> ComplexArray:
         return np.asarray(linalg.eigvals(self.period), dtype=complex)
 
     def spectral_radius(self) -> float:

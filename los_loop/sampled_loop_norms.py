@@ -11,6 +11,7 @@ infinite.**
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -155,21 +156,18 @@ def weighted_gains(
     weight = rpe_weight(omega, window)[:, None, None]
     stack = [weight * tone.fundamental[:, LOS] * size]
     if tone.camera is not None:
-        power = np.zeros((omega.size, *[tone.camera.shape[1]] * 2), complex)
-        for shift, gain in tone.sidebands:
-            weighted = rpe_weight(np.abs(omega + shift), window)[:, None, None] * gain
-            power += weighted.conj().swapaxes(1, 2) @ weighted
-        values, vectors = np.linalg.eigh(power)
-        root = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.conj().swapaxes(1, 2)
-        stack.append(root @ tone.camera * size)
+        stack.append(tone.sideband_root(omega, window) @ tone.camera * size)
     relative = np.linalg.norm(np.concatenate(stack, axis=1), ord=2, axis=(1, 2))
     return np.asarray(tone.fundamental * size), np.asarray(relative)
 
 
-def loop_grid(plant: System, A: FloatArray, low: float = 1e-2, high: float = 3e3) -> FloatArray:
-    """Frequencies refined at the modes of the plant and of the closed loop [rad/s]."""
-    closed = np.log(linalg.eigvals(A).astype(complex) + 1e-300) / DT
-    return frequency_grid(np.concatenate([linalg.eigvals(plant.A), closed]), low, high, points=150, offsets=(0.0, 3.0))
+def loop_grid(
+    plant: System, A: FloatArray, low: float = 1e-2, high: float = 3e3, modes: ToneModes | None = None
+) -> FloatArray:
+    """Frequencies refined at the modes of the plant and of the closed loop [rad/s]; `modes` if they are known."""
+    poles, multipliers = (modes.plant[0], modes.loop[0]) if modes else (linalg.eigvals(plant.A), linalg.eigvals(A))
+    closed = np.log(multipliers.astype(complex) + 1e-300) / DT
+    return frequency_grid(np.concatenate([poles, closed]), low, high, points=150, offsets=(0.0, 3.0))
 
 
 @dataclass(frozen=True)
@@ -190,6 +188,16 @@ class ToneResponse:
     fundamental: ComplexArray
     camera: ComplexArray | None
     sidebands: list[tuple[float, ComplexArray]]
+
+    def sideband_root(self, omega: FloatArray, window: float) -> ComplexArray:
+        """Matrix (k, c, c) whose product with the held values has the power of all sidebands, as relative error."""
+        size = 0 if self.camera is None else self.camera.shape[1]
+        power = np.zeros((omega.size, size, size), complex)
+        for shift, gain in self.sidebands:
+            weighted = rpe_weight(np.abs(omega + shift), window)[:, None, None] * gain
+            power += weighted.conj().swapaxes(1, 2) @ weighted
+        values, vectors = np.linalg.eigh(power)
+        return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.conj().swapaxes(1, 2))
 
 
 def disturbance_response(loop: SampledLoop, plant: System, omega: FloatArray) -> ComplexArray:
@@ -216,9 +224,24 @@ class ToneModes:
         size = loop.hold.shape[0] - HELD.size
         return cls(eigenpairs(loop.at(1)[0][:size, :size]), eigenpairs(plant.A))
 
+    @cached_property
+    def inverse(self) -> ComplexArray:
+        """Inverse of the loop's eigenvectors."""
+        return np.asarray(linalg.inv(self.loop[1]), dtype=np.complex128)
 
-def tone_response(loop: SampledLoop, plant: System, omega: FloatArray, modes: ToneModes | None = None) -> ToneResponse:
+    @cached_property
+    def across(self) -> ComplexArray:
+        """Coordinates of the loop from those of the plant."""
+        vectors = self.plant[1]
+        return np.asarray(self.inverse[:, : len(vectors)] @ vectors)
+
+
+def tone_response(
+    loop: SampledLoop, plant: System, omega: FloatArray, modes: ToneModes | None = None, commands: bool = True
+) -> ToneResponse:
     """Response at the ticks, the zero-order-hold values closed around the rest of the loop; `modes` if they are known.
+
+    Without `commands` the fundamental is that of the line of sight alone, in a third of the time.
 
     A tone at w makes signals at ``w + l w_N`` with the frequency ``w_N`` of the period of N ticks. A sensor with a
     sample every n ticks sees those alike whose l differ by a multiple of ``N / n``: its samples have ``N / n``
@@ -233,18 +256,20 @@ def tone_response(loop: SampledLoop, plant: System, omega: FloatArray, modes: To
     kept = np.concatenate([size + np.arange(HELD.size)[part] for part, _, _ in held]) if held else np.arange(0)
     outputs = np.zeros((APPLIED.stop, size))
     outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+    whole = slice(0, APPLIED.stop if commands else LOS.stop)
+    outputs = outputs[whole]
     modes = modes or ToneModes.of(loop, plant)
     mu, W = modes.loop
-    right, left = linalg.inv(W), np.vstack([outputs, loop.frame[kept, :size]]) @ W
+    right, left = modes.inverse, np.vstack([outputs, loop.frame[kept, :size]]) @ W
     z = np.exp(1j * omega * DT)
     rows = left[None] / (z[:, None, None] - mu)  # (k, 10 + held, size), to be followed by `right`
     # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
     through = plant.D[:MEASUREMENTS, COMMANDS:]
-    forced = _forced(plant, modes.plant, omega, rows, right[:, :n]) + rows @ (right @ (N @ through))
+    forced = _forced(plant, modes, omega, rows) + rows @ (right @ (N @ through))
     if not held:
         return ToneResponse(forced, None, [])
-    forced[:, APPLIED.stop :] += loop.noise_frame[kept] @ through
-    entry, ends = right @ A[:, kept], np.vstack([left[LOS], left[APPLIED.stop :]])
+    forced[:, whole.stop :] += loop.noise_frame[kept] @ through
+    entry, ends = right @ A[:, kept], np.vstack([left[LOS], left[whole.stop :]])
     places, own = _places(held), np.cumsum([0, *(part.stop - part.start for part, _, _ in held)])
     total = sum(place.stop - place.start for place in places.values())
     loop_gain = np.zeros((omega.size, total, total), complex)
@@ -263,10 +288,9 @@ def tone_response(loop: SampledLoop, plant: System, omega: FloatArray, modes: To
                 sidebands.setdefault(side, np.zeros((omega.size, 2, total), complex))[:, :, place] += gain[:, :2]
     seen = np.zeros((omega.size, total, forced.shape[2]), complex)
     for s in range(len(held)):
-        seen[:, places[s, 0]] = forced[:, APPLIED.stop + own[s] : APPLIED.stop + own[s + 1]]
+        seen[:, places[s, 0]] = forced[:, whole.stop + own[s] : whole.stop + own[s + 1]]
     camera: ComplexArray = np.asarray(np.linalg.solve(np.eye(total) - loop_gain, seen), dtype=np.complex128)
     holds = [held_response(z, ticks)[:, None, None] * camera[:, places[s, 0]] for s, (_, ticks, _) in enumerate(held)]
-    whole = slice(0, APPLIED.stop)
     fundamental = forced[:, whole] + rows[:, whole] @ entry @ np.concatenate(holds, axis=1)
     return ToneResponse(
         fundamental, camera, [(2.0 * np.pi * side / (period * DT), gain) for side, gain in sidebands.items()]
@@ -290,18 +314,18 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
 
 def _forced(
     plant: System,
-    modes: tuple[ComplexArray, ComplexArray],
+    modes: ToneModes,
     omega: FloatArray,
     rows: ComplexArray,
-    right: ComplexArray,
 ) -> ComplexArray:
-    """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) and `right` (size, n)."""
-    values, vectors = modes
+    """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) of the loop's coordinates."""
+    values, vectors = modes.plant
     drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
     z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
     near = np.abs(s - values) < 1e-9
     factor = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
-    return np.asarray((rows @ (right @ vectors) * factor[:, None, :]) @ drive)
+    seen = (rows.reshape(-1, rows.shape[2]) @ modes.across).reshape(*rows.shape[:2], -1)
+    return np.asarray((seen * factor[:, None, :]) @ drive)
 
 
 def noise_metrics(

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -38,7 +38,7 @@ from pointing_analysis.spectra.spectra import background, lines
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.disturbances import Tones
-from titop_plant.simulation.plant_step import step_matrix
+from titop_plant.simulation.plant_step import tone_step
 
 WINDOW = 0.02
 
@@ -147,12 +147,12 @@ class ToneModel:
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
-        omega = np.unique(tones.frequency)
-        amplitude = np.zeros((tones.amplitude.shape[0], omega.size), complex)
-        for k, w in enumerate(omega):
-            amplitude[:, k] = tones.amplitude[:, tones.frequency == w].sum(axis=1)
-        present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
-        return cls(closed, plant, np.asarray(omega[present]), np.asarray(amplitude[:, present]), limits, steady)
+        return cls(closed, plant, *_together(tones), limits, steady)
+
+    def with_tones(self, tones: Tones) -> ToneModel:
+        """The same loop under other tones."""
+        omega, amplitude = _together(tones)
+        return replace(self, omega=omega, amplitude=amplitude)
 
     def forcing(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Forcing by unit phasors: of the next state with all sensors and none (n, K), of the line of sight."""
@@ -165,12 +165,10 @@ class ToneModel:
         n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
         zeros = np.zeros(self.omega.size)
         tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
-        step = step_matrix(self.plant, tones)[:, n + COMMANDS :]
-        # Columns act on the real and imaginary parts of the phasor in turn.
-        factors = step[:, 1::2] + 1j * step[:, 0::2]
+        moved, seen = tone_step(self.plant, tones)
         drive = np.zeros((size, self.omega.size), complex)
-        drive[:n] = factors[:n]
-        return drive, factors[n : n + MEASUREMENTS], np.asarray(factors[n + MEASUREMENTS :], complex)
+        drive[:n] = moved
+        return drive, seen[:MEASUREMENTS], seen[MEASUREMENTS:]
 
     def _ticks(self) -> tuple[list[tuple[FloatArray, ComplexArray]], ComplexArray]:
         """Matrix and forcing of each tick of a period, and forcing of the line of sight."""
@@ -218,6 +216,16 @@ class ToneModel:
             command = state[n : n + COMMANDS]
             np.clip(command, -self.limits, self.limits, out=command)
         return los
+
+
+def _together(tones: Tones) -> tuple[FloatArray, ComplexArray]:
+    """Frequencies (K,), rising, and phasors (22, K); tones of the same frequency are added up."""
+    omega = np.unique(tones.frequency)
+    amplitude = np.zeros((tones.amplitude.shape[0], omega.size), complex)
+    for k, w in enumerate(omega):
+        amplitude[:, k] = tones.amplitude[:, tones.frequency == w].sum(axis=1)
+    present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
+    return np.asarray(omega[present]), np.asarray(amplitude[:, present])
 
 
 def compare_tones(

@@ -169,9 +169,9 @@ def worst_tone(
     modes = ToneModes.of(loop, plant)
 
     def weighted(omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        return _weighted(tone_response(loop, plant, omega, modes), parameters, omega, row)
+        return _weighted(tone_response(loop, plant, omega, modes, commands=False), parameters, omega, row)
 
-    omega = _band(loop_grid(plant, loop.free), row)
+    omega = _band(loop_grid(plant, loop.free, modes=modes), row)
     gains = _gains(weighted(omega)[0])
     for peaks in (PEAKS, *[1] * ZOOMS):
         omega = _around(omega, gains, peaks)
@@ -208,7 +208,7 @@ def _band(omega: FloatArray, row: FigureOfMerit) -> FloatArray:
 
 
 def _gains(matrix: ComplexArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(matrix, ord=2, axis=(1, 2)))
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(matrix @ matrix.conj().swapaxes(1, 2))[:, -1].clip(0.0)))
 
 
 def _weighted(
@@ -222,10 +222,7 @@ def _weighted(
     window = parameters["weights"]["rpe_window"]
     rows = [rpe_weight(omega, window)[:, None, None] * los * size]
     if tone.camera is not None:
-        rows += [
-            rpe_weight(np.abs(omega + shift), window)[:, None, None] * (gain @ tone.camera) * size
-            for shift, gain in tone.sidebands
-        ]
+        rows.append(tone.sideband_root(omega, window) @ tone.camera * size)
     return np.concatenate(rows, axis=1), los
 
 

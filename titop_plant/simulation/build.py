@@ -107,6 +107,10 @@ class PlantFamily:
         first = parameter_values(config, self.parameters)
         return self.control_loop.at(first), _tones(config, self.parameters, first)
 
+    def tones(self, config: PlantConfig) -> Tones:
+        """The disturbance of a configuration at the start of a run."""
+        return _tones(config, self.parameters, parameter_values(config, self.parameters))
+
     @property
     def limits(self) -> FloatArray:
         """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""

@@ -23,6 +23,7 @@ with its partner j; that of a real pole has 0.0 in the place of the second produ
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -93,8 +94,8 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     ArithmeticError
         The eigenvalues of the plant did not converge.
     """
-    form, m = ModalForm.of(data.A), COMMANDS
-    s = 1j * tones.frequency
+    form, m = modal_form(data), COMMANDS
+    s = np.asarray(1j * tones.frequency, dtype=complex)
     shapes = data.B[:, m:] @ tones.amplitude
     forcing = form.excited(np.hstack([data.B[:, :m], shapes.real, shapes.imag]))
     held, tone = forcing[:, :m], forcing[:, m : m + s.size] + 1j * forcing[:, m + s.size :]
@@ -122,6 +123,38 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
         steady,
         form,
     )
+
+
+def modal_form(data: System) -> ModalForm:
+    """Modal form of the A of a system; the last ones are kept, since a run needs it for start and plant."""
+    return _modal_form(data.A.tobytes(), len(data.A))
+
+
+@lru_cache(maxsize=4)
+def _modal_form(content: bytes, n: int) -> ModalForm:
+    return ModalForm.of(np.frombuffer(content).reshape(n, n))
+
+
+def tone_step(data: System, tones: Tones, dt: float = DT) -> tuple[ComplexArray, ComplexArray]:
+    """What unit phasors add to the next state (n, K), and to measurement and truth (24, K).
+
+    Parameters
+    ----------
+    data, tones, dt
+        As in :func:`plant_step`.
+    """
+    form, m = modal_form(data), COMMANDS
+    s = np.asarray(1j * tones.frequency, dtype=complex)
+    shapes = data.B[:, m:] @ tones.amplitude
+    forcing = form.excited(np.hstack([shapes.real, shapes.imag]))
+    tone = forcing[:, : s.size] + 1j * forcing[:, s.size :]
+    moved = _tone_integral(form, s, tone, dt)
+    block = _block(form.block, np.hstack([np.zeros((len(form.block), m)), in_turn(tone[form.plain :])]), s.imag, dt)
+    if len(form.block):
+        driven = block[:, len(form.block) + m :]
+        moved[form.plain :] = driven[:, 1::2] + 1j * driven[:, 0::2]
+    through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
+    return np.asarray(form.basis @ moved), through
 
 
 def whole_step(matrix: FloatArray, turn: ComplexArray) -> PlantStep:
@@ -179,7 +212,7 @@ def _modal(
     # q1 + i q2 of a pair has the pole with negative imaginary part
     pair = (_mean_exponential(form.pairs.conj() * dt) * dt)[:, None] * (held[:m] + 1j * held[m : 2 * m])
     gathered[:m], gathered[m : 2 * m] = pair.real, pair.imag
-    real = _mean_exponential(form.real.astype(complex) * dt).real * dt
+    real = _mean_exponential(np.asarray(form.real * dt, dtype=complex)).real * dt
     gathered[2 * m : plain] = real[:, None] * held[2 * m : plain]
     return own, cross, np.hstack([gathered, in_turn(tone)])
 
@@ -219,4 +252,4 @@ def _block(A: FloatArray, inputs: FloatArray, frequency: FloatArray, dt: float) 
     return np.asarray(linalg.expm(whole * dt)[:n])
 
 
-__all__ = ["PlantStep", "in_turn", "plant_step", "step_matrix", "whole_step"]
+__all__ = ["PlantStep", "in_turn", "modal_form", "plant_step", "step_matrix", "tone_step", "whole_step"]

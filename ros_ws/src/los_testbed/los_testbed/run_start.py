@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from lftkit.arrays import FloatArray
@@ -165,13 +165,16 @@ def _computed(
 
     notes: list[str] = []
     model = partial(ToneModel.of, family, controllers=controllers, authority=authority)
-    tone = _tone(config, family, partial(model, settings), notes) if needs_tone(config) else None
+    loop = cache(partial(model, settings))
+    tone = _tone(config, family, loop, notes) if needs_tone(config) else None
     states = None
     if config.start == "steady":
-        chosen = with_tones(settings, RunStart(tone)) if tone else settings
+        closed = loop(loop=config.loop)
+        if tone:
+            closed = closed.with_tones(family.tones(with_tones(settings, RunStart(tone))))
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
-            states = steady_start(model(chosen, loop=config.loop), family.bias(settings), orders)
+            states = steady_start(closed, family.bias(settings), orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
     return RunStart(tone, states, "; ".join(notes))

@@ -155,13 +155,15 @@ def prepare() -> bool:
     moving = MovingTones(linear_profile(0.0, 0.0, np.zeros(4), np.zeros(4), 1.0), no_tones())
     ramped = RampedPlant([matrix], 1, moving, *common, dt=DT, parameters_hash="")
     gain = np.zeros((FORCES.stop - FORCES.start, PLATFORM.stop - PLATFORM.start))
-    law = SampledSystem([], [], [], gain, K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    observer = SampledSystem([], [], [], np.zeros((ESTIMATES, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
-    controller = FsmPmaController(law, los_sensitivity=1.0, fsm_authority=1.0, pma_authority=1.0)
+    none = np.zeros((0, 0))
+    law = SampledSystem(none, none, none, gain, K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    observer = SampledSystem(none, none, none, np.zeros((ESTIMATES, MEASUREMENTS)), K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+    one = 1.0
+    controller = FsmPmaController(law, los_sensitivity=one, fsm_authority=one, pma_authority=one)
     block = _Ticks(*(np.zeros((1, width)) for width in (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)))
-    for one in (plant, ramped):
-        one.compile()
-        CompiledLoop(one, LosEstimator(observer), controller).run(np.zeros(COMMANDS), block, 1)
+    for telescope in (plant, ramped):
+        telescope.compile()
+        CompiledLoop(telescope, LosEstimator(observer), controller).run(np.zeros(COMMANDS), block, 1)
     return True
 
 
