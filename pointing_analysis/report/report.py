@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jinja2
 import numpy as np
@@ -45,6 +45,34 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[FloatArray, FloatArray]]
+
+
+class OwnErrors(Protocol):
+    """A source of disturbance and the errors that it makes alone: APE 99.7 % [arcsec], RPE rms [mas], its share."""
+
+    @property
+    def name(self) -> str:
+        """Of the source."""
+
+    @property
+    def kind(self) -> str:
+        """Of the source."""
+
+    @property
+    def place(self) -> str:
+        """Where it acts."""
+
+    @property
+    def ape(self) -> float:
+        """99.7 % quantile of the absolute error [arcsec]."""
+
+    @property
+    def rpe(self) -> float:
+        """Rms of the relative error in windows of 20 ms [mas]."""
+
+    @property
+    def share(self) -> float:
+        """Part of the sum of squares of all sources' relative errors."""
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -236,6 +264,7 @@ def render(
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
+    sources: Sequence[Sequence[OwnErrors]] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -247,6 +276,7 @@ def render(
     model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
     predictions : for each run what a model predicts of its tones, or None; by default none at all
     remarks : for each run sentences to print beside its verdict; by default none at all
+    sources : for each run its sources of disturbance with their own errors; by default none at all
 
     Raises
     ------
@@ -289,6 +319,7 @@ def render(
             for p in drawn
         ],
         sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
+        sources=[(n, [_own_errors(one) for one in found]) for n, found in zip(names, sources) if found],
         predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
@@ -310,6 +341,18 @@ def _sources(runs: Sequence[Recording]) -> dict[str, str]:
         else other,
         "from": name.capitalize(),
         "alone": what,
+    }
+
+
+def _own_errors(source: OwnErrors) -> dict[str, str]:
+    """Row of a source of disturbance, ready to print."""
+    return {
+        "name": source.name,
+        "kind": source.kind,
+        "place": source.place,
+        "ape": digits(source.ape),
+        "rpe": digits(source.rpe),
+        "share": f"{100 * source.share:.3g} %",
     }
 
 
@@ -340,12 +383,13 @@ def write_report(
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
+    sources: Sequence[Sequence[OwnErrors]] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions, remarks : see `render`
+    runs, transient, requirements, model, predictions, remarks, sources : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -355,7 +399,13 @@ def write_report(
     target = Path(path)
     check_output(target, "the report")
     page = render(
-        runs, transient=transient, requirements=requirements, model=model, predictions=predictions, remarks=remarks
+        runs,
+        transient=transient,
+        requirements=requirements,
+        model=model,
+        predictions=predictions,
+        remarks=remarks,
+        sources=sources,
     )
     write_text(target, page)
     return target

@@ -439,6 +439,9 @@ def _image(run: Recording, series: ErrorSeries) -> tuple[ImageSummary | None, st
 
 def scenario_of(run: Recording) -> str:
     """Scenario of a run; where it had a disturbance or a plant of the user, that one's name."""
+    sources = run.parameters.get("disturbances")
+    if isinstance(sources, list) and sources:
+        return ", ".join(str(source.get("name")) for source in sources if isinstance(source, dict))
     given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))
     return next((str(name) for name in given if name), "")
 

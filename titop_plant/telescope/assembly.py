@@ -282,7 +282,15 @@ def _free_flying(
     return connect(
         systems,
         wires,
-        inputs=[WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH, WHEEL_TORQUE, FSM_COMMAND, PMA_FORCE, *map(load_port, loads)],
+        inputs=[
+            WHEEL_IMBALANCE,
+            SADM_TORQUE,
+            EXTERNAL_WRENCH,
+            WHEEL_TORQUE,
+            FSM_COMMAND,
+            PMA_FORCE,
+            *map(load_port, loads),
+        ],
         outputs={
             **{p.name: f"free.{p.name}" for p in free.outputs if p.name != "accel_G"},
             "attitude": "attitude.angle_G",

@@ -41,6 +41,10 @@ IMAGE_OPTICS = (
 """Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
+SOURCES = "disturbance"
+"""Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
+FOLDER = "folder"
+"""Key of such a table for the folder of its file, to which other files in it are relative."""
 FIRST_PROBABILITY = 0.997
 """Part of the windows that kept their limit in designs whose names do not say it."""
 
@@ -56,7 +60,7 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
         ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
         tables without names are replaced. A relative ``body.modal_data``, ``payload.modal_data`` or ``optics.pupil`` is
-        looked for beside it.
+        looked for beside it. Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
 
     Raises
     ------
@@ -70,7 +74,9 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         return MappingProxyType(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)
-    limits = take_limits(own, file)
+    limits, sources = take_limits(own, file), own.pop(SOURCES, [])
+    if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
+        raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
     merged = with_limits(file.merged(reference, own), own, limits, file)
     for name in OWN_BODIES:
         file = merged[name]["modal_data"]
@@ -78,6 +84,8 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
             merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
     if merged["optics"]["pupil"]:
         merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
+    if sources:
+        merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
     return MappingProxyType(merged)
 
 
@@ -149,9 +157,10 @@ def parameters_hash(parameters: Parameters) -> str:
 
     Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
     that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
-    optics those of images (`IMAGE_OPTICS`) do not count.
+    optics those of images (`IMAGE_OPTICS`) do not count, nor do sources of disturbance: no design depends on them.
     """
-    content = {key: value for key, value in without_image_optics(parameters).items() if key != "requirement"}
+    known = without_image_optics(parameters)
+    content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES)}
     probability = window_probability(telescope_requirements(parameters))
     if probability != FIRST_PROBABILITY:
         content["window_probability"] = probability

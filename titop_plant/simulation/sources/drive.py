@@ -62,7 +62,9 @@ def _loaded(path: str | None, isolated: bool) -> Telescope:
     return build_telescope(load_parameters(path or REFERENCE), isolated=isolated, loads=tuple(LOADED.values()))
 
 
-def source_matrix(family: PlantFamily, config: PlantConfig, sources: Sequence[PlacedSource], dt: float = DT) -> FloatArray:
+def source_matrix(
+    family: PlantFamily, config: PlantConfig, sources: Sequence[PlacedSource], dt: float = DT
+) -> FloatArray:
     """What the values of the sources within a tick add to next state (n), measurement and truth (24).
 
     Parameters

@@ -109,7 +109,11 @@ def place_matrix(
 
 def _rotation(frame: FloatArray) -> FloatArray:
     turn = np.asarray(frame, dtype=float)
-    if turn.shape != (3, 3) or not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6) or np.cross(*turn.T[:2]) @ turn.T[2] < 0:
+    if (
+        turn.shape != (3, 3)
+        or not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6)
+        or np.cross(*turn.T[:2]) @ turn.T[2] < 0
+    ):
         raise ValueError("frame must be a rotation, three rows of three numbers, got another matrix")
     return turn
 

@@ -239,7 +239,9 @@ def noise_of_density(
     return SampledSignal(values, rate, dt)
 
 
-def tone_signal(rows: Sequence[tuple[float, float, ComplexArray]], dt: float, phase: FloatArray | None = None) -> ToneSignal:
+def tone_signal(
+    rows: Sequence[tuple[float, float, ComplexArray]], dt: float, phase: FloatArray | None = None
+) -> ToneSignal:
     """Tones from rows of order, frequency [rad/s] and amplitudes (6,)."""
     order, frequency, amplitude = (np.array(x) for x in zip(*rows))
     return ToneSignal(frequency.astype(float), amplitude.astype(complex), dt, order.astype(float), phase)

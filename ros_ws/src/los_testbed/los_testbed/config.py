@@ -27,6 +27,9 @@ MODES = ("realtime", "lockstep", "inprocess")
 STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
+BESIDE_SCENARIO = "scenario"
+"""Among the files of disturbances: the tones of the scenario act, too."""
+
 WORST_OF = ("RPE", "APE", "slow", "fast")
 """Index that the tone of the scenario worst_case is worst for, see :mod:`los_loop.worst_tone`."""
 
@@ -69,6 +72,9 @@ class RunConfig(PhysicalSettings):
     disturbance_source: str | None = setting(
         None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"
     )
+    disturbance_files: str | None = setting(
+        None, "files of disturbances, apart by ;, with `scenario` among them beside it", absent="none"
+    )
     k_fsm: str | None = setting(None, "observer: file, MODULE:NAME or entry point", absent="the stored design")
     k_pma: str | None = setting(
         None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design"
@@ -103,8 +109,31 @@ class RunConfig(PhysicalSettings):
             raise ValueError(
                 f"disturbance_source must be absent with a plant of your own, got {self.disturbance_source}"
             )
+        if self.disturbance_files and self.plant:
+            raise ValueError(f"disturbance_files must be absent with a plant of your own, got {self.disturbance_files}")
+        if self.disturbance_files and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
+            raise ValueError("ramp_duration must be 0 and profile linear with files of disturbances, got a ramp")
         if self.disturbance_source and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
             raise ValueError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
+
+    @property
+    def files_of_disturbance(self) -> tuple[str, ...]:
+        """Files of disturbances, each ``FILE`` or ``FILE@PLACE``."""
+        return tuple(name for name in _parts(self.disturbance_files) if name != BESIDE_SCENARIO)
+
+    @property
+    def scenario_acts(self) -> bool:
+        """Whether the tones of the scenario are on: those of the user stand in their place unless both are asked for.
+
+        Examples
+        --------
+        >>> [RunConfig(disturbance_files=text).scenario_acts for text in (None, "a.csv", "scenario;a.csv")]
+        [True, False, True]
+        """
+        own = self.disturbance_source or (
+            self.disturbance_files and BESIDE_SCENARIO not in _parts(self.disturbance_files)
+        )
+        return self.disturbance and not own
 
     @property
     def ticks(self) -> int:
@@ -130,7 +159,11 @@ class RunConfig(PhysicalSettings):
         return cls.from_mapping(read_yaml(path))
 
 
-CHANGED = ("plant", "nonlinear", "disturbance_source")
+def _parts(text: str | None) -> list[str]:
+    return [part.strip() for part in (text or "").split(";") if part.strip()]
+
+
+CHANGED = ("plant", "nonlinear", "disturbance_source", "disturbance_files")
 """Fields that change the plant itself; part of its hash where they are set."""
 
 

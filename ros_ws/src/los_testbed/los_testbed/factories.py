@@ -28,10 +28,12 @@ from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, desi
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
+    from los_testbed.disturbance_files import Entry
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.driven_plant import DrivenPlant
     from titop_plant.simulation.sampled_plant import SampledPlant
+    from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.parameters import Parameters
 
 
@@ -167,7 +169,7 @@ class RunParts:
 
         config = self.config
         check_ranges(config, self.parameters)
-        told = config.disturbance and config.scenario != "worst_case" and config.disturbance_source is None
+        told = config.scenario_acts and config.scenario != "worst_case"
         return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
 
     @cached_property
@@ -257,6 +259,7 @@ class RunParts:
             telescope = self.family.build(self.physical, state)
         own = config.disturbance_source if config.disturbance else None
         plant = telescope if own is None else self._driven(telescope, own)
+        plant = self._with_sources(plant)
         if not config.nonlinear:
             return plant
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
@@ -271,6 +274,45 @@ class RunParts:
         disturbance.reset()
         with one_thread():
             return DrivenPlant(plant, held_disturbance(self.family, self.physical, plant.dt), disturbance, source)
+
+    def _with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
+        """The telescope under the sources of files, where there are any."""
+        if not self.sources:
+            return plant
+        from titop_plant.simulation.driven_plant import DrivenPlant
+        from titop_plant.simulation.sources.drive import Sources, source_matrix
+
+        drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
+        with one_thread():
+            return DrivenPlant(plant, source_matrix(self.family, self.physical, self.sources, plant.dt), drive, name)
+
+    @cached_property
+    def sources(self) -> tuple[PlacedSource, ...]:
+        """Sources of disturbance of files; ValueError: one of them cannot be used."""
+        from los_testbed.disturbance_files import Run, make_sources
+
+        if not self._entries:
+            return ()
+        from titop_plant.simulation.plant_config import motion
+
+        speeds = motion(self.settings, self.parameters).speeds(0.0)
+        run = Run(tuple(map(float, speeds)), self.config.duration, self.config.seed)
+        return make_sources(self._entries, self.parameters, run)
+
+    @property
+    def sources_digest(self) -> str:
+        """SHA-256 of the tables and files of the sources; empty where there are none."""
+        from los_testbed.disturbance_files import digest
+
+        return digest(self._entries) if self._entries else ""
+
+    @cached_property
+    def _entries(self) -> list[Entry]:
+        from los_testbed.disturbance_files import sources_of
+
+        if not self.config.files_of_disturbance and not self.config.parameters:
+            return []
+        return sources_of(self.config, self.parameters)
 
     def tone_model(self) -> ToneModel:
         """Model of the loop that runs, with its tones, for comparisons with a record.

@@ -140,7 +140,7 @@ def find_run_start(
 
 def needs_tone(config: RunConfig) -> bool:
     """Whether the disturbance of a run is the worst-case tone."""
-    return config.scenario == "worst_case" and config.disturbance and not config.disturbance_source
+    return config.scenario == "worst_case" and config.scenario_acts
 
 
 def _digest(controllers: Mapping[str, SampledSystem]) -> str:

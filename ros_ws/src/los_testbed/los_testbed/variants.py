@@ -239,7 +239,7 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
         Folder of designs; empty for the stored ones.
     """
     config = RunConfig.from_mapping({**settings})
-    if config.disturbance_source:
+    if config.disturbance_source or (config.disturbance_files and not config.scenario_acts):
         return {}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
         code = is_code(config.k_fsm) or is_code(config.k_pma)

@@ -52,7 +52,8 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **optics_of(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
-        **({} if start.states is None else {"transient_s": "0"}),
+        **({} if start.states is None or parts.sources else {"transient_s": "0"}),
+        **_sources(parts),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **proof_of(parts),
@@ -82,6 +83,14 @@ def _pupil(parts: RunParts) -> bytes:
     """Content of the file of the pupil; empty where there is none."""
     name = parts.parameters["optics"]["pupil"]
     return read_pupil_file(Path(name)) if name else b""
+
+
+def _sources(parts: RunParts) -> dict[str, str]:
+    """Sources of disturbance of files, under ``disturbances``, and the digest of their content; nothing without any."""
+    if not parts.sources:
+        return {}
+    rows = [{"name": s.name, "kind": s.kind, "place": s.place, "remarks": list(s.remarks)} for s in parts.sources]
+    return {"disturbances": json.dumps(rows), "disturbances_sha256": parts.sources_digest}
 
 
 def proof_of(parts: RunParts) -> dict[str, str]:

@@ -54,6 +54,7 @@ def report(
     """See REPORT_EXAMPLES."""
     from los_testbed.run.older_bags import REMARK, is_older, with_requirements
     from los_testbed.run.predictions import predictions
+    from los_testbed.run.summary import shares_of
     from pointing_analysis.image.optics import load_optics, with_optics
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels, write_report
@@ -77,7 +78,11 @@ def report(
     remarks = [(REMARK,) if older else () for older in assumed]
     found = summarise_all(runs, transient=transient, requirements=given)
     expected = predictions(runs, transient, start, stop)
-    write_report(runs, target, transient=transient, requirements=given, predictions=expected, remarks=remarks)
+    shares, missing = shares_of(runs)
+    remarks = [(*one, *more) for one, more in zip(remarks, missing)]
+    write_report(
+        runs, target, transient=transient, requirements=given, predictions=expected, remarks=remarks, sources=shares
+    )
     console = Screen(stderr=json_)
     show(console, labels(runs), found)
     for text in dict.fromkeys(text for texts in remarks for text in texts):

@@ -19,9 +19,9 @@ from los_testbed.cli import live_options
 from los_testbed.cli.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
-from los_testbed.config import NAMESPACE, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.config import BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
-from los_testbed.factories import check_controllers
+from los_testbed.factories import RunParts, check_controllers
 from los_testbed.run.domains import free_domain
 from los_testbed.run.results import MAX_MISSED, Results, RunError
 from los_testbed.run.screen import Screen, say
@@ -64,19 +64,21 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
     los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
 
+    los-testbed run --disturbance measured.csv@wheel_2 --disturbance cooler.toml    # measured forces, a cryocooler
+
     los-testbed run --k-fsm my_module:Observer --disturbance my_module:Wind     # classes of your own
 """
 
 
-@with_settings(without=("disturbance", "disturbance_source"), metavars={"domain": "INTEGER|free"})
+@with_settings(without=("disturbance", "disturbance_source", "disturbance_files"), metavars={"domain": "INTEGER|free"})
 def run(
     *,
     given: dict[str, Any],
     disturbance: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar="[MODULE:NAME]",
-            help="Wheel and drive disturbances; or a disturbance of your own, by name.",
+            metavar="[FILE[@PLACE]|MODULE:NAME]",
+            help="Wheel and drive disturbances; or disturbances of your own, by file or name; repeatable.",
             rich_help_panel=PLANT_PANEL,
         ),
     ] = None,
@@ -289,6 +291,8 @@ def check(config: RunConfig) -> tuple[str, ...]:
     if config.disturbance_source and config.disturbance:
         make_disturbance(config)
     warnings = check_controllers(config)
+    for source in RunParts(config).sources:
+        warnings += tuple(f"disturbance {source.name}: {remark}" for remark in source.remarks)
     if config.mode != "inprocess":
         from los_testbed.run.node_launch import check_ros
 
@@ -314,15 +318,24 @@ DISTURBANCE_ON = "on"
 """Value of ``--disturbance`` where it stands alone."""
 
 
-def _disturbance(given: str | None, none: bool) -> dict[str, Any]:
+def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
     """Settings that ``--disturbance`` and ``--no-disturbance`` stand for."""
-    if given is not None and none:
-        raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({given})")
-    if given is None:
+    if given and none:
+        raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
+    if not given:
         return {"disturbance": False} if none else {}
-    if given == DISTURBANCE_ON:
-        return {"disturbance": True}
-    return {"disturbance": True, "disturbance_source": given}
+    classes = [name for name in given if name != BESIDE_SCENARIO and name != DISTURBANCE_ON and is_code(name)]
+    files = [name for name in given if name not in classes and name != DISTURBANCE_ON]
+    if len(classes) > 1:
+        raise ValueError(f"--disturbance must name one class at most, got {', '.join(classes)}")
+    if odd := [name for name in files if ";" in name]:
+        raise ValueError(f"--disturbance must name files without a semicolon, got {odd[0]}")
+    found: dict[str, Any] = {"disturbance": True}
+    if classes:
+        found["disturbance_source"] = classes[0]
+    if [name for name in files if name != BESIDE_SCENARIO]:
+        found["disturbance_files"] = ";".join([*files, *([BESIDE_SCENARIO] if DISTURBANCE_ON in given else [])])
+    return found
 
 
 def with_lone_options(arguments: Sequence[str]) -> list[str]:

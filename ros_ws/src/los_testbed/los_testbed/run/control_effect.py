@@ -68,7 +68,12 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
         start = RunStart.from_bytes(run.attachments[START_FILE])
-        if config.ramp_duration or config.disturbance_source or not np.isfinite(summary.rpe_rms):
+        if (
+            config.ramp_duration
+            or config.disturbance_source
+            or RunParts(config).sources
+            or not np.isfinite(summary.rpe_rms)
+        ):
             return None
         controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
         with one_thread():

@@ -57,7 +57,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
     known = run.parameters.get("plant_parameters_hash")
     if not run.parameters.get("tones_rad_s") or known is None or "run.yaml" not in run.attachments:
         return None
-    if run.parameters.get("mode") == "replay":
+    if run.parameters.get("mode") == "replay" or "disturbances" in run.parameters:  # tones are not the scenario's alone
         return None
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))

@@ -17,6 +17,7 @@ from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.screen import met, printable, say
+from los_testbed.run.source_shares import SourceShare, as_rows, source_shares
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.image.optics import optics_of
 from pointing_analysis.read.mcap.records import MAX_CHUNK
@@ -42,12 +43,15 @@ class RunSummaries:
         HTML report, if one was written.
     remarks : tuple of tuple of str
         Of each run sentences beside its verdict.
+    shares : tuple of tuple of SourceShare
+        Of each run what its sources of disturbance do.
     """
 
     summaries: tuple[Summary, ...]
     runs: tuple[dict[str, Any], ...]
     report: Path | None
     remarks: tuple[tuple[str, ...], ...] = ()
+    shares: tuple[tuple[SourceShare, ...], ...] = ()
 
 
 def summarise_runs(
@@ -87,16 +91,41 @@ def summarise_runs(
         (*(remarks_of(run, found) if isinstance(run, Run) else ()), *([REMARK] if older else []))
         for run, found, older in zip(opened, summaries, assumed)
     )
+    shares, missing = shares_of(opened)
+    remarks = tuple((*one, *more) for one, more in zip(remarks, missing))
     if report is not None:
         from los_testbed.run.predictions import predictions
         from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
         expected = predictions(opened, transient)
         write_report(
-            opened, report, transient=transient, requirements=requirements, predictions=expected, remarks=remarks
+            opened,
+            report,
+            transient=transient,
+            requirements=requirements,
+            predictions=expected,
+            remarks=remarks,
+            sources=shares,
         )
     metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
-    return RunSummaries(summaries, metrics, report, remarks)
+    for values, rows in zip(metrics, shares):
+        if rows:
+            values["disturbances"] = as_rows(rows)
+    return RunSummaries(summaries, metrics, report, remarks, shares)
+
+
+def shares_of(runs: Sequence[Recording]) -> tuple[tuple[tuple[SourceShare, ...], ...], tuple[tuple[str, ...], ...]]:
+    """Of each run the shares of its sources of disturbance, and why there are none."""
+    found: list[tuple[SourceShare, ...]] = []
+    notes: list[tuple[str, ...]] = []
+    for run in runs:
+        try:
+            found.append(source_shares(run))
+            notes.append(())
+        except (ValueError, OSError) as error:
+            found.append(())
+            notes.append((str(error),))
+    return tuple(found), tuple(notes)
 
 
 def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
@@ -167,10 +196,13 @@ def missed_share(metrics: Mapping[str, Any]) -> float:
 
 def print_summary(console: Console, results: RunSummaries, max_missed: float = MAX_MISSED) -> None:
     """Print a table for each run, and the paths; `max_missed` is the limit of the missed ticks [%]."""
-    for summary, metrics in zip(results.summaries, results.runs):
+    rows = results.shares or ((),) * len(results.runs)
+    for summary, metrics, shares in zip(results.summaries, results.runs, rows):
         console.print(_table(summary, metrics, max_missed))
         if not summary.requirements_known:
             say(console, UNKNOWN, "note")
+        if shares:
+            console.print(_shares(shares))
         if summary.budget is not None:
             console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
         for remark in metrics["remarks"]:
@@ -182,6 +214,18 @@ def print_summary(console: Console, results: RunSummaries, max_missed: float = M
         say(console, f"{summary.kind:<7} {summary.path}")
     if results.report is not None:
         say(console, f"report  {results.report}")
+
+
+def _shares(shares: Sequence[SourceShare]) -> Table:
+    table = Table(title="Sources of disturbance, each alone in the loop", title_justify="left")
+    table.add_column("source", overflow="fold")
+    for head in ("kind", "place"):
+        table.add_column(head)
+    for head in ("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"):
+        table.add_column(head, justify="right")
+    for s in shares:
+        table.add_row(s.name, s.kind, s.place, digits(s.ape), digits(s.rpe), f"{100 * s.share:.3g} %")
+    return table
 
 
 def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> Table:
