@@ -9,6 +9,8 @@ from lftkit.arrays import FloatArray
 
 ABOVE = 3.0
 """A line is so many times as high as the median around it."""
+SAME = 1.5
+"""Lines of two speeds whose orders differ by so many bins of frequency are the same."""
 AROUND = 15
 """Bins on each side of a line that the median is of."""
 
@@ -49,15 +51,39 @@ def lines_at(
         )
     right = min(max(int(np.searchsorted(speeds, speed)), 1), speeds.size - 1)
     share = (speed - speeds[right - 1]) / (speeds[right] - speeds[right - 1])
-    order = frequency / speed
-    level = np.zeros((frequency.size, amplitude.shape[2]))
-    for i, part in ((right - 1, 1.0 - share), (right, share)):
-        for axis in range(level.shape[1]):
-            level[:, axis] += part * np.interp(order * speeds[i], frequency, amplitude[i, :, axis], right=0.0)
-    chosen = _lines(np.sqrt(np.square(level).sum(axis=1)))
-    if not chosen.size:
+    left, bins = right - 1, frequency[1] - frequency[0]
+    found = [(frequency[k := _lines(_height(amplitude[i]))], amplitude[i, k]) for i in (left, right)]
+    rows = _matched(*found, share, bins, speeds[left : right + 1])
+    if not rows:
         raise ValueError(f"waterfall must have lines {ABOVE:g} times above what is around them, got none")
-    return frequency[chosen], level[chosen]
+    orders, levels = zip(*sorted(rows, key=lambda row: row[0]))
+    return speed * np.array(orders), np.array(levels)
+
+
+def _height(amplitude: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.square(amplitude).sum(axis=1)))
+
+
+def _matched(
+    first: tuple[FloatArray, FloatArray],
+    second: tuple[FloatArray, FloatArray],
+    share: float,
+    bins: float,
+    speeds: FloatArray,
+) -> list[tuple[float, FloatArray]]:
+    """Order and amplitudes of the lines between two speeds; one without a partner of the same order fades out."""
+    orders = [found[0] / at for found, at in zip((first, second), speeds)]
+    within, free = SAME * bins / speeds[0], set(range(orders[1].size))
+    rows = []
+    for order, level in zip(orders[0], first[1]):
+        near = min(free, key=lambda j: abs(orders[1][j] - order), default=None)
+        if near is None or abs(orders[1][near] - order) > within:
+            rows.append((float(order), (1.0 - share) * level))
+            continue
+        free.remove(near)
+        between = (1.0 - share) * order + share * orders[1][near]
+        rows.append((float(between), (1.0 - share) * level + share * second[1][near]))
+    return rows + [(float(orders[1][j]), share * second[1][j]) for j in sorted(free)]
 
 
 def _lines(height: FloatArray) -> NDArray[np.int64]:

@@ -116,16 +116,15 @@ def summarise_runs(
 
 def shares_of(runs: Sequence[Recording]) -> tuple[tuple[tuple[SourceShare, ...], ...], tuple[tuple[str, ...], ...]]:
     """Of each run the shares of its sources of disturbance, and why there are none."""
-    found: list[tuple[SourceShare, ...]] = []
-    notes: list[tuple[str, ...]] = []
-    for run in runs:
-        try:
-            found.append(source_shares(run))
-            notes.append(())
-        except (ValueError, OSError) as error:
-            found.append(())
-            notes.append((str(error),))
-    return tuple(found), tuple(notes)
+    found = [_shares_or_reason(run) for run in runs]
+    return tuple(shares for shares, _ in found), tuple(notes for _, notes in found)
+
+
+def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:
+    try:
+        return source_shares(run), ()
+    except (ValueError, OSError) as error:
+        return (), (str(error),)
 
 
 def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:

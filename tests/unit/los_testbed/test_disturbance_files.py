@@ -1,0 +1,170 @@
+"""Files of disturbances: from the file to the source, to the run, and to its row beside the verdict."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.disturbance_files import Run, entries_of, make_sources
+from los_testbed.factories import RunParts
+from scipy import io
+
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+RUN = Run((200.0, -210.0, 220.0, -230.0), 2.0, 1)
+RATE, N = 2000.0, 6000
+T = np.arange(N) / RATE
+WRENCH = 0.1 * np.random.default_rng(1).standard_normal((N, 6))
+WRENCH -= WRENCH.mean(axis=0)
+INSIDE = np.array([0.0, 0.25, 0.5])
+
+
+def csv(path: Path) -> None:
+    header = "time (s),Fx (N),Fy (N),Fz (mN),Mx (Nm),My (Nm),Mz [Nm]"
+    scaled = WRENCH * [1, 1, 1e3, 1, 1, 1]
+    np.savetxt(path, np.column_stack([T, scaled]), delimiter=",", header=header, comments="", fmt="%.17g")
+
+
+def mat(path: Path) -> None:
+    io.savemat(path, {"t": T, "wrench": WRENCH})
+
+
+def hdf5(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("force", data=WRENCH[:, :3]).attrs.update({"unit": "N", "fs": RATE})
+        file.create_dataset("torque", data=WRENCH[:, 3:]).attrs["unit"] = "Nm"
+
+
+def parquet(path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    names = ("fx", "fy", "fz", "tx", "ty", "tz")
+    parquet.write_table(pyarrow.table({"t": T, **dict(zip(names, WRENCH.T))}), path)
+
+
+@pytest.mark.parametrize(("write", "name"), [(csv, "a.csv"), (mat, "a.mat"), (hdf5, "a.h5"), (parquet, "a.parquet")])
+def test_a_series_is_the_same_from_every_format(tmp_path: Path, write: object, name: str) -> None:
+    write(tmp_path / name)  # type: ignore[operator]
+    (found,) = make_sources(entries_of([f"{tmp_path / name}@wheel_2"]), load_parameters(), RUN)
+    assert (found.name, found.kind, found.place) == ("a", "series", "wheel_2")
+    signal = found.signal
+    assert signal.rate == RATE and np.allclose(signal.values, WRENCH, atol=1e-12)  # type: ignore[attr-defined]
+    assert np.allclose(signal.tick(100, INSIDE).shape, (3, 6))
+
+
+TOML = """
+[[disturbance]]
+name = "wheel"
+kind = "harmonics"
+place = "wheel_1"
+harmonics = [{order = 1.0, force = [1e-6, 1e-6, 0.0]}, {order = 40.0, force = [1e-6, 0.0, 0.0]}]
+
+[[disturbance]]
+name = "cooler"
+kind = "cooler"
+place = "payload"
+frame = "body"
+offset = [0.1, 0.0, 0.0]
+frequency = 45.0
+linewidth = 0.01
+harmonics = [{order = 1, force = [0.2, 0.0, 0.0]}, {order = 2, torque = [0.0, 0.0, 0.01]}]
+
+[[disturbance]]
+name = "thruster"
+kind = "pulses"
+force = [0.5, 0.0, 0.0]
+period = 2.0
+width = 0.05
+"""
+
+
+def test_tables_of_one_file(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(TOML)
+    wheel, cooler, thruster = make_sources(entries_of([str(tmp_path / "a.toml")]), load_parameters(), RUN)
+    assert wheel.signal.lines.tolist() == [200.0]
+    assert wheel.remarks == ("1 tones above 1000 Hz left out",)
+    assert np.abs(wheel.signal.amplitude[0, :2]).tolist() == pytest.approx([1e-6 * 200.0**2] * 2)  # type: ignore[attr-defined]
+    assert cooler.signal.lines == pytest.approx(2 * np.pi * np.array([45.0, 90.0]))
+    assert thruster.place == "bus" and not thruster.signal.lines.size
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            'name = "a"\nkind = "wind"',
+            "kind must be one of series, harmonics, waterfall, psd, cooler, pulses, got 'wind'",
+        ),
+        ('name = "a"\nkind = "cooler"\nfrequncy = 45.0', "keys must be of .*frequency.*, got frequncy"),
+        ('name = "a"\nkind = "cooler"\nfrequency = -1.0\nharmonics = [{order = 1}]', "frequency must be .* got -1.0"),
+        ('name = "a"\nkind = "pulses"\nplace = "moon"\nperiod = 1.0\nwidth = 0.1', "place must be one of bus, wheels"),
+        (
+            'name = "a"\nkind = "pulses"\nframe = "up"\nperiod = 1.0\nwidth = 0.1',
+            "frame must be own, body or three rows",
+        ),
+        ('name = "a"\nkind = "pulses"\nperiod = 1.0\nwidth = 2.0', "width must not be above the period"),
+        ('name = "a"\nkind = "harmonics"\nharmonics = [{order = 1}]', "speed must be given"),
+        ('name = "a"\nkind = "series"\nfile = "none.csv"', "none.csv: no such file"),
+        ('kind = "series"', "name must be a text"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.toml").write_text(f"[[disturbance]]\n{text}\n")
+    with pytest.raises(ValueError, match=message) as caught:
+        make_sources(entries_of([str(tmp_path / "a.toml")]), load_parameters(), RUN)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_record_that_is_too_short_says_what_to_do(tmp_path: Path) -> None:
+    csv(tmp_path / "a.csv")
+    with pytest.raises(ValueError, match=r"as long as the run, 60 s, got 3 s \(repeat = true repeats it\)"):
+        make_sources(entries_of([str(tmp_path / "a.csv")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
+    (tmp_path / "b.toml").write_text('[[disturbance]]\nname = "b"\nkind = "series"\nfile = "a.csv"\nrepeat = true\n')
+    (found,) = make_sources(entries_of([str(tmp_path / "b.toml")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
+    assert len(found.signal.values) == 5000  # type: ignore[attr-defined]
+
+
+def test_sources_of_the_telescope_act_in_its_runs_and_change_no_design(tmp_path: Path) -> None:
+    (tmp_path / "telescope.toml").write_text(TOML)
+    parameters = load_parameters(tmp_path / "telescope.toml")
+    assert parameters_hash(parameters) == parameters_hash(load_parameters())
+    config = RunConfig(parameters=str(tmp_path / "telescope.toml"), duration=2.0)
+    assert [source.name for source in RunParts(config).sources] == ["wheel", "cooler", "thruster"]
+    assert config.scenario_acts
+    assert not RunParts(RunConfig(parameters=config.parameters, disturbance=False)).sources
+
+
+def test_a_cooler_is_a_tone_and_every_source_has_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cooler = """
+[[disturbance]]
+name = "cooler"
+kind = "cooler"
+frequency = 45.0
+harmonics = [{order = 1, force = [200.0, 0.0, 0.0]}, {order = 2, force = [0.0, 100.0, 0.0]}]
+"""
+    Path("cooler.toml").write_text(cooler)
+    csv(Path("measured.csv"))
+    command = ["run", "--mode", "inprocess", "--duration", "3", "--json", "--output", "bag", "--report"]
+    assert main([*command, "--disturbance", "cooler.toml", "--disturbance", "measured.csv@wheel_2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["scenario"] == "cooler, measured"
+    rows = {row["name"]: row for row in found["disturbances"]}
+    assert rows["cooler"]["place"] == "bus" and rows["measured"]["kind"] == "series"
+    assert rows["cooler"]["share"] > 0.95 and sum(row["share"] for row in rows.values()) == pytest.approx(1.0, abs=1e-5)
+    budget = found["budget_rpe_mas"]
+    assert budget["noise"] < 20.0 and budget["fast"] > 40.0  # all of it was noise
+    assert budget["fast"] == pytest.approx(np.sqrt(2) * rows["cooler"]["rpe"], rel=0.05)
+    page = Path("bag/report.html").read_text()
+    assert "Sources of disturbance" in page and "45.000" in page
+    Path("cooler.toml").write_text(cooler.replace("200.0", "300.0"))
+    assert main(["report", "bag", "--json"]) == 0
+    assert "no longer those of the run" in Path("bag/report.html").read_text()

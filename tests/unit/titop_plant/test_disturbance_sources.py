@@ -1,0 +1,224 @@
+"""Sources at places of the structure: against exact tones, against laws of mechanics, in the right amounts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal as spectra
+
+from lftkit.arrays import FloatArray
+from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.simulation import build as simulation
+from titop_plant.simulation.driven_plant import DrivenPlant
+from titop_plant.simulation.plant_config import PlantConfig
+from titop_plant.simulation.sources import drive
+from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
+from titop_plant.simulation.sources.places import COLUMNS, NODES, PLACES, place_matrix
+from titop_plant.simulation.sources.signals import (
+    PulseSignal,
+    SampledSignal,
+    ToneSignal,
+    noise_of_density,
+    phase_walk,
+    repeated,
+)
+from titop_plant.simulation.sources.waterfall import lines_at
+from titop_plant.telescope.parameters import load_parameters
+
+QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
+DT = 1e-3
+PARAMETERS = load_parameters()
+
+
+@pytest.fixture(scope="module")
+def family() -> simulation.PlantFamily:
+    return simulation.PlantFamily.of(QUIET)
+
+
+def truth(plant: object, ticks: int) -> FloatArray:
+    y, los, found, command = np.zeros(MEASUREMENTS), np.zeros(TRUTH), np.zeros((ticks, TRUTH)), np.zeros(COMMANDS)
+    for k in range(ticks):
+        plant.step(command, y, los)  # type: ignore[attr-defined]
+        found[k] = los
+    return found
+
+
+def driven(family: simulation.PlantFamily, *sources: PlacedSource) -> DrivenPlant:
+    start = np.zeros(family.control_loop.order)
+    plant = DrivenPlant(family.build(QUIET, start), source_matrix(family, QUIET, sources), Sources(sources), "test")
+    plant.reset()
+    return plant
+
+
+def source(signal: object, place: str = "wheel_2", **options: FloatArray) -> PlacedSource:
+    return PlacedSource("a", "test", place, place_matrix(place, PARAMETERS, **options), signal)  # type: ignore[arg-type]
+
+
+TONES = ((31.0, 0.3, 0.2j), (97.0, 0.1j, 0.4), (211.0, 0.2, 0.1), (386.0, 0.5, 0.3j))
+"""Frequency [Hz] and amplitudes of force x and torque y."""
+
+
+def series(rate: float) -> SampledSignal:
+    """The tones as a record of 10 s of the given rate, a whole number of periods."""
+    t = np.arange(round(10 * rate)) / rate
+    values = np.zeros((t.size, 6))
+    for hz, force, torque in TONES:
+        turning = np.exp(2j * np.pi * hz * t)
+        values[:, 0] += (force * turning).imag
+        values[:, 4] += (torque * turning).imag
+    return SampledSignal(values, rate, DT)
+
+
+def exact_tones() -> ToneSignal:
+    amplitude = np.zeros((len(TONES), 6), complex)
+    amplitude[:, 0], amplitude[:, 4] = [a for _, a, _ in TONES], [b for _, _, b in TONES]
+    return ToneSignal(2 * np.pi * np.array([hz for hz, _, _ in TONES]), amplitude, DT, np.ones(len(TONES)))
+
+
+@pytest.fixture(scope="module")
+def reference(family: simulation.PlantFamily) -> FloatArray:
+    """Response to the tones by the phasors of the plant, which are exact at every frequency."""
+    rows = []
+    for hz, force, torque in TONES:
+        amplitude = np.zeros(22, complex)
+        amplitude[5], amplitude[9] = force, torque
+        rows.append((2 * np.pi * hz, *amplitude.real, *amplitude.imag))
+    config = replace(QUIET, disturbance=True, scenario="worst_case", tones=tuple(rows))
+    return truth(family.build(config, np.zeros(family.control_loop.order)), 1500)
+
+
+@pytest.mark.parametrize(
+    ("signal", "tolerance"),
+    [
+        (exact_tones, 1e-7),
+        (lambda: series(2000.0), 1e-6),
+        (lambda: series(1024.0), 1e-6),
+        (lambda: series(997.3), 1e-6),
+    ],
+    ids=["tones", "2000 Hz", "1024 Hz", "997.3 Hz"],
+)
+def test_the_response_is_that_of_exact_tones(
+    family: simulation.PlantFamily,
+    reference: FloatArray,
+    monkeypatch: pytest.MonkeyPatch,
+    signal: Callable[[], object],
+    tolerance: float,
+) -> None:
+    monkeypatch.setattr(drive, "FADE", 0.0)
+    found = truth(driven(family, source(signal())), len(reference))
+    assert np.abs(found - reference).max() < tolerance * np.abs(reference).max()
+
+
+def test_what_is_above_half_of_the_tick_rate_does_not_fold_back() -> None:
+    rate = 4096.0
+    t = np.arange(round(5 * rate)) / rate
+    high = SampledSignal(np.sin(2 * np.pi * 700.0 * t)[:, None] * np.ones(6), rate, DT)
+    low = SampledSignal(np.sin(2 * np.pi * 300.0 * t)[:, None] * np.ones(6), rate, DT)
+    seen = [np.abs([one.tick(k, INSTANTS) for k in range(1000, 1100)]).max() for one in (high, low)]
+    assert seen[0] < 1e-6 and seen[1] > 0.99
+
+
+def test_a_slow_record_is_read_between_its_samples() -> None:
+    rate = 100.0
+    t = np.arange(2000) / rate
+    one = SampledSignal(np.sin(2 * np.pi * 31.0 * t)[:, None] * np.ones(6), rate, DT)
+    times = (1234 + INSTANTS) * DT
+    assert np.allclose(one.tick(1234, INSTANTS)[:, 0], np.sin(2 * np.pi * 31.0 * times), atol=1e-6)
+
+
+@pytest.mark.parametrize("place", ["bus", *NODES])
+def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.PlantFamily, place: str) -> None:
+    """The attitude's answer to a torque about z is the same wherever the torque acts, below all modes."""
+    tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
+    low = []
+    for one in ("bus", place):
+        telescope = drive._loaded(None, True).system[
+            "attitude", "load_" + NODES[one] if one != "bus" else "external_wrench"
+        ]
+        data = telescope.at({})
+        w = 1e-3
+        low.append(data.C @ np.linalg.solve(1j * w * np.eye(len(data.A)) - data.A, data.B[:, 3:]))
+    assert np.abs(low[1] - low[0]).max() < 1e-3 * np.abs(low[0]).max()
+    assert np.isfinite(tables[1]).all() and np.abs(tables[1]).max() > 0
+
+
+def test_frames_and_offsets() -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    force_x = np.eye(6)[0]
+    wrench = place_matrix("bus", PARAMETERS, turn, np.array([0.0, 2.0, 0.0])) @ force_x
+    found = wrench[COLUMNS["external_wrench"]]
+    assert np.allclose(found, [0.0, 1.0, 0.0, 0.0, 0.0, -2.0])  # along y of the body; torque = 2 e_y x e_x, turned
+    own, body = (place_matrix("wheel_1", PARAMETERS, frame) for frame in (None, np.eye(3)))
+    assert np.allclose(np.linalg.norm(own[:, :3], axis=0), 1.0) and not np.allclose(own, body)
+    assert np.allclose(own.T @ own, np.eye(6)) and np.allclose(body.T @ body, np.eye(6))
+    for place, options, message in (
+        ("moon", {}, "place must be one of bus"),
+        ("bus", {"frame": 2 * np.eye(3)}, "frame must be a rotation"),
+        ("drive_1", {"offset": np.zeros(3)}, "must be absent at drive_1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            place_matrix(place, PARAMETERS, **options)
+    assert len(set(PLACES)) == len(PLACES)
+
+
+def test_noise_has_the_density_that_was_asked_for() -> None:
+    frequency, density = np.array([2.0, 20.0, 300.0]), np.zeros((3, 6))
+    density[:, 0], density[:, 4] = (4.0, 4.0, 0.04), (0.0, 1.0, 1.0)
+    one = noise_of_density(frequency, density, 100.0, DT, np.random.default_rng(4))
+    found, power = spectra.welch(one.values[:, 0], one.rate, nperseg=4096)
+    for hz, expected in ((10.0, 4.0), (77.46, 0.4), (200.0, 0.04 * 1.5 ** (np.log(100.0) / np.log(15.0)))):
+        near = np.abs(found - hz) < 3.0
+        assert power[near].mean() == pytest.approx(expected, rel=0.25)
+    assert one.values[:, 0].var() == pytest.approx(np.trapezoid(power, found), rel=0.05)
+    assert power[found > 310.0].max() < 1e-6 and not one.values[:, 1].any()
+    assert abs(np.corrcoef(one.values[:, 0], one.values[:, 4])[0, 1]) < 0.02
+
+
+def test_pulses_have_their_impulse_and_end() -> None:
+    wrench = np.array([2.0, 0, 0, 0, 0, 0])
+    one = PulseSignal(wrench, first=0.0104, width=0.0303, period=0.5, last=1.2, dt=DT)
+    given = np.array([one.tick(k, INSTANTS)[0, 0] for k in range(3000)])
+    assert given.sum() * DT == pytest.approx(3 * 2.0 * 0.0303, rel=1e-9)
+    assert given[:10].max() == 0.0 and given[10] == pytest.approx(2.0 * 0.6) and given.max() == pytest.approx(2.0)
+
+
+def test_the_line_of_a_cooler_has_the_width_that_was_asked_for() -> None:
+    """The phase of a Lorentzian line of full width w spreads with the variance 2 pi w t."""
+    rng = np.random.default_rng(1)
+    ends = [phase_walk(0.2, 500, DT, rng)[500] for _ in range(3000)]
+    assert np.var(ends) == pytest.approx(2 * np.pi * 0.2 * 0.5, rel=0.1)
+
+
+def test_a_record_that_is_repeated_has_no_step() -> None:
+    t = np.arange(4000) / 1000.0
+    whole = repeated((t + np.sin(9 * t))[:, None] * np.ones(6), 1000.0)
+    assert len(whole) == 3500
+    assert abs(whole[0, 0] - whole[-1, 0]) < 0.05 and abs(t[-1] - t[0]) > 3.9
+
+
+def test_a_waterfall_is_interpolated_along_its_orders() -> None:
+    """Amplitude proportional to the square of the speed, order 2 and 3.3: half way the mean, at the right frequency."""
+    frequency, speeds = np.arange(0.0, 300.0, 0.25), np.array([30.0, 34.0])
+    table = np.zeros((2, frequency.size, 6))
+    for i, speed in enumerate(speeds):
+        for order, size in ((2.0, 1.0), (3.3, 0.5)):
+            table[i, np.argmin(np.abs(frequency - order * speed)), 0] = size * speed**2
+    found, amplitude = lines_at(32.0, speeds, frequency, table)
+    assert np.allclose(found, [64.0, 105.6], atol=0.15)
+    assert amplitude[:, 0] == pytest.approx([0.5 * (30.0**2 + 34.0**2), 0.25 * (30.0**2 + 34.0**2)])
+    with pytest.raises(ValueError, match="speed must be between 30 and 34 Hz"):
+        lines_at(50.0, speeds, frequency, table)
+
+
+def test_the_same_bits_after_a_reset_and_in_any_order(family: simulation.PlantFamily) -> None:
+    plant = driven(family, source(series(997.3)), source(exact_tones(), "payload"))
+    first = truth(plant, 60)
+    plant.reset()
+    assert np.array_equal(truth(plant, 60), first)
+    one, other = series(1024.0), series(1024.0)
+    later = [one.tick(k, INSTANTS) for k in (5, 900, 3)]
+    assert all(np.array_equal(a, other.tick(k, INSTANTS)) for a, k in zip(later, (5, 900, 3)))
+    assert plant.tones == pytest.approx(2 * np.pi * np.array([hz for hz, _, _ in TONES]))
