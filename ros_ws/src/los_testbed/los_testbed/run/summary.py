@@ -25,7 +25,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
-from pointing_analysis.requirements.rows import cells, heads
+from pointing_analysis.requirements.rows import cells, digits, heads
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
