@@ -157,7 +157,7 @@ def _grid(axis: Axes, pixel: float, side: float) -> None:
 def _scale_bar(axis: Axes, side: float, left: float | None = None) -> None:
     left, low = -0.9 * side if left is None else left, -0.88 * side
     axis.plot([left, left + BAR], [low, low], color="#ffffff", lw=1.6)
-    axis.text(left, low + 0.06 * side, f"{BAR:g} mas", color="#ffffff", fontsize=7)
+    axis.text(left + BAR / 2, low + 0.05 * side, f"{BAR:g} mas", color="#ffffff", fontsize=6, ha="center")
 
 
 def stars(views: Sequence[ImageView]) -> Picture | None:
