@@ -104,7 +104,7 @@ def tune_robust(
     active : sequence of mapping
         More parameters that are active from the beginning.
     slack : float
-        A worst case counts only if it exceeds the tuned value by more than this fraction.
+        A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
     max_rounds : int
     options : TuningOptions, optional
         The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
@@ -206,7 +206,7 @@ class _Design:
     def _new(self, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> list[dict[str, float]]:
         new: list[dict[str, float]] = []
         for w, r in zip(worst, self.requirements):
-            level = max(1.0, tuning.hard) if r.hard else tuning.soft
+            level = max(1.0, tuning.hard) if r.hard else max(tuning.soft, self.options.target)
             for value, parameters in ((w.value, w.parameters), *w.others):
                 if value > level * (1.0 + self.slack) and all(self._differs(parameters, c) for c in self.chosen + new):
                     new.append(dict(parameters))

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
 
+from lftkit.systems.system import System
+from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune_robust
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.source import lower
 from lftkit.tuning.status import TuningStatus
@@ -74,3 +78,25 @@ def test_points_are_compared_by_violation_before_value() -> None:
     assert lower((1.1, 9.0), (1.2, 1.0)), "of two violations the smaller one"
     assert lower((0.0, 1.0), (0.0, 1.0)) and not lower((0.0, 1.0), (0.0, 1.0), 1e-9)
     assert not lower((0.0, np.nan), (0.0, 1.0)) and not lower((np.inf, np.inf), (0.0, 1.0))
+
+
+def test_a_worst_case_below_the_target_is_not_worse() -> None:
+    """The first tuning ends below the target; parameters that are worse than it, but below the target, end nothing."""
+
+    def build(p: Mapping[str, float]) -> System:
+        C, D = [[1], [1]], np.zeros((2, 2))
+        return System([[-p["a"]]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+
+    common: Any = {
+        "build": build,
+        "box": {"a": (1.0, 2.0)},
+        "requirements": [HinfGain("w", "z")],
+        "structure": gain([("y", 1)], [("u", 1)]).with_bounds({"D[0,0]": (-4.0, 0.0)}),
+        "initial": [[-3.0]],
+        "search": WorstCaseOptions(samples=5, climbs=1),
+    }
+    met = tune_robust(**common, options=TuningOptions(starts=0, target=0.26))
+    assert met.status is TuningStatus.CONVERGED and len(met.active) == 1
+    assert met.tuning.soft < met.worst[0].value < 0.26
+    exact = tune_robust(**common, options=TuningOptions(starts=0))
+    assert len(exact.active) > 1 and exact.tuning.soft == pytest.approx(0.2, rel=1e-3)
