@@ -14,11 +14,11 @@ from titop_plant.simulation.build import (
     PlantConfig,
     build_plant,
     parameter_values,
-    sample,
     telescope,
     with_sensors,
 )
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
+from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters
 
@@ -219,7 +219,7 @@ def test_energy_of_the_undamped_telescope_is_conserved() -> None:
 
 def test_sampling_without_tones_is_the_matrix_exponential() -> None:
     data = plant_data(QUIET)
-    step = sample(data, no_tones(), 1).step
+    step = step_matrix(data, no_tones())
     n = len(data.A)
     np.testing.assert_allclose(step[:n, :n], linalg.expm(data.A * DT), atol=1e-10)
 
