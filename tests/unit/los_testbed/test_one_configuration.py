@@ -31,6 +31,7 @@ FORMER = {
     "pma_authority": 0.0,
     "plant": "",
     "disturbance_source": "",
+    "disturbance_files": "",
     "k_fsm": "",
     "k_pma": "",
     "output": "",
@@ -65,6 +66,7 @@ OTHER = {
     "nonlinear": True,
     "plant": "my:Plant",
     "disturbance_source": "my:Wind",
+    "disturbance_files": "measured.csv@wheel_2;cooler.toml",
     "k_fsm": "k.json",
     "k_pma": "p.json",
     "hold_ticks": 5,
@@ -83,7 +85,7 @@ OTHER = {
 NEEDS = {"plant": {"start": "rest"}}
 """Settings that a value of another one asks for."""
 
-OPTIONS = {"disturbance_source": "--disturbance"}
+OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance"}
 """Options that do not have the name of their setting."""
 
 
@@ -109,7 +111,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
     value = getattr(expected, name)
     assert value != own.default
     assert option_of(name).help
-    if name not in ("disturbance", "disturbance_source"):
+    if name not in ("disturbance", "disturbance_source", "disturbance_files"):
         assert (own.description[1:] in option_of(name).help) and (own.absent in option_of(name).help)
     (tmp_path / "run.yaml").write_text(yaml.safe_dump({**NEEDS.get(name, {}), name: OTHER[name]}))
     assert RunConfig.from_file(tmp_path / "run.yaml") == expected
@@ -120,7 +122,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
     assert RunConfig.from_mapping(expected.to_mapping()) == expected == RunConfig.from_mapping(expected.to_plain())
 
 
-@pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in ("disturbance_source", "output")])
+@pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in (*OPTIONS, "output")])
 def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
     """From the words on the command line to the configuration."""
     seen = {}

@@ -16,7 +16,7 @@ from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
-from titop_plant.simulation.sources.places import COLUMNS, NODES, PLACES, place_matrix
+from titop_plant.simulation.sources.places import COLUMNS, NODES, ALL_PLACES, place_matrix
 from titop_plant.simulation.sources.signals import (
     PulseSignal,
     SampledSignal,
@@ -161,7 +161,7 @@ def test_frames_and_offsets() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             place_matrix(place, PARAMETERS, **options)
-    assert len(set(PLACES)) == len(PLACES)
+    assert len(set(ALL_PLACES)) == len(ALL_PLACES)
 
 
 def test_noise_has_the_density_that_was_asked_for() -> None:

@@ -45,7 +45,7 @@ NODES: Mapping[str, str] = MappingProxyType(
 """Nodes of the structure beside the bus's reference point, by the names of places."""
 WHEELS = tuple(f"wheel_{i}" for i in range(1, 5))
 DRIVES = ("drive_1", "drive_2")
-PLACES = ("bus", *NODES, *WHEELS, *DRIVES)
+ALL_PLACES = ("bus", *NODES, *WHEELS, *DRIVES)
 """Names of all places."""
 PORTS: tuple[Port, ...] = (
     WHEEL_IMBALANCE,
@@ -67,7 +67,7 @@ def place_matrix(
     Parameters
     ----------
     place : str
-        One of `PLACES`.
+        One of `ALL_PLACES`.
     parameters : mapping
         Of the telescope.
     frame : ndarray, shape (3, 3), optional
@@ -80,8 +80,8 @@ def place_matrix(
     ValueError
         No such place, a frame that is no rotation, an offset at an array drive.
     """
-    if place not in PLACES:
-        raise ValueError(f"place must be one of {', '.join(PLACES)}, got {place!r}")
+    if place not in ALL_PLACES:
+        raise ValueError(f"place must be one of {', '.join(ALL_PLACES)}, got {place!r}")
     whole = np.zeros((SIZE, 6))
     turn = np.eye(3) if frame is None else _rotation(frame)
     if place in DRIVES:

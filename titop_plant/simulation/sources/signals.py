@@ -173,8 +173,9 @@ class SampledSignal:
             whole, part = divmod(k * step.numerator, step.denominator)
             begin = part / step.denominator
         else:
-            whole, begin = divmod(k * self.rate * self.dt, 1.0)
-            whole, part = int(whole), -1
+            position = k * self.rate * self.dt
+            whole, part = math.floor(position), -1
+            begin = position - whole
         key = (part, instants.tobytes())
         weights = self._weights.get(key) if exact else None
         if weights is None:

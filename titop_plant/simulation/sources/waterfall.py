@@ -52,8 +52,9 @@ def lines_at(
     right = min(max(int(np.searchsorted(speeds, speed)), 1), speeds.size - 1)
     share = (speed - speeds[right - 1]) / (speeds[right] - speeds[right - 1])
     left, bins = right - 1, frequency[1] - frequency[0]
-    found = [(frequency[k := _lines(_height(amplitude[i]))], amplitude[i, k]) for i in (left, right)]
-    rows = _matched(*found, share, bins, speeds[left : right + 1])
+    at = [_lines(_height(amplitude[i])) for i in (left, right)]
+    first, second = ((frequency[k], amplitude[i, k]) for i, k in zip((left, right), at))
+    rows = _matched(first, second, share, float(bins), speeds[left : right + 1])
     if not rows:
         raise ValueError(f"waterfall must have lines {ABOVE:g} times above what is around them, got none")
     orders, levels = zip(*sorted(rows, key=lambda row: row[0]))

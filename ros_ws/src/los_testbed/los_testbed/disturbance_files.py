@@ -157,9 +157,10 @@ def entries_in(path: Path, content: Mapping[str, Any]) -> list[Entry]:
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(read_text(path))
+        content: dict[str, Any] = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path} is not a TOML file: {error}") from None
+    return content
 
 
 def _kind_of(table: Table) -> str:
@@ -203,7 +204,7 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
     name, kind, place = table.get("name"), table.get("kind"), table.get("place", "bus")
     if not isinstance(name, str) or not name:
         raise entry.error("name must be a text, got none")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     make, keys = KINDS[kind]
     if unknown := sorted(set(table) - COMMON - keys):

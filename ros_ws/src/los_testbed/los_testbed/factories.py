@@ -289,10 +289,9 @@ class RunParts:
     @cached_property
     def sources(self) -> tuple[PlacedSource, ...]:
         """Sources of disturbance of files; ValueError: one of them cannot be used."""
-        from los_testbed.disturbance_files import Run, make_sources
-
         if not self._entries:
             return ()
+        from los_testbed.disturbance_files import Run, make_sources
         from titop_plant.simulation.plant_config import motion
 
         speeds = motion(self.settings, self.parameters).speeds(0.0)
@@ -302,16 +301,18 @@ class RunParts:
     @property
     def sources_digest(self) -> str:
         """SHA-256 of the tables and files of the sources; empty where there are none."""
+        if not self._entries:
+            return ""
         from los_testbed.disturbance_files import digest
 
-        return digest(self._entries) if self._entries else ""
+        return digest(self._entries)
 
     @cached_property
     def _entries(self) -> list[Entry]:
-        from los_testbed.disturbance_files import sources_of
-
         if not self.config.files_of_disturbance and not self.config.parameters:
             return []
+        from los_testbed.disturbance_files import sources_of
+
         return sources_of(self.config, self.parameters)
 
     def tone_model(self) -> ToneModel:
