@@ -16,7 +16,7 @@ from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
-from titop_plant.simulation.sources.places import COLUMNS, NODES, ALL_PLACES, place_matrix
+from titop_plant.simulation.sources.places import ALL_PLACES, COLUMNS, NODES, place_matrix
 from titop_plant.simulation.sources.signals import (
     PulseSignal,
     SampledSignal,
