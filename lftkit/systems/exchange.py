@@ -23,6 +23,8 @@ from lftkit.uncertainty.parameters import RealParameter
 
 FORMAT = "lftkit/system"
 VERSION = 1
+MATLAB = b"MATLAB 5.0"
+"""First bytes of a .mat file of version 5 to 7.2."""
 _KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
 
 
@@ -168,6 +170,38 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         found = ", ".join(structs) or "none"
         raise ValueError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
     return _from_fields(_fields(structs[name]), name, path)
+
+
+def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
+    """A sampled system from its JSON file or from a .mat file, told by the content; see :func:`read_mat`.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read, holds no system, or one without a sampling period ``Ts``.
+    """
+    try:
+        with open(path, "rb") as file:
+            head = file.read(len(MATLAB))
+    except OSError:
+        head = b""  # the reader of JSON says why
+    if head != MATLAB:
+        return SampledSystem.from_file(path)
+    found = read_mat(path)
+    if not found.dt:
+        raise ValueError(f"{path}: system must have its sampling period Ts in s, got a continuous one")
+    return as_sampled(found)
+
+
+def as_sampled(system: System) -> SampledSystem:
+    """A certain discrete system, ready to run.
+
+    Raises
+    ------
+    ValueError
+        An uncertain or continuous system.
+    """
+    return SampledSystem(*system.matrices, system.inputs, system.outputs, system.dt, system.name)
 
 
 def _fields(struct: Any) -> dict[str, Any]:

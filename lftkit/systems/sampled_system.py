@@ -166,8 +166,8 @@ class SampledSystem:
         """Back to the zero state, or to another `state` (n,)."""
         self._product.values[: len(self.A)] = 0.0 if state is None else state
 
-    def to_file(self, path: str | os.PathLike[str]) -> None:
-        """Write the JSON file that :meth:`from_file` reads, whole or not at all."""
+    def to_json(self) -> str:
+        """Text of the JSON file that :meth:`from_file` reads."""
         content = {
             "format": FORMAT,
             "version": VERSION,
@@ -179,9 +179,13 @@ class SampledSystem:
             "design_basis": dict(self.design_basis),
             "provenance": dict(self.provenance),
         }
+        return json.dumps(content, indent=1) + "\n"
+
+    def to_file(self, path: str | os.PathLike[str]) -> None:
+        """Write the JSON file that :meth:`from_file` reads, whole or not at all."""
         target = Path(path)
         partial = target.with_name(target.name + ".partial")
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.write_text(self.to_json(), encoding="utf-8")
         partial.replace(target)
 
     @classmethod

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from los_testbed.cli.app import main
 
+import los_estimator
+
 DOCS = Path(__file__).parents[2] / "docs"
 
 
@@ -23,14 +25,22 @@ def test_the_commands_of_a_page_run(
     monkeypatch.chdir(tmp_path)
     for block in blocks(page, "python"):
         exec(block, {})
+    observer = Path(los_estimator.__file__).parent / "designs" / "k_fsm.json"
+    Path("my_laws.py").write_text(
+        "from lftkit.systems.sampled_system import SampledSystem\n"
+        f"observer = SampledSystem.from_file({str(observer)!r}).to_control()\n"
+    )
     for block in blocks(page, "toml"):
         (tmp_path / "my_sources.toml").write_text(block)
     commands = [line for block in blocks(page, "sh") for line in block.splitlines()]
     assert len(commands) >= 3
     for line in commands:
-        words = shlex.split(line)
+        words = shlex.split(line, comments=True)
         assert words.pop(0) == "los-testbed"
         more = ["--no-report"] if words[0] == "run" else []
         assert main([*words, *more]) == 0, line
         shown = "".join(capsys.readouterr())
-        assert ("Sources of disturbance" if words[0] == "run" else "512 Hz from the times") in shown
+        if words[0] == "run":
+            assert ("Sources of disturbance" in shown) == ("--disturbance" in words)
+        else:
+            assert "512 Hz from the times" in shown

@@ -163,7 +163,7 @@ def test_lines_below_the_table(summary: Summary) -> None:
     wanted = [UNKNOWN, "first", "second", "a defect"]
     plain = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines]
     assert [line for line in plain if line.startswith("note: ")] == [f"note: {text}" for text in wanted]
-    assert lines[-2:] == [f"bag     {other.path}", "report  page.html"]
+    assert lines[-2:] == [f"arrays  {other.path}", "report  page.html"]
     bare = printed(RunSummaries((summary,), (metrics(summary) | {"remarks": []},), None))
     assert UNKNOWN not in bare and "None" not in bare and "report" not in bare
 

@@ -137,7 +137,13 @@ class RunParts:
     def _law(self, name: str) -> SampledSystem | UserBlock:
         if self.recorded is not None:
             return self.recorded[name]
-        return make_law(self.config, name) if name in self.code else SampledSystem.from_file(self.files[name])
+        if name in self.code:
+            return make_law(self.config, name)
+        if self.files[name].suffix == ".json":  # as all stored ones are; nothing else is loaded for them
+            return SampledSystem.from_file(self.files[name])
+        from lftkit.systems.exchange import read_sampled
+
+        return read_sampled(self.files[name])
 
     @property
     def controllers(self) -> dict[str, SampledSystem | UserBlock]:

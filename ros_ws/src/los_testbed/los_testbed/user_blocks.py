@@ -23,9 +23,11 @@ import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
+from lftkit.systems.sampled_system import SampledSystem
+from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig
-from los_testbed.plugins import RAISED, in_one_line, make
-from titop_plant.interface import HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from los_testbed.plugins import RAISED, in_one_line, load, make
+from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 UNTOUCHED = -1.2345678901234567e-300
 """Value that no block writes: what still has it after a step was not written."""
@@ -211,9 +213,31 @@ def make_law(config: RunConfig, setting: str) -> UserBlock:
     ValueError
         It cannot be made, or breaks the contract.
     """
-    made = UserBlock(setting, getattr(config, setting), make(config, setting), *LAWS[setting])
+    text = getattr(config, setting)
+    block = _linear_law(setting, text, load(text, setting)) or make(config, setting)
+    made = UserBlock(setting, text, block, *LAWS[setting])
     made.check()
     return made
+
+
+def _linear_law(setting: str, text: str, found: Any) -> Any:
+    """A system of python-control, or of lftkit, as a block; None for anything else."""
+    if isinstance(found, SampledSystem):
+        law = found
+    elif type(found).__module__.partition(".")[0] in ("control", "lftkit") and hasattr(found, "dt"):
+        from lftkit.systems.exchange import as_sampled, as_system
+
+        try:
+            law = as_sampled(as_system(found))
+        except ValueError as error:
+            raise ContractError(f"{setting} {text}: {error}") from None
+    else:
+        return None
+    try:
+        law.require(*LAWS[setting], DT)
+    except ValueError as error:
+        raise ContractError(f"{setting} {text}: {error}") from None
+    return LosEstimator(law) if setting == "k_fsm" else law
 
 
 def make_disturbance(config: RunConfig) -> UserBlock:

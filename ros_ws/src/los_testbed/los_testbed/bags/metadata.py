@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -160,8 +161,15 @@ def final_metadata(
 
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
-    """Files of the controllers, the configuration as YAML, tone and states of the start."""
-    content = {f"{name}.json": ("application/json", path.read_bytes()) for name, path in parts.files.items()}
+    """Files of the controllers, as JSON, the configuration as YAML, tone and states of the start."""
+    laws: dict[str, Any] = parts.controllers
+    content = {
+        f"{name}.json": (
+            "application/json",
+            path.read_bytes() if path.suffix == ".json" else laws[name].to_json().encode(),
+        )
+        for name, path in parts.files.items()
+    }
     text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
