@@ -265,6 +265,7 @@ def render(
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
     sources: Sequence[Sequence[OwnErrors]] = (),
+    summaries: Sequence[Summary] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -277,6 +278,7 @@ def render(
     predictions : for each run what a model predicts of its tones, or None; by default none at all
     remarks : for each run sentences to print beside its verdict; by default none at all
     sources : for each run its sources of disturbance with their own errors; by default none at all
+    summaries : for each run what `summarise` made of it with the same arguments; by default made here
 
     Raises
     ------
@@ -292,7 +294,7 @@ def render(
     if remarks and len(remarks) != len(runs):
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
-    summaries = summarise_all(runs, transient=transient, requirements=requirements)
+    summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient) for run, name in zip(runs, names)]
     drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model)
     rows = _rows(names, summaries)
@@ -384,12 +386,13 @@ def write_report(
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
     sources: Sequence[Sequence[OwnErrors]] = (),
+    summaries: Sequence[Summary] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions, remarks, sources : see `render`
+    runs, transient, requirements, model, predictions, remarks, sources, summaries : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -406,6 +409,7 @@ def write_report(
         predictions=predictions,
         remarks=remarks,
         sources=sources,
+        summaries=summaries,
     )
     write_text(target, page)
     return target

@@ -81,7 +81,14 @@ def report(
     shares, missing = shares_of(runs)
     remarks = [(*one, *more) for one, more in zip(remarks, missing)]
     write_report(
-        runs, target, transient=transient, requirements=given, predictions=expected, remarks=remarks, sources=shares
+        runs,
+        target,
+        transient=transient,
+        requirements=given,
+        predictions=expected,
+        remarks=remarks,
+        sources=shares,
+        summaries=found,
     )
     console = Screen(stderr=json_)
     show(console, labels(runs), found)

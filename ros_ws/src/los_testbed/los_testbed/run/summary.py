@@ -106,6 +106,7 @@ def summarise_runs(
             predictions=expected,
             remarks=remarks,
             sources=shares,
+            summaries=summaries,
         )
     metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
     for values, rows in zip(metrics, shares):
