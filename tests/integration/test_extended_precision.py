@@ -1,7 +1,7 @@
 """The simulated telescope against its equations in the extended precision of the processor (64 bits of mantissa).
 
 The differential equations with held commands and tones are solved by one matrix exponential of balanced states (Taylor
-series and squarings); a solution in integers of any length has confirmed it.
+series and squarings).
 """
 
 from __future__ import annotations
