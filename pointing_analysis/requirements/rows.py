@@ -24,7 +24,8 @@ def digits(value: float, places: int = 3) -> str:
         return ABSENT
     if math.isinf(value):
         return "no bound yet"
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.{places}g}"
+    whole = 1000.0 - 0.5 * 10.0 ** (3 - places)  # what would be rounded to 1e+03
+    return f"{value:.0f}" if abs(value) >= whole else f"{value:.{places}g}"
 
 
 def number(value: float) -> float | None:

@@ -52,6 +52,14 @@ def test_digits(value: float, text: str) -> None:
     assert digits(123456.0, 6) == "123456" and digits(12.3456, 5) == "12.346"
 
 
+@pytest.mark.parametrize(
+    ("value", "places", "text"),
+    [(999.4, 3, "999"), (999.5, 3, "1000"), (-999.6, 3, "-1000"), (1000.2, 3, "1000"), (999.6, 6, "999.6")],
+)
+def test_digits_write_no_power_of_ten_for_what_is_rounded_to_a_thousand(value: float, places: int, text: str) -> None:
+    assert digits(value, places) == text
+
+
 def test_numbers_for_json() -> None:
     assert (number(1.23456789), number(math.inf), number(math.nan), number(-math.inf)) == (1.23457, None, None, None)
 
