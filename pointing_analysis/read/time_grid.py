@@ -64,7 +64,7 @@ def time_grid(times: FloatArray) -> TimeGrid | None:
     >>> t = np.round(np.delete(np.arange(30720), np.arange(3000, 3103)) / 512, 6)
     >>> grid = time_grid(t)
     >>> print(grid)
-    512 Hz from the times, jitter 0.28 us rms, at most 0.5 us
+    512 Hz from the times, jitter 0.29 us rms, at most 0.5 us
     >>> int(grid.place[-1]) + 1 - t.size
     103
     """

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 REMEDIES = {
+    "this processor has no extended precision": "run on x86-64, whose long double has 64 bits of mantissa",
     "no chromium": "install a browser: apt-get install chromium",
     "could not import 'pandas": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",

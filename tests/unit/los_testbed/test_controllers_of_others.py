@@ -57,5 +57,5 @@ def test_systems_of_python_control_fly_as_code(tmp_path: Path, monkeypatch: pyte
     lines = ["from pathlib import Path", "from lftkit.systems.sampled_system import SampledSystem"]
     lines += [f"{name} = SampledSystem.from_file({str(path)!r}).to_control()" for name, path in DESIGNS.items()]
     Path("laws_of_control.py").write_text("\n".join(lines) + "\n")
-    flown = los(tmp_path / "code", k_fsm="laws_of_control:k_fsm", k_pma="laws_of_control:k_pma")
-    assert np.allclose(flown, los(tmp_path / "json"), rtol=1e-9, atol=1e-18)
+    as_code = los(tmp_path / "code", k_fsm="laws_of_control:k_fsm", k_pma="laws_of_control:k_pma")
+    assert np.allclose(as_code, los(tmp_path / "json"), rtol=1e-9, atol=1e-18)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis.requirements.text import INDICES, Requirement, entries, from_entries, parse
+from pointing_analysis.requirements.text import IMAGE_INDICES, INDICES, Requirement, entries, from_entries, parse
 from pointing_analysis.units import ANGLES
 from titop_plant.telescope.parameters import Parameters, design_basis, differences, load_parameters, parameters_hash
 from titop_plant.telescope.requirements import design_limits, telescope_requirements
@@ -138,11 +138,21 @@ def test_the_strictest_of_the_stage_counts() -> None:
     assert places == {"ape_limit": [0], "rpe_limit": [4], "rpe_limit_fine": [5], "rpe_window": [4, 5]}
 
 
+@pytest.mark.parametrize("quantity", ["MTF({}, {} Nyquist) >", "Strehl({}) >", "ellipticity({}) <"])
+def test_entries_of_images_keep_every_bit(quantity: str) -> None:
+    rng = np.random.default_rng(34)
+    for _ in range(100):
+        given = quantity.format(f"{rng.uniform(0.001, 2.0)!r} s", repr(float(rng.uniform(0.1, 1.0))))
+        made = parse(f"prob({given} {float(rng.uniform(0.01, 0.99))!r}) >= 0.95 at 90 % confidence")
+        (again,) = from_entries(entries([made]), "a bag")
+        assert again == made
+
+
 def test_entries_keep_every_bit() -> None:
     """What a bag holds is what the telescope requires, also where the limit is no short number in its unit."""
     rng = np.random.default_rng(28)
     for _ in range(300):
-        index, unit = str(rng.choice(list(INDICES))), str(rng.choice(list(ANGLES)))
+        index, unit = str(rng.choice(sorted(set(INDICES) - set(IMAGE_INDICES)))), str(rng.choice(list(ANGLES)))
         times = tuple(float(10.0 ** rng.uniform(-6.0, 3.0)) for _ in range(INDICES[index]))
         limit, loops = float(10.0 ** rng.uniform(-9.0, -1.0)), ("fsm",) if rng.random() < 0.5 else ()
         made = Requirement(index, str(rng.choice(["", "x"])), times, limit, unit, 0.95, 0.9, "mixed", "name", loops)

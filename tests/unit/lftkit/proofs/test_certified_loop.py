@@ -15,7 +15,6 @@ from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import (
     LoopModel,
     LoopProof,
-    Strip,
     box_of,
     check_loop_proof,
     loop_model,
@@ -25,6 +24,7 @@ from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.nominal import nominal_windows
 from lftkit.proofs.sampled_loop.polynomials import Polynomial, exponential, inverse, reciprocal
 from lftkit.proofs.state_space import ProofError
+from lftkit.proofs.strips import Strip
 
 DT = 0.01
 NYQUIST = math.pi / DT
