@@ -58,6 +58,7 @@ def analyse(
     json_: Json = False,
 ) -> None:
     """See ANALYSE_EXAMPLES."""
+    from lftkit.support.progress import Progress
     from los_testbed.run.summary import print_summary, summarise_runs
     from pointing_analysis.image.optics import load_optics, with_optics
     from pointing_analysis.read.los_source import open_los
@@ -69,9 +70,11 @@ def analyse(
         target = bags[0] / "report.html"
     given = None if requirements is None else load(requirements)
     seen = None if optics is None else load_optics(optics)
-    runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=chunk_limit(max_chunk)) for bag in bags]
-    runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
-    summaries = summarise_runs(runs, target, transient, requirements=given)
+    limit = chunk_limit(max_chunk)
+    with Progress("analysis"):
+        runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit) for bag in bags]
+        runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
+        summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Screen(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

@@ -52,6 +52,7 @@ def report(
     json_: Json = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
+    from lftkit.support.progress import Progress
     from los_testbed.run.older_bags import REMARK, is_older, with_requirements
     from los_testbed.run.predictions import predictions
     from los_testbed.run.summary import shares_of
@@ -69,27 +70,28 @@ def report(
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     check_output(target, "--output")
     limit = chunk_limit(max_chunk)
-    opened = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
-    if optics is not None:
-        seen = load_optics(optics)
-        opened = [with_optics(run, *seen) for run in opened]
-    assumed = [given is None and is_older(run) for run in opened]
-    runs = [with_requirements(run) if older else run for run, older in zip(opened, assumed)]
-    remarks = [(REMARK,) if older else () for older in assumed]
-    found = summarise_all(runs, transient=transient, requirements=given)
-    expected = predictions(runs, transient, start, stop)
-    shares, missing = shares_of(runs)
-    remarks = [(*one, *more) for one, more in zip(remarks, missing)]
-    write_report(
-        runs,
-        target,
-        transient=transient,
-        requirements=given,
-        predictions=expected,
-        remarks=remarks,
-        sources=shares,
-        summaries=found,
-    )
+    with Progress("report"):
+        opened = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
+        if optics is not None:
+            seen = load_optics(optics)
+            opened = [with_optics(run, *seen) for run in opened]
+        assumed = [given is None and is_older(run) for run in opened]
+        runs = [with_requirements(run) if older else run for run, older in zip(opened, assumed)]
+        remarks = [(REMARK,) if older else () for older in assumed]
+        found = summarise_all(runs, transient=transient, requirements=given)
+        expected = predictions(runs, transient, start, stop)
+        shares, missing = shares_of(runs)
+        remarks = [(*one, *more) for one, more in zip(remarks, missing)]
+        write_report(
+            runs,
+            target,
+            transient=transient,
+            requirements=given,
+            predictions=expected,
+            remarks=remarks,
+            sources=shares,
+            summaries=found,
+        )
     console = Screen(stderr=json_)
     show(console, labels(runs), found)
     for text in dict.fromkeys(text for texts in remarks for text in texts):

@@ -199,7 +199,8 @@ def _run_and_tell(
     signed = key is None or _sign(console, bag, key)
     ended = ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED if results.failures else None
     try:
-        summaries = summarise_runs([bag], bag / "report.html" if report else None)
+        with Progress("report" if report else "analysis"):
+            summaries = summarise_runs([bag], bag / "report.html" if report else None)
     except ShortRunError as error:  # of what was asked for, or of what a request, a fault or a signal has left
         if ended is not None:
             raise RunError(f"not evaluated: {error}", ended) from None
