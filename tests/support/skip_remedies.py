@@ -37,7 +37,13 @@ REMEDIES = {
     "mounting a small file system is not permitted": "run as root (CAP_SYS_ADMIN)",
     "only root can start a process of another user": "run as root",
     "no openssl": "install the program: apt-get install openssl",
+    "no C compiler aarch64": "install a cross compiler: apt-get install gcc-aarch64-linux-gnu libc6-dev-arm64-cross",
+    "no C compiler clang": "install the compiler: apt-get install clang",
     "no C compiler": "install a compiler: apt-get install gcc libc6-dev",
+    "no qemu-aarch64": "install the emulator: apt-get install qemu-user",
+    "no make": "install the program: apt-get install make",
+    "no cmake": "install the program: apt-get install cmake",
+    "no fused multiply-add": "nothing: the test is for x86 processors with FMA3, from 2013 on",
     "has no share folder": "run beside a full ROS 2 Jazzy, whose packages bring their message definitions",
     "this middleware has security": "nothing: the test is for a middleware that was built without security",
 }

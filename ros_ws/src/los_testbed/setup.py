@@ -18,7 +18,16 @@ setup(
     name=NAME,
     version=VERSION,
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["profiles/*.xml", "*.yaml", "campaign/*.html.j2", "py.typed", "live/static/*"]},
+    package_data={
+        NAME: [
+            "profiles/*.xml",
+            "*.yaml",
+            "campaign/*.html.j2",
+            "flight_code/templates/*.j2",
+            "py.typed",
+            "live/static/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

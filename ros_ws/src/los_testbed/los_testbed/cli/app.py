@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, image, plant, design."""
+"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, image, plant, design, export."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
 from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.control import control_app
 from los_testbed.cli.design import design_app
+from los_testbed.cli.export import export_app
 from los_testbed.cli.image import image_app
 from los_testbed.cli.keys import KEYS_EXAMPLES, keys
 from los_testbed.cli.plant import plant_app
@@ -64,6 +65,7 @@ app.add_typer(plant_app, name="plant")
 design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
 design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
 app.add_typer(design_app, name="design")
+app.add_typer(export_app, name="export")
 
 
 def _print_version(asked: bool) -> None:

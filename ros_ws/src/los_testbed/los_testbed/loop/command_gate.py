@@ -94,6 +94,11 @@ class CommandGate:
         return self.last_stamp == now_ns - TICK_NS
 
     @property
+    def weights(self) -> tuple[float, ...]:
+        """Factors of the held command from the end of the fade to its beginning."""
+        return tuple(self._weights)
+
+    @property
     def fading(self) -> bool:
         """Whether the output is less than the held command."""
         return self._ramp < self.fade_ticks

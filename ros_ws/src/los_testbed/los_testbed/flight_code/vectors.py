@@ -1,0 +1,169 @@
+"""Vectors of the self test: seeded inputs, and what the laws of the testbed answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from los_testbed.flight_code.laws import FlightLaws
+from los_testbed.loop.command_gate import CommandGate
+from titop_plant.interface import COMMANDS, ESTIMATES, HELD, MEASUREMENTS, PLATFORM, STAGES, TICK_NS
+
+SEED = 35
+TICKS = 12
+"""Ticks of each case."""
+
+FRAME = 4
+"""Ticks from one camera frame to the next."""
+
+VERDICTS = ("", "not_finite", "limit", "off_grid", "future", "duplicate", "late")
+"""Reasons of a gate in the order of los_gate_verdict."""
+
+
+@dataclass(frozen=True)
+class LawTick:
+    """Inputs of a tick and what the laws make of them.
+
+    Parameters
+    ----------
+    first : bool
+        Whether the laws are reset before it.
+    stage : int
+        Place in :data:`titop_plant.interface.STAGES`.
+    measurement, estimate, command : ndarray, shapes (22,), (2,), (8,)
+    """
+
+    first: bool
+    stage: int
+    measurement: FloatArray
+    estimate: FloatArray
+    command: FloatArray
+
+
+@dataclass(frozen=True)
+class GateTick:
+    """What is offered to a gate in a tick, its verdict, and what it applies.
+
+    Parameters
+    ----------
+    offered : bool
+    stamp, now : int
+        [ns]
+    candidate, applied : ndarray, shape (size of the command,)
+    verdict : int
+        Place in :data:`VERDICTS`.
+    """
+
+    offered: bool
+    stamp: int
+    now: int
+    candidate: FloatArray
+    verdict: int
+    applied: FloatArray
+
+
+def _normal(rng: np.random.Generator) -> FloatArray:
+    return 1e-3 * rng.standard_normal((TICKS, MEASUREMENTS))
+
+
+def _zeros(rng: np.random.Generator) -> FloatArray:
+    return np.where(rng.random((TICKS, MEASUREMENTS)) < 0.5, 0.0, -0.0)
+
+
+def _huge(rng: np.random.Generator) -> FloatArray:
+    return 1e300 * rng.uniform(-1.0, 1.0, (TICKS, MEASUREMENTS))
+
+
+def _subnormal(rng: np.random.Generator) -> FloatArray:
+    return 5e-324 * rng.integers(-(1 << 40), 1 << 40, (TICKS, MEASUREMENTS))
+
+
+def magnitudes(rng: np.random.Generator, rows: int = TICKS) -> FloatArray:
+    """Inputs of all magnitudes, (rows, 22): subnormal numbers to 1e300, of both signs."""
+    with np.errstate(under="ignore"):
+        return rng.choice([-1.0, 1.0], (rows, MEASUREMENTS)) * 10.0 ** rng.uniform(-323.0, 300.0, (rows, MEASUREMENTS))
+
+
+CASES = MappingProxyType(
+    {"normal": _normal, "zeros": _zeros, "1e300": _huge, "subnormal": _subnormal, "all magnitudes": magnitudes}
+)
+"""Inputs by name; the camera is absent in three ticks of four."""
+
+
+def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """The measurements with a camera that is slower than the loop and loses parts of its frames: NaN or infinite."""
+    found = measurement.copy()
+    rows = np.arange(len(found)) % FRAME != 0
+    found[np.ix_(rows, HELD)] = np.nan
+    odd = np.flatnonzero(rows)[::2]
+    found[odd, HELD[0]] = rng.choice([1e-6, np.inf, -np.inf], len(odd))  # of which one component is not there
+    return found
+
+
+def law_ticks(laws: FlightLaws) -> Iterator[LawTick]:
+    """Ticks of the laws of all :data:`CASES`, then of all stages one after the other."""
+    rng = np.random.default_rng(SEED)
+    cases = [(np.full(TICKS, len(STAGES) - 1), without_frames(make(rng), rng)) for make in CASES.values()]
+    stages = np.repeat([3, 0, 1, 2, 3], 3)
+    cases.append((stages, without_frames(np.vstack([_normal(rng), _normal(rng)])[: len(stages)], rng)))
+    for stage, measurement in cases:
+        estimate, command = run_laws(laws, measurement, stage.tolist())
+        for row in range(len(stage)):
+            yield LawTick(row == 0, int(stage[row]), measurement[row], estimate[row], command[row])
+
+
+def run_laws(laws: FlightLaws, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Estimates (n, 2) and commands (n, 8) of the laws of the testbed, from rest.
+
+    Parameters
+    ----------
+    laws : FlightLaws
+    measurement : ndarray, shape (n, 22)
+    stages : list of int
+        Stage of each tick.
+    """
+    estimator, controller = laws.estimator(), laws.controller()
+    estimate, command = np.zeros((len(measurement), ESTIMATES)), np.zeros((len(measurement), COMMANDS))
+    with np.errstate(all="ignore"):
+        for row, y in enumerate(measurement):
+            if STAGES[stages[row]] != controller.loop:
+                controller.switch(STAGES[stages[row]])
+            estimator.step(y, estimate[row])
+            controller.step(estimate[row], y[PLATFORM], command[row])
+    return estimate, command
+
+
+def gate_ticks(gate: CommandGate, hold_ticks: int, fade_ticks: int) -> Iterator[GateTick]:
+    """Ticks of a gate: commands with every fault, a gap in which it fades to zero, and the way back."""
+    rng, size = np.random.default_rng(SEED), gate.codec.size
+    faults: Mapping[int, str] = {
+        3: "not_finite", 5: "infinite", 7: "limit", 9: "off_grid", 11: "future", 13: "duplicate", 15: "late",
+    }  # fmt: skip
+    last = 20 + hold_ticks + fade_ticks + 5
+    gate.begin(0)
+    for k in range(1, last + fade_ticks + 5):
+        now, applied = k * TICK_NS, np.zeros(size)
+        candidate, stamp = gate.limit * rng.uniform(-1.0, 1.0, size), now - TICK_NS
+        offered = k < 20 or k >= last
+        fault = faults.get(k, "")
+        if fault in ("not_finite", "infinite"):
+            candidate[-1] = np.nan if fault == "not_finite" else np.inf
+        elif fault == "limit":
+            candidate[0] = -np.nextafter(gate.limit, np.inf)
+        else:
+            stamp += {"off_grid": 1, "future": TICK_NS, "duplicate": -TICK_NS, "late": -3 * TICK_NS}.get(fault, 0)
+        if not fault and k % 4 == 0:
+            candidate[0] = gate.limit
+        before = dict(gate.rejected)
+        if offered:
+            gate.offer(bytes(gate.codec.encode(stamp, candidate)), now)
+        found = [name for name, count in gate.rejected.items() if count != before.get(name, 0)]
+        gate.apply(now, applied)
+        yield GateTick(offered, stamp, now, candidate, VERDICTS.index(found[0] if found else ""), applied)
+
+
+__all__ = ["SEED", "VERDICTS", "GateTick", "LawTick", "gate_ticks", "law_ticks", "magnitudes", "run_laws"]

@@ -1,0 +1,177 @@
+"""``los-testbed export``: what is written, refused and compared."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from los_testbed.flight_code import export
+from los_testbed.flight_code.export import FILES, c_string, provenance, render
+from los_testbed.flight_code.laws import FlightLaws, laws_of
+from los_testbed.flight_code.tables import UNITS, hex_float, read_tables
+from los_testbed.flight_code.vectors import VERDICTS, gate_ticks, law_ticks
+
+import fsm_pma_controller
+import los_estimator
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def laws() -> FlightLaws:
+    return laws_of()
+
+
+@pytest.fixture
+def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(export.shutil, "which", lambda name: None)
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """A folder of designs: the shipped pair."""
+    folder = tmp_path / "pair"
+    folder.mkdir()
+    for package, name in ((los_estimator, "k_fsm"), (fsm_pma_controller, "k_pma")):
+        shutil.copy(Path(str(package.__file__)).parent / f"designs/{name}.json", folder)
+    return folder
+
+
+def change(file: Path, key: str) -> None:
+    content = json.loads(file.read_text())
+    content[key][0][0] += 1e-12
+    file.write_text(json.dumps(content))
+
+
+def test_the_same_bytes_twice(laws: FlightLaws) -> None:
+    assert render(laws) == render(laws_of())
+    assert set(render(laws)) == set(FILES)
+
+
+def test_the_tables_are_the_numbers_of_the_designs(laws: FlightLaws, tmp_path: Path) -> None:
+    files = render(laws)
+    for unit in UNITS:
+        (tmp_path / f"{unit}.c").write_text(files[f"{unit}.c"])
+        read, stated = read_tables(tmp_path / f"{unit}.c")
+        assert stated == read.sha256 == laws.tables()[unit].sha256
+    read, _ = read_tables(tmp_path / "k_fsm.c")
+    row = [*laws.k_fsm.A[0], *laws.k_fsm.B[0]]
+    assert read.values["TABLE"][: len(row)].tolist() == row
+
+
+def test_numbers_are_exact() -> None:
+    for value in (0.1, -0.0, 5e-324, 1.7976931348623157e308):
+        assert float.fromhex(hex_float(value)).hex() == value.hex()
+
+
+def test_no_heap_no_recursion_no_global_state(laws: FlightLaws) -> None:
+    for name, text in render(laws).items():
+        if name in {f"{unit}.c" for unit in UNITS}:
+            code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+            assert not re.search(r"\b(malloc|calloc|realloc|free|alloca|float|while|goto)\b", code)
+            assert not re.search(r"^(static )?(double|int|los_\w+) \w+( =|;|\[)", code, re.MULTILINE)
+            functions = re.findall(r"^[\w ]+?\**(\w+)\([^;]*?\)\n\{\n(.*?)^\}", code, re.MULTILINE | re.DOTALL)
+            assert functions
+            assert not [function for function, body in functions if re.search(rf"\b{function}\(", body)]
+
+
+def test_provenance_cannot_leave_its_comment_or_its_string(laws: FlightLaws) -> None:
+    nasty = 'a */ b /* c ??/ "d" \\ \n e'
+    named = replace(laws, k_fsm=replace(laws.k_fsm, name=nasty, provenance={"x": nasty, "long": 1000 * "y"}))
+    text = render(named)["k_fsm.c"]
+    assert text.count("*/") == render(laws)["k_fsm.c"].count("*/") and "??" not in text
+    literal = "".join(re.findall(r'^    "(.*)"', c_string(provenance(named.k_fsm)), re.MULTILINE))
+    assert json.loads(literal.replace('\\"', '"').replace("\\\\", "\\"))["name"] == nasty
+
+
+def test_the_vectors_have_every_kind_of_tick(laws: FlightLaws) -> None:
+    ticks = list(law_ticks(laws))
+    assert {tick.stage for tick in ticks} == {0, 1, 2, 3}
+    values = [value for tick in ticks for value in (*tick.measurement, *tick.command)]
+    assert any(value != value for value in values) and any(0.0 < abs(value) < 2e-308 for value in values)
+    assert any(abs(value) > 1e299 for value in values)
+    for gate in laws.gates():
+        offers = list(gate_ticks(gate, laws.hold_ticks, laws.fade_ticks))
+        assert {tick.verdict for tick in offers} == set(range(len(VERDICTS)))
+        assert any(not tick.applied.any() for tick in offers[25:])  # faded out
+
+
+def test_without_a_compiler_the_files_are_written(call: Call, without_compiler: None, tmp_path: Path) -> None:
+    code, out, err = call("export", "c", "--output", "mine", "--json")
+    assert code == 0 and "not built: no C compiler" in err
+    assert json.loads(out)["self_test"]["status"] == "not built"
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == set(FILES)
+
+
+def test_with_a_compiler_the_self_test_runs(call: Call, tmp_path: Path) -> None:
+    if export.compiler() is None:
+        pytest.skip("no C compiler")
+    code, out, _ = call("export", "c")
+    assert code == 0 and "passed" in out
+    assert {path.name for path in (tmp_path / "flight_code").iterdir()} == set(FILES)
+
+
+@pytest.mark.parametrize("program", ["false", "no_such_compiler"])
+def test_a_compiler_that_fails(call: Call, program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", program)
+    code, out, _ = call("export", "c", "--output", "mine")
+    assert (code, "failed" if program == "false" else f"not built: no C compiler ({program})") == (
+        (1, "failed") if program == "false" else (0, "not built: no C compiler (no_such_compiler)")
+    )
+    assert ("failed: exit code 1" if program == "false" else f"not built: no C compiler ({program})") in out
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == set(FILES)
+
+
+def test_an_existing_folder_is_refused(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    code, out, err = call("export", "c", "--output", "mine")
+    assert (code, out) == (2, "") and "--output must have a new name, got mine: it exists already" in err
+    assert not list((tmp_path / "mine").iterdir())
+
+
+@pytest.mark.parametrize("line", ["c --designs none", "check none", "check . --designs none"])
+def test_folders_that_are_not_there(call: Call, line: str) -> None:
+    code, out, err = call("export", *line.split())
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "got" in err
+
+
+def test_check_compares_with_the_designs(call: Call, without_compiler: None, pair: Path, tmp_path: Path) -> None:
+    assert call("export", "c", "--designs", "pair", "--output", "mine")[0] == 0
+    assert call("export", "check", "mine", "--designs", "pair")[0] == 0
+    code, out, _ = call("export", "check", "mine", "--json")  # the shipped pair is the same
+    found = json.loads(out)
+    assert code == 0 and found["found"] == found["expected"] and not found["faults"]
+    change(pair / "k_pma.json", "D")
+    code, out, _ = call("export", "check", "mine", "--designs", "pair")
+    assert code == 1 and "k_pma.c has other tables than the designs" in out and "k_fsm.c" not in out
+
+
+def test_check_finds_a_changed_number_and_a_changed_hash(call: Call, without_compiler: None, tmp_path: Path) -> None:
+    assert call("export", "c", "--output", "mine")[0] == 0
+    unit, header = tmp_path / "mine/controller.c", tmp_path / "mine/los_flight.h"
+    unit.write_text(unit.read_text().replace("-0x1.4", "-0x1.5", 1))
+    code, out, _ = call("export", "check", "mine")
+    assert code == 1 and "controller.c states" in out and "controller.c has other tables" in out
+    assert call("export", "c", "--output", "other")[0] == 0
+    header = tmp_path / "other/los_flight.h"
+    stated = re.search(r'"([0-9a-f]{64})"', header.read_text())
+    assert stated is not None
+    header.write_text(header.read_text().replace(stated[1], stated[1][::-1]))
+    code, out, _ = call("export", "check", "other")
+    assert code == 1 and "los_flight.h states" in out
+
+
+@pytest.mark.parametrize("missing", ["gate.c", "los_flight.h"])
+def test_check_refuses_what_is_no_flight_code(
+    call: Call, without_compiler: None, missing: str, tmp_path: Path
+) -> None:
+    assert call("export", "c", "--output", "mine")[0] == 0
+    (tmp_path / "mine" / missing).write_text("int x;\n")
+    code, out, err = call("export", "check", "mine")
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "none" in err
