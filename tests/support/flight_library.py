@@ -16,7 +16,7 @@ from los_testbed.flight_code.tables import UNITS
 from lftkit.arrays import BoolArray, FloatArray
 from titop_plant.interface import STAGES
 
-STRICT = "-std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -Werror".split()
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
 _ROOM = 1 << 14
 """Bytes for the state of a law: that of order 22 takes 400."""

@@ -168,9 +168,7 @@ def test_check_finds_a_changed_number_and_a_changed_hash(call: Call, without_com
 
 
 @pytest.mark.parametrize("missing", ["gate.c", "los_flight.h"])
-def test_check_refuses_what_is_no_flight_code(
-    call: Call, without_compiler: None, missing: str, tmp_path: Path
-) -> None:
+def test_check_refuses_what_is_no_flight_code(call: Call, without_compiler: None, missing: str, tmp_path: Path) -> None:
     assert call("export", "c", "--output", "mine")[0] == 0
     (tmp_path / "mine" / missing).write_text("int x;\n")
     code, out, err = call("export", "check", "mine")

@@ -1,4 +1,4 @@
-"""Command line ``los-testbed``: run, analyse, report, replay, stages, campaign, control, bag, image, plant, design, export."""
+"""Command line ``los-testbed`` with all its commands, from run to export."""
 
 from __future__ import annotations
 

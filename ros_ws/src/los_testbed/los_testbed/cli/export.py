@@ -36,9 +36,7 @@ the designs. Exit code 1 if any of them differ.
     los-testbed export check mine_c --designs designs/mine
 """
 
-export_app = typer.Typer(
-    help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown"
-)
+export_app = typer.Typer(help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown")
 
 
 @export_app.command("c", help=EXPORT_EXAMPLES)

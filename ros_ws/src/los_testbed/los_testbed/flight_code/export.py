@@ -69,7 +69,7 @@ class SelfTest:
 
 
 def provenance(law: SampledSystem) -> dict[str, str]:
-    """Where a law comes from, names to JSON without what C comments and strings would take for their own.
+    r"""Where a law comes from, names to JSON without what C comments and strings would take for their own.
 
     Entries that are lists or objects are left out, long texts are cut.
 
@@ -77,7 +77,7 @@ def provenance(law: SampledSystem) -> dict[str, str]:
     --------
     >>> law = SampledSystem([], [], [], [[1.0]], (Port("u", 1),), (Port("y", 1),), 1e-3, "*/ mine")
     >>> provenance(law)
-    {'name': '"\\\\u002a/ mine"', 'dt': '0.001'}
+    {'name': '"\\u002a/ mine"', 'dt': '0.001'}
     """
     found: dict[str, Any] = {"name": law.name, "dt": law.dt}
     for group in ("design_basis", "provenance"):
@@ -141,9 +141,7 @@ def render(laws: FlightLaws) -> dict[str, str]:
         **{f"{unit}.c": partial(_unit, laws, unit, tables[unit]) for unit in UNITS},
         "self_test.c": partial(_self_test, laws),
     }
-    return {
-        name: environment.get_template(f"{name}.j2").render(**common, **fill.get(name, dict)()) for name in FILES
-    }
+    return {name: environment.get_template(f"{name}.j2").render(**common, **fill.get(name, dict)()) for name in FILES}
 
 
 def _header(laws: FlightLaws) -> dict[str, Any]:

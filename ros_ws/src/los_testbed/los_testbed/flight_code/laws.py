@@ -123,4 +123,3 @@ def laws_of(designs: str | None = None) -> FlightLaws:
 
 def _step_matrix(law: SampledSystem) -> FloatArray:
     return np.block([[law.A, law.B], [law.C, law.D]])
-

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -140,9 +140,8 @@ def run_laws(laws: FlightLaws, measurement: FloatArray, stages: list[int]) -> tu
 def gate_ticks(gate: CommandGate, hold_ticks: int, fade_ticks: int) -> Iterator[GateTick]:
     """Ticks of a gate: commands with every fault, a gap in which it fades to zero, and the way back."""
     rng, size = np.random.default_rng(SEED), gate.codec.size
-    faults: Mapping[int, str] = {
-        3: "not_finite", 5: "infinite", 7: "limit", 9: "off_grid", 11: "future", 13: "duplicate", 15: "late",
-    }  # fmt: skip
+    names = ("not_finite", "infinite", "limit", "off_grid", "future", "duplicate", "late")
+    faults = dict(zip(range(3, 17, 2), names))
     last = 20 + hold_ticks + fade_ticks + 5
     gate.begin(0)
     for k in range(1, last + fade_ticks + 5):
