@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_library import LEVELS, STRICT, FlightController, FlightEstimator, build, needed, same_bits, write
+from flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, needed, same_bits, write
 from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import magnitudes, run_laws, without_frames
@@ -56,16 +56,17 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
     """Estimates and commands are those of the record, which the testbed's laws have made."""
     needed(compiler)
     laws = controllers(recorded)
-    library = build(write(FlightLaws.of(laws.estimator, laws.controller), tmp_path / "laws"), compiler, level)
+    library = build(write(FlightLaws.of(laws.estimator, laws.controller), tmp_path / "laws", LIBRARY), compiler, level)
     states = RunStart.from_bytes(recorded.attachments[START_FILE]).states
     assert states is not None
     observer = FlightEstimator(library, (np.array(states.k_fsm), np.array(states.camera)))
     flown = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=LAYOUT)
-    assert len(flown.stamp) > 5000
+    assert len(flown.stamp) == 4100
     for name, (stamp, values) in flown.topics().items():
         topic = recorded[name]
         assert np.array_equal(stamp, topic.stamp)
-        assert same_bits(np.ascontiguousarray(values), np.ascontiguousarray(topic.values)).all(), name
+        expected = topic.values[:, : values.shape[1]]  # a message has three angles of the mirror
+        assert same_bits(np.ascontiguousarray(values), np.ascontiguousarray(expected)).all(), name
 
 
 def random_system(rng: np.random.Generator, order: int, inputs: tuple, outputs: tuple) -> SampledSystem:
@@ -88,9 +89,12 @@ def random_laws(rng: np.random.Generator, order: int) -> FlightLaws:
 
 
 def inputs(rng: np.random.Generator) -> FloatArray:
-    """Ordinary values, then those of all magnitudes, which end in numbers that are not finite; no camera at times."""
+    """Ordinary values, all magnitudes, sums that overflow, an acceleration that is NaN; no camera at times."""
     ordinary = rng.standard_normal((RANDOM_TICKS // 2, MEASUREMENTS))
-    return without_frames(np.vstack([ordinary, magnitudes(rng, RANDOM_TICKS - len(ordinary))]), rng)
+    odd = magnitudes(rng, RANDOM_TICKS - len(ordinary))
+    odd[-30:] = 1.7e308 * rng.uniform(-1.0, 1.0, (30, MEASUREMENTS))
+    odd[-5, rng.integers(18)] = np.nan
+    return without_frames(np.vstack([ordinary, odd]), rng)
 
 
 def flown_by(library: Path, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
@@ -105,13 +109,13 @@ def flown_by(library: Path, measurement: FloatArray, stages: list[int]) -> tuple
     return estimate, command
 
 
-@pytest.mark.slow
-def test_random_controllers_on_inputs_of_all_magnitudes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [4, pytest.param(RANDOM_CONTROLLERS, marks=pytest.mark.slow)])
+def test_random_controllers_on_inputs_of_all_magnitudes(count: int, tmp_path: Path) -> None:
     needed("gcc")
     rng, finite, steps = np.random.default_rng(2035), 0, 0
-    for number in range(RANDOM_CONTROLLERS):
+    for number in range(count):
         laws = random_laws(rng, 1 + number % 12)
-        library = build(write(laws, tmp_path / str(number)), "gcc", LEVELS[number % len(LEVELS)])
+        library = build(write(laws, tmp_path / str(number), LIBRARY), "gcc", LEVELS[number % len(LEVELS)])
         measurement = inputs(rng)
         stages = np.repeat(rng.integers(0, len(STAGES), RANDOM_TICKS // 20), 20).tolist()
         for found, expected in zip(flown_by(library, measurement, stages), run_laws(laws, measurement, stages)):

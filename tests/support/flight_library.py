@@ -5,13 +5,14 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.flight_code.export import render
+from los_testbed.flight_code.export import FILES, render
 from los_testbed.flight_code.laws import FlightLaws
-from los_testbed.flight_code.tables import UNITS
+from los_testbed.flight_code.tables import HEADER, UNITS
 
 from lftkit.arrays import BoolArray, FloatArray
 from titop_plant.interface import STAGES
@@ -29,10 +30,14 @@ def needed(program: str) -> str:
     return program
 
 
-def write(laws: FlightLaws, folder: Path) -> Path:
+LIBRARY = (HEADER, *(f"{unit}.c" for unit in UNITS))
+"""Files of the library, without its self test."""
+
+
+def write(laws: FlightLaws, folder: Path, names: Sequence[str] = FILES) -> Path:
     """The files of the laws, in a new folder."""
     folder.mkdir()
-    for name, text in render(laws).items():
+    for name, text in render(laws, names).items():
         (folder / name).write_text(text, "utf-8")
     return folder
 

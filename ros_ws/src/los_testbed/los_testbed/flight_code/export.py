@@ -7,7 +7,7 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -115,8 +115,8 @@ def _rows(ports: tuple[Port, ...]) -> list[str]:
     ]
 
 
-def render(laws: FlightLaws) -> dict[str, str]:
-    """Text of each of :data:`FILES`; the same laws give the same bytes."""
+def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
+    """Text of each file of these names, of :data:`FILES`; the same laws give the same bytes."""
     tables = laws.tables()
     hashes = {unit: tables[unit].sha256 for unit in UNITS}
     environment = jinja2.Environment(
@@ -141,7 +141,7 @@ def render(laws: FlightLaws) -> dict[str, str]:
         **{f"{unit}.c": partial(_unit, laws, unit, tables[unit]) for unit in UNITS},
         "self_test.c": partial(_self_test, laws),
     }
-    return {name: environment.get_template(f"{name}.j2").render(**common, **fill.get(name, dict)()) for name in FILES}
+    return {name: environment.get_template(f"{name}.j2").render(**common, **fill.get(name, dict)()) for name in names}
 
 
 def _header(laws: FlightLaws) -> dict[str, Any]:

@@ -70,6 +70,11 @@ def _normal(rng: np.random.Generator) -> FloatArray:
     return 1e-3 * rng.standard_normal((TICKS, MEASUREMENTS))
 
 
+def _to_the_limits(rng: np.random.Generator) -> FloatArray:
+    """Commands from well inside their limits to beyond them."""
+    return _normal(rng) * np.geomspace(1e-2, 1e4, TICKS)[:, None]
+
+
 def _zeros(rng: np.random.Generator) -> FloatArray:
     return np.where(rng.random((TICKS, MEASUREMENTS)) < 0.5, 0.0, -0.0)
 
@@ -89,7 +94,14 @@ def magnitudes(rng: np.random.Generator, rows: int = TICKS) -> FloatArray:
 
 
 CASES = MappingProxyType(
-    {"normal": _normal, "zeros": _zeros, "1e300": _huge, "subnormal": _subnormal, "all magnitudes": magnitudes}
+    {
+        "normal": _normal,
+        "to the limits": _to_the_limits,
+        "zeros": _zeros,
+        "1e300": _huge,
+        "subnormal": _subnormal,
+        "all magnitudes": magnitudes,
+    }
 )
 """Inputs by name; the camera is absent in three ticks of four."""
 
