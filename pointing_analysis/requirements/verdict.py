@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray, FloatArray
+from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
@@ -25,12 +26,15 @@ __all__ = [
     "RequirementError",
     "Status",
     "Verdict",
+    "beyond_limit",
     "decide",
     "from_entries",
     "index_samples",
     "judge",
     "load",
     "parse",
+    "refusal",
+    "run_samples",
 ]
 
 ROUNDING = 1e-9
@@ -113,6 +117,48 @@ class IndexSamples:
     effective: float
     seconds: float
     missing: float
+
+
+def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
+    """Samples of the judged index of one run, whoever judges it: a recording, or a member of a campaign.
+
+    Parameters
+    ----------
+    series : performance or knowledge error, whichever the index is of
+    requirement : of any index but the PRE
+    optics : of an index of the image
+
+    Raises
+    ------
+    ValueError
+        The index cannot be formed.
+    """
+    values, cap, missing = index_samples(series, requirement, optics)
+    if not values.size:
+        raise ValueError(f"no complete window of {requirement.quantity}")
+    effective = min(cap, confidence.effective_number(finite(values) if requirement.of_image else values))
+    return IndexSamples(values, effective, series.duration, missing)
+
+
+def refusal(requirement: Requirement, rows: int, dt: float, optics: Optics | None = None) -> str:
+    """Why the index of a run of so many samples of `dt` [s] cannot be formed; empty where it can.
+
+    Examples
+    --------
+    >>> refusal(parse("prob(rms RPE(2 s) < 1 mas) >= 0.9 at 95 % confidence"), 1000, 1e-3)
+    'the run must be at least as long as the window of 2 s, got 1 s'
+    """
+    still = ErrorSeries(np.zeros((rows, 2)), dt, 0.0, 0)
+    try:
+        if not requirement.of_image:
+            index_samples(still, requirement)
+        elif optics is None:
+            raise ValueError(NONE_KNOWN)
+        else:
+            next(exposure_parts(still.values, dt, requirement.times[0], 1))
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def index_samples(
@@ -200,7 +246,7 @@ def decide(
     not enough data.
     """
     n = max(int(effective), 1)
-    above = sum(int(np.count_nonzero(_beyond(values[part], requirement))) for part in parts(len(values)))
+    above = sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
     rate = above / len(values)
     p, c = requirement.probability, requirement.confidence
     unknown = math.isinf(missing)
@@ -226,7 +272,7 @@ def decide(
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
 
 
-def _beyond(values: FloatArray, requirement: Requirement) -> BoolArray:
+def beyond_limit(values: FloatArray, requirement: Requirement) -> BoolArray:
     """Which samples do not keep the limit."""
     return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
 
@@ -259,7 +305,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
         worst_of = [_worst(one.values, requirement) for one in collected]
-        known = [w for one, w in zip(collected, worst_of) if not one.missing or _beyond(np.array(w), requirement)]
+        known = [w for one, w in zip(collected, worst_of) if not one.missing or beyond_limit(np.array(w), requirement)]
         if not known:
             return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
         worst = np.array(known)
@@ -291,11 +337,7 @@ def _collect(requirement: Requirement, runs: Sequence[Recording], transient: flo
         series = make(run, transient)
         try:
             optics = optics_of(run) if requirement.of_image else None
-            values, cap, missing = index_samples(series, requirement, optics)
+            collected.append(run_samples(series, requirement, optics))
         except ValueError as error:
             raise BagError(f"{run.path}: {error}") from None
-        if not values.size:
-            raise BagError(f"{run.path}: no complete window of {requirement.quantity}")
-        effective = min(cap, confidence.effective_number(finite(values) if requirement.of_image else values))
-        collected.append(IndexSamples(values, effective, series.duration, missing))
     return collected
