@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_testbed.disturbance_files import Entry
+    from pointing_analysis.image.optics import Optics
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.driven_plant import DrivenPlant
@@ -93,6 +94,23 @@ class RunParts:
         from titop_plant.telescope.requirements import telescope_requirements
 
         return telescope_requirements(self.parameters)
+
+    @cached_property
+    def pupil_file(self) -> bytes:
+        """Content of the file of the pupil, empty where there is none; OpticsError: it cannot be read."""
+        from pointing_analysis.image.optics import read_pupil_file
+
+        name = self.parameters["optics"]["pupil"]
+        return read_pupil_file(Path(name)) if name else b""
+
+    @cached_property
+    def optics(self) -> Optics:
+        """Optics of the images of the telescope; OpticsError: they make none."""
+        from pointing_analysis.image.optics import from_mapping
+        from titop_plant.telescope.parameters import IMAGE_OPTICS
+
+        table = {key: self.parameters["optics"][key] for key in IMAGE_OPTICS}
+        return from_mapping(table, self.config.parameters or "reference.toml", self.pupil_file)
 
     @cached_property
     def basis(self) -> DesignBasis:

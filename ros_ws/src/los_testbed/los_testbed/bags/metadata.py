@@ -18,7 +18,7 @@ from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
 from pointing_analysis.image.optics import METADATA as OPTICS
-from pointing_analysis.image.optics import PUPIL, from_mapping, read_pupil_file
+from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
@@ -74,16 +74,9 @@ def optics_of(parts: RunParts) -> dict[str, str]:
     OpticsError
         Optics that make no image.
     """
-    table = parts.parameters["optics"]
-    named = {key: table[key] for key in IMAGE_OPTICS}
-    from_mapping(named, parts.config.parameters or "reference.toml", _pupil(parts))
+    _ = parts.optics  # refuses those that make no image
+    named = {key: parts.parameters["optics"][key] for key in IMAGE_OPTICS}
     return {OPTICS: json.dumps({**named, "pupil": Path(named["pupil"]).name})}
-
-
-def _pupil(parts: RunParts) -> bytes:
-    """Content of the file of the pupil; empty where there is none."""
-    name = parts.parameters["optics"]["pupil"]
-    return read_pupil_file(Path(name)) if name else b""
 
 
 def _sources(parts: RunParts) -> dict[str, str]:
@@ -173,8 +166,8 @@ def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[s
     text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
-    if pupil := _pupil(parts):
-        content[PUPIL] = ("application/fits", pupil)
+    if parts.pupil_file:
+        content[PUPIL] = ("application/fits", parts.pupil_file)
     return content
 
 
