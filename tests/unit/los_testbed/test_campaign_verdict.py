@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign import verdict as module
+from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.verdict import (
     CampaignVerdict,
     judged,
     model_verdicts,
     not_judged,
     of_stage,
-    quantile_column,
-    share_column,
+    refused,
     verdicts,
 )
 
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
-from pointing_analysis.requirements.text import parse
+from pointing_analysis.requirements.text import Requirement, parse
 
 APE = parse("prob(|APE| < 2 arcsec) >= 0.75 at 75 % confidence", "A")
 RPE = parse("prob(rms RPE(20 ms) < 50 mas) >= 0.997 at 95 % confidence", "R", ["fsm+pma"])
@@ -36,9 +36,9 @@ def by_kind(found: list[CampaignVerdict]) -> dict[str, CampaignVerdict]:
 
 
 def test_names_of_columns() -> None:
-    assert share_column("APE", APE.limit) == "ape_above_2_arcsec"
-    assert share_column("RPE", RPE.limit) == "rpe_window_above_50_mas"
-    assert (quantile_column(APE), quantile_column(RPE)) == ("ape_p75_arcsec", "rpe_window_p997_mas")
+    ape, rpe = RequirementColumns.of(APE), RequirementColumns.of(RPE)
+    assert (ape.share, rpe.share) == ("ape_above_2_arcsec", "rpe_window_above_50_mas")
+    assert (ape.quantile, rpe.quantile) == ("ape_p75_arcsec", "rpe_window_p997_mas")
 
 
 def test_each_interpretation_has_its_own_samples() -> None:
@@ -118,13 +118,25 @@ def test_the_model_judges_windows_of_its_probability() -> None:
 def test_requirements_of_a_stage() -> None:
     assert of_stage([APE, RPE], None) == of_stage([APE, RPE], "fsm+pma") == (APE, RPE)
     assert of_stage([APE, RPE], "fsm") == judged([APE, RPE], "fsm") == (APE,)
-    axis, other = (
+    axis, other, pairs = (
         parse("prob(|APE_x| < 2 arcsec) >= 0.75 at 75 % confidence"),
         parse("prob(rms RPE(50 ms) < 2 arcsec) >= 0.75 at 75 % confidence"),
+        parse("prob(|PRE(50 ms)| < 2 arcsec) >= 0.75 at 75 % confidence"),
     )
-    assert judged([APE, axis, other, RPE]) == (APE, RPE)
-    assert not_judged([APE, axis, other, RPE], "fsm") == (axis, other)
-    assert not_judged([APE, axis, other, RPE], "fsm+pma", "model") == (APE, axis, other)
+    everything = [APE, axis, other, RPE, pairs]
+    assert judged(everything) == (APE, axis, other, RPE)
+    assert list(not_judged(everything, "fsm")) == [pairs]
+    assert list(not_judged(everything, "fsm+pma", "model")) == [APE, axis, other, pairs]
+
+
+def test_what_runs_cannot_be_judged_by_is_said_of_their_stage() -> None:
+    """With the reason, from the windows that fit a run of so many ticks."""
+    refusals = refused([APE, RPE], 19, None)
+    assert refusals == {RPE: "the run must be at least as long as the window of 0.02 s, got 0.019 s"}
+    assert refused([APE, RPE], 20, None) == {}
+    assert not_judged([APE, RPE], "fsm+pma", "time", refusals) == refusals
+    assert not_judged([APE, RPE], "fsm", "time", refusals) == {}
+    assert RPE not in not_judged([APE, RPE], "fsm+pma", "model", refusals)
 
 
 def test_the_model_judges_the_part_of_the_windows_that_the_finest_requirement_names() -> None:
@@ -140,3 +152,81 @@ def test_the_model_judges_the_part_of_the_windows_that_the_finest_requirement_na
         assert [v.requirement for v in found] == judged_names
         assert found[0].status == "not compliant" and found[0].value == 55.0
     assert model_verdicts(np.array([40.0]), ["ok"], "fsm", [APE]) == []
+
+
+def population(requirement: Requirement, worst: Any, own: Any, share: Any, effective: Any) -> dict[str, Any]:
+    columns = RequirementColumns.of(requirement)
+    given = {columns.worst: worst, columns.quantile: own, columns.share: share, columns.effective: effective}
+    return {name: np.asarray(values, dtype=float) for name, values in given.items()}
+
+
+def test_a_lower_limit_is_judged_as_an_upper_one_of_the_complement() -> None:
+    """Same statuses, counts and bounds in all interpretations; values mirrored; diverged members are beyond both."""
+    below = parse("prob(Strehl(20 ms) > 0.25) >= 0.9 at 95 % confidence")
+    above = parse("prob(ellipticity(20 ms) < 0.75) >= 0.9 at 95 % confidence")
+    rng = np.random.default_rng(3)
+    seen = set()
+    for scatter in (0.2, 0.65, 0.72, 1.0):
+        for count in (3, 60):
+            own = scatter * rng.uniform(0.5, 1.0, count)
+            worst = np.minimum(1.0, own + 0.1 * rng.uniform(0.0, 1.0, count))
+            share = np.where(worst >= 0.75, rng.uniform(0.0, 0.2, count), 0.0)
+            effective = rng.uniform(1.0, 500.0, count)
+            for status in (["ok"] * count, ["diverged", *["ok"] * (count - 2), "failed"]):
+                low = verdicts(population(below, 1 - worst, 1 - own, share, effective), status, "fsm", [below])
+                high = verdicts(population(above, worst, own, share, effective), status, "fsm", [above])
+                assert [v.interpretation for v in low] == ["ensemble", "temporal", "mixed"]
+                for a, b in zip(low, high):
+                    same = ("interpretation", "status", "exceeding", "lower", "upper", "samples", "needed")
+                    assert [getattr(a, name) for name in same] == [getattr(b, name) for name in same]
+                    assert a.value == pytest.approx(1 - b.value) and a.limit == 1 - b.limit
+                    assert a.lower_limit and not b.lower_limit and a.unit == ""
+                    seen.add(a.status)
+    assert seen == {"compliant", "not compliant", "not enough data"}
+
+
+def test_the_worst_under_a_lower_limit_is_the_smallest() -> None:
+    """Three members: smallest transfer 0.8, 0.9 (the limit), 0.95; quantiles 0.91, 0.92, 0.97."""
+    mtf = parse("prob(MTF(20 ms, Nyquist) > 0.9) >= 0.5 at 50 % confidence")
+    ensemble, temporal, mixed = verdicts(
+        population(mtf, [0.8, 0.9, 0.95], [0.91, 0.92, 0.97], [0.1, 0.01, 0.0], [10, 10, 20]), ["ok"] * 3, "fsm", [mtf]
+    )
+    assert (ensemble.exceeding, ensemble.value, ensemble.limit) == (2 / 3, 0.9, 0.9), "the limit is not above itself"
+    assert (temporal.status, temporal.value) == ("compliant", 0.91)
+    assert mixed.value == pytest.approx(0.9333333) and mixed.exceeding == 2 / 40
+    at, above = (
+        verdicts(population(mtf, [1.0], [own], [0.0], [1.0]), ["ok"], "fsm", [mtf])[1].status
+        for own in (0.9, math.nextafter(0.9, 1.0))
+    )
+    assert (at, above) == ("not compliant", "compliant")
+    diverged = verdicts(population(mtf, [1.0], [1.0], [0.0], [9.0]), ["diverged"], "fsm", [mtf])
+    assert [v.value for v in diverged] == [-math.inf] * 3 and diverged[0].as_dict()["value"] is None
+
+
+@pytest.mark.parametrize("text", ["Strehl(20 ms) > 0.25", "|APE_x| < 1 arcsec"])
+def test_a_worse_member_never_helps(text: str) -> None:
+    """Whichever of its metrics gets worse: the exceedance of no interpretation falls, and no value improves."""
+    r = parse(f"prob({text}) >= 0.9 at 80 % confidence")
+    rng = np.random.default_rng(5)
+    sign = -1.0 if r.lower else 1.0
+    for _ in range(200):
+        size, worse = int(rng.integers(1, 12)), rng.uniform(0.0, 1.0)
+        worst, own = rng.uniform(0.0, 1.5, size), rng.uniform(0.0, 1.5, size)
+        given = [worst, own, rng.uniform(0.0, 0.3, size), np.full(size, 40.0)]
+        which, member = int(rng.integers(0, 3)), int(rng.integers(0, size))
+        changed = [values.copy() for values in given]
+        changed[which][member] += 0.7 * worse if which == 2 else sign * worse
+        before, after = (verdicts(population(r, *values), ["ok"] * size, "fsm", [r]) for values in (given, changed))
+        for a, b in zip(before, after):
+            assert b.exceeding >= a.exceeding and b.upper >= a.upper and b.lower >= a.lower
+            assert sign * b.value >= sign * a.value
+
+
+@pytest.mark.parametrize("text", ["Strehl(20 ms) > 0.25", "|APE_x| < 1 arcsec"])
+def test_a_metric_that_is_not_known_does_not_comply(text: str) -> None:
+    r = parse(f"prob({text}) >= 0.9 at 80 % confidence")
+    good = 0.9
+    columns = population(r, [good, np.nan], [good, np.nan], [0.0, np.nan], [9, np.nan])
+    found = verdicts(columns, ["ok"] * 2, "fsm", [r])
+    assert [v.exceeding for v in found] == [0.5, 0.5, 0.1] and found[1].status == "not compliant"
+    assert [v.exceeding for v in verdicts({}, ["ok"] * 2, "fsm", [r])] == [1.0, 1.0, 1.0]

@@ -93,25 +93,23 @@ def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
 
 
 def test_a_campaign_says_what_it_does_not_judge() -> None:
+    """Simulated runs are judged by all requirements on single runs, the model by windows of one length."""
     texts = {
         "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence": True,
-        "prob(|APE_x| < 1 arcsec) >= 0.95 at 95 % confidence": False,
+        "prob(|APE_x| < 1 arcsec) >= 0.95 at 95 % confidence": True,
         "prob(rms RPE(20 ms) < 40 mas) >= 0.9 at 95 % confidence": True,
-        "prob(rms RPE(250 ms) < 40 mas) >= 0.997 at 95 % confidence": False,
-        "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence": False,
-        "prob(|PDE(1 s, 10 s)| < 40 mas) >= 0.997 at 95 % confidence": False,
+        "prob(rms RPE(250 ms) < 40 mas) >= 0.997 at 95 % confidence": True,
+        "prob(|PRE(1 s)| < 40 mas) >= 0.997 at 95 % confidence": False,
+        "prob(|PDE(1 s, 10 s)| < 40 mas) >= 0.997 at 95 % confidence": True,
     }
     requirements = tuple(map(parse, texts))
     assert [str(r) for r in judged(requirements)] == [text for text, kept in texts.items() if kept]
     assert [str(r) for r in not_judged(requirements, "fsm")] == [text for text, kept in texts.items() if not kept]
     windows = requirements[2]  # the level of the model is that of the part of the windows that this one asks for
-    assert not_judged(requirements, "fsm", "model") == tuple(r for r in requirements if r is not windows)
-    assert metric_columns("time", requirements)[-4:] == (
-        "ape_above_1_arcsec",
-        "rpe_window_above_40_mas",
-        "ape_p95_arcsec",
-        "rpe_window_p9_mas",
-    )
+    assert list(not_judged(requirements, "fsm", "model")) == [r for r in requirements if r is not windows]
+    names = metric_columns("time", requirements[:1] + requirements[2:3])
+    assert names[-4:] == ("ape_above_1_arcsec", "rpe_window_above_40_mas", "ape_p95_arcsec", "rpe_window_p9_mas")
+    assert set(names) < set(metric_columns("time", requirements))
 
 
 def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:

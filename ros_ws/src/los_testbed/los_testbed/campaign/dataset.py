@@ -20,7 +20,7 @@ from typing import Any
 
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.adversarial import adversarial_members
-from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns
+from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
@@ -115,9 +115,20 @@ class Campaign:
         return RunParts(self.base).requirements
 
     @property
+    def refusals(self) -> dict[Requirement, str]:
+        """Requirements that the simulated run of a member cannot be judged by, and why; none at depth model."""
+        return unformed(RunParts(self.base)) if self.depth == "time" else {}
+
+    @property
+    def judged(self) -> tuple[Requirement, ...]:
+        """Requirements of the telescope but `refusals`."""
+        refusals = self.refusals
+        return tuple(r for r in self.requirements if r not in refusals)
+
+    @property
     def metrics(self) -> tuple[str, ...]:
         """Columns of metrics."""
-        return metric_columns(self.depth, self.requirements)
+        return metric_columns(self.depth, self.judged)
 
     @property
     def chunk_count(self) -> int:
@@ -184,7 +195,9 @@ class ResultFolder:
                 )
 
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
-        """Make the folder, or go on in it; the chunks that are there already, those without crashed members.
+        """Make the folder, or go on in it; the chunks that are there already.
+
+        Not among them are chunks with crashed members, and those without a column of the campaign's metrics.
 
         Raises
         ------
@@ -202,7 +215,8 @@ class ResultFolder:
         for file in self.parts():
             if file not in parts:
                 raise ValueError(f"{self.path} must hold parts 0 to {len(parts) - 1} of its campaign, got {file.name}")
-        return frozenset(number for file, (number, members) in parts.items() if _complete(file, members))
+        wanted = frozenset(campaign.metrics)
+        return frozenset(number for file, (number, members) in parts.items() if _complete(file, members, wanted))
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
@@ -279,14 +293,19 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return content
 
 
-def _complete(part: Path, members: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a part holds rows of these members and need not be computed again, as it must where one crashed."""
+def _complete(part: Path, members: Sequence[Mapping[str, Any]], metrics: frozenset[str]) -> bool:
+    """Whether a part holds rows of these members and need not be computed again, as it must where one crashed.
+
+    Rows from before a requirement had columns have not all `metrics`.
+    """
     import pyarrow
     import pyarrow.parquet
 
     if not part.exists():
         return False
     try:
+        if not metrics <= set(pyarrow.parquet.read_schema(part).names):
+            return False
         found = pyarrow.parquet.read_table(part, columns=["index", "seed", "status"]).to_pydict()
     except (OSError, KeyError, pyarrow.ArrowInvalid):
         return False

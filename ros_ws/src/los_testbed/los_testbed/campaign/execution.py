@@ -53,7 +53,8 @@ FILES = ("k_fsm", "k_pma", "parameters")
 def identity(base: RunConfig) -> dict[str, str]:
     """Version of the package and hashes of what the rows depend on: the same on all workers, or there is no campaign.
 
-    Requirements are named where they are not those of the reference telescope.
+    Requirements are named where they are not those of the reference telescope, and so are its optics where requirements
+    are on the image of a star.
 
     Raises
     ------
@@ -75,7 +76,15 @@ def identity(base: RunConfig) -> dict[str, str]:
         "parameters": parameters_hash(parts.parameters),
         **controllers,
         **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
+        **_image_optics(parts),
     }
+
+
+def _image_optics(parts: RunParts) -> dict[str, str]:
+    """Digest of the optics where metrics depend on them and they are not the reference telescope's."""
+    if not any(r.of_image for r in parts.requirements) or parts.optics == RunParts(RunConfig()).optics:
+        return {}
+    return {"optics": hashlib.sha256(repr(parts.optics).encode() + parts.optics.pupil_file).hexdigest()[:16]}
 
 
 class WorkerMismatchError(RuntimeError):

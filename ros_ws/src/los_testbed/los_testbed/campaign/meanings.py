@@ -1,8 +1,14 @@
-"""What the columns of metrics of a campaign are, in a few words, for tables."""
+"""Columns of metrics of a campaign: the names of those that a requirement has, and what each is, in a few words."""
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
+
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.requirements.summary import WINDOW
+from pointing_analysis.requirements.text import NYQUIST, Requirement, SpatialFrequency
 
 MEANINGS = {
     "ape_max_arcsec": "largest absolute error [arcsec]",
@@ -32,23 +38,167 @@ MEANINGS = {
 }
 
 
+ABSOLUTE = ("APE", "MPE", "AKE", "MKE")
+"""Indices whose columns are in arcsec; those of other angles are in mas."""
+
+QUANTITIES = {
+    "ape": "absolute error",
+    "mpe": "mean error of a window",
+    "rpe": "relative error",
+    "pde": "drift between two windows",
+    "ake": "absolute knowledge error",
+    "mke": "mean knowledge error of a window",
+    "rke": "relative knowledge error",
+    "mtf": "MTF of the motion in an exposure",
+    "strehl": "Strehl ratio of the motion in an exposure",
+    "ee50": "radius with 50 % of the energy in an exposure",
+    "ee80": "radius with 80 % of the energy in an exposure",
+    "ellipticity": "ellipticity of the image in an exposure",
+}
+"""Index in a column to its words."""
+
+SAMPLES = {"mpe": "windows", "mke": "windows", "pde": "pairs of windows"}
+SAMPLES |= dict.fromkeys(("mtf", "strehl", "ee50", "ee80", "ellipticity"), "exposures")
+"""Index to its samples; of the others each instant is one, and of root mean squares each window."""
+
+_NUMBER = r"\d[\d.]*(?:e[+-]?\d+)?"
+_COLUMN = re.compile(
+    rf"(?P<index>{'|'.join(QUANTITIES)})(?P<rms>_window)?(?P<times>(?:_{_NUMBER}m?s)*)"
+    rf"(?:_(?P<frequency>(?:{_NUMBER})?nyquist|{_NUMBER}cycles_per_[a-z]+))?(?:_(?P<axis>[xy]))?"
+    rf"_(?P<what>max|min|effective|p(?P<part>\d[\d.e+-]*)|(?P<side>above|below)_(?P<limit>{_NUMBER}))"
+    r"(?:_(?P<unit>mas|arcsec))?"
+)
+
+
+@dataclass(frozen=True)
+class RequirementColumns:
+    """Names of the columns that a member has for a requirement, made of index, window, axis, limit and unit.
+
+    Parameters
+    ----------
+    worst : str
+        Worst sample: the largest, under a lower limit the smallest.
+    quantile : str
+        What the required part of the samples keeps.
+    share : str
+        Share of the samples that do not keep the limit; missing ones are among them.
+    effective : str
+        Independent samples that they weigh as much as.
+    scale : float
+        Radians per unit of the columns; 1 for numbers.
+    unit : str
+        Of the columns; empty for numbers.
+    lower : bool
+        Whether the limit is a lower one.
+
+    Examples
+    --------
+    >>> from pointing_analysis.requirements.text import parse
+    >>> drift = RequirementColumns.of(parse("prob(|PDE_x(1 s, 10 s)| < 1 arcsec) >= 95 % at 90 % confidence"))
+    >>> drift.worst, drift.quantile, drift.share
+    ('pde_1s_10s_x_max_mas', 'pde_1s_10s_x_p95_mas', 'pde_1s_10s_x_above_1000_mas')
+    >>> RequirementColumns.of(parse("prob(MTF(20 ms, Nyquist) > 0.9) >= 99.7 % at 95 % confidence")).quantile
+    'mtf_20ms_nyquist_p003'
+    """
+
+    worst: str
+    quantile: str
+    share: str
+    effective: str
+    scale: float
+    unit: str
+    lower: bool
+
+    @classmethod
+    def of(cls, requirement: Requirement) -> RequirementColumns:
+        """Columns of a requirement, whatever others there are."""
+        stem, lower = _stem(requirement), requirement.lower
+        unit = "" if not requirement.unit else "arcsec" if requirement.index in ABSOLUTE else "mas"
+        scale = {"": 1.0, "arcsec": RAD_PER_ARCSEC, "mas": RAD_PER_MAS}[unit]
+        end = f"_{unit}" if unit else ""
+        part = _digits(round(1.0 - requirement.probability, 14) if lower else requirement.probability, 10, 1e-15)
+        limit = _digits(requirement.limit / scale, 6, math.inf if stem in ("ape", "rpe_window") else 1e-9)
+        return cls(
+            worst=f"{stem}_{'min' if lower else 'max'}{end}",
+            quantile=f"{stem}_p{part.removeprefix('0.')}{end}",
+            share=f"{stem}_{'below' if lower else 'above'}_{limit}{end}",
+            effective=f"{stem}_effective",
+            scale=scale,
+            unit=unit,
+            lower=lower,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the four columns."""
+        return self.share, self.quantile, self.worst, self.effective
+
+    @property
+    def values(self) -> tuple[str, str]:
+        """Names of those that hold values of the index."""
+        return self.quantile, self.worst
+
+
+def _stem(r: Requirement) -> str:
+    """Index with its windows, spatial frequency and axis; the RPE of both axes needs no window where it is `WINDOW`."""
+    times = () if r.index == "RPE" and not r.axis and r.times == (WINDOW,) else r.times
+    shown = [f"{_digits(1e3 * t, 6, 1e-9)}ms" if t < 1 else f"{_digits(t, 6, 1e-9)}s" for t in times]
+    frequency = [] if r.frequency is None else [_frequency(r.frequency)]
+    return "_".join((r.index.lower(), *(["window"] if r.of_windows else []), *shown, *frequency, *r.axis))
+
+
+def _frequency(frequency: SpatialFrequency) -> str:
+    if frequency.unit == NYQUIST:
+        return "nyquist" if frequency.value == 1.0 else f"{_digits(frequency.value, 6, 1e-9)}nyquist"
+    return f"{_digits(frequency.value, 6, 1e-9)}cycles_per_{frequency.unit}"
+
+
+def _digits(value: float, places: int, tolerance: float) -> str:
+    """A few significant digits, or as many as tell it from others where those differ by more than a tolerance."""
+    short = f"{value:.{places}g}"
+    return short if math.isclose(float(short), value, rel_tol=tolerance) else f"{value:.15g}"
+
+
 def meaning(column: str) -> str:
     """Meaning of a column.
 
     Examples
     --------
     >>> meaning("rpe_window_above_25_mas")
-    'share of the windows above 25 mas'
+    'relative error, rms of a window: share of the windows above 25 mas'
     >>> meaning("ape_p95_arcsec")
     'absolute error, 95 % of the instants [arcsec]'
+    >>> meaning("mtf_20ms_nyquist_p003")
+    'MTF of the motion in an exposure of 20 ms, at Nyquist, 99.7 % of the exposures are above'
     """
-    stem, sign, limit = column.partition("_above_")
-    quantile = re.fullmatch(r"(ape|rpe_window)_p(\d+)_(\w+)", column)
-    if quantile and column not in MEANINGS:
-        share, unit = 100 * float(f"0.{quantile[2]}"), quantile[3]
-        if quantile[1] == "ape":
-            return f"absolute error, {share:g} % of the instants [{unit}]"
-        return f"relative error, rms of a window, {share:g} % of the windows [{unit}]"
-    if sign:
-        return f"share of the {'windows' if stem.endswith('window') else 'instants'} above {limit.replace('_', ' ')}"
-    return MEANINGS.get(column, column.replace("_", " "))
+    found = _COLUMN.fullmatch(column)
+    if column in MEANINGS or not found:
+        return MEANINGS.get(column, column.replace("_", " "))
+    index, what, unit = found["index"], found["what"], f" [{found['unit']}]" if found["unit"] else ""
+    samples = "windows" if found["rms"] else SAMPLES.get(index, "instants")
+    quantity = QUANTITIES[index] + _conditions(found)
+    if found["limit"]:
+        limit = f"{found['limit']} {found['unit'] or ''}".strip()
+        return f"{quantity}: share of the {samples} {found['side']} {limit}"
+    if found["part"]:
+        part = float(found["part"] if "e" in found["part"] else f"0.{found['part']}")
+        if index in ("mtf", "strehl"):
+            return f"{quantity}, {100 - 100 * part:.10g} % of the {samples} are above"
+        return f"{quantity}, {100 * part:.10g} % of the {samples}{unit}"
+    if what == "effective":
+        return f"{quantity}: independent {samples}"
+    return f"{quantity}, {'largest' if what == 'max' else 'smallest'} of the {samples}{unit}"
+
+
+def _conditions(found: re.Match[str]) -> str:
+    """Windows, spatial frequency and axis in words."""
+    times = [re.sub(r"(m?s)$", r" \1", time) for time in found["times"].split("_")[1:]]
+    text = ", rms of a window" if found["rms"] else ""
+    if found["index"] == "pde":
+        text += f" of {times[0]}, {times[1]} apart"
+    elif times:
+        text += f" {'of' if text or found['index'] in SAMPLES else 'in windows of'} {times[0]}"
+    if frequency := found["frequency"]:
+        shown = re.sub(r"^([\d.e+-]+)", r"\1 ", frequency.replace("_per_", "/")).replace("nyquist", NYQUIST)
+        text += f", at {shown}"
+    return text + (f", axis {found['axis']}" if found["axis"] else "")

@@ -7,6 +7,7 @@ of the telescope, its parameter file, the controllers) is made once for a proces
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -22,16 +23,21 @@ from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_estimator.runtime import LosEstimator
+from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
-from los_testbed.campaign.verdict import INDICES, judged, quantile_column, share_column
+from los_testbed.campaign.verdict import judged, refused
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, assemble_controller
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, simulate
-from pointing_analysis.indices.errors import default_transient
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.image.optics import Optics
+from pointing_analysis.indices.errors import ErrorSeries, default_transient
+from pointing_analysis.read.mapped_arrays import SortedValues
+from pointing_analysis.requirements.summary import WINDOW, Knowledge, Performance
+from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, run_samples
 from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.compilation import kernel
@@ -53,6 +59,12 @@ COMMON_METRICS = (
 """Metrics of the bag of the run, whatever is required; of the root mean squares in windows of 20 ms the largest and the
 99.7 % quantile; independent samples that instants and windows weigh."""
 
+INSTANTS, WINDOWS = (
+    parse(f"prob({quantity} < 1 arcsec) >= 99.7 % at 95 % confidence")
+    for quantity in ("|APE|", f"rms RPE({1e3 * WINDOW:g} ms)")
+)
+"""Of the columns of these two, those that depend on no limit are `COMMON_METRICS`, whatever is required."""
+
 CRASHED = "crashed"
 """Status of a member that ended its process or for which there was no memory: another machine may do better, so a
 resumed campaign computes its part again."""
@@ -64,17 +76,32 @@ DEPTHS = ("time", "model")
 def metric_columns(depth: str, requirements: Sequence[Requirement]) -> tuple[str, ...]:
     """Columns of metrics of a depth.
 
-    Those of a simulated run are `COMMON_METRICS`, shares of the samples above the limits that a campaign judges, and
-    quantiles that the requirements name.
+    Those of a simulated run are `COMMON_METRICS`, then of each requirement share of the samples beyond its limit,
+    quantile, worst value and effective samples (:class:`los_testbed.campaign.meanings.RequirementColumns`); two
+    requirements that differ in their limits alone share what does not depend on it.
     """
     if depth == "model":
         return model_metrics()
-    of_requirements = [f(r) for f in (_share_column, quantile_column) for r in judged(requirements)]
-    return tuple(dict.fromkeys((*COMMON_METRICS, *of_requirements)))
+    of_requirements = zip(*(RequirementColumns.of(r).names for r in judged(requirements)))
+    return tuple(dict.fromkeys((*COMMON_METRICS, *(name for kind in of_requirements for name in kind))))
 
 
-def _share_column(requirement: Requirement) -> str:
-    return share_column(requirement.index, requirement.limit)
+def unformed(parts: RunParts) -> dict[Requirement, str]:
+    """Requirements of the telescope of a campaign that the simulated run of a member cannot be judged by, and why.
+
+    Raises
+    ------
+    ValueError
+        The parameter file cannot be read; with requirements on the image also: its optics make none.
+    """
+    config, requirements = parts.config, parts.requirements
+    left_out = default_transient(config.duration) if config.start == "rest" else 0.0
+    return refused(requirements, max(config.ticks - round(left_out / DT), 0), _image_optics(parts))
+
+
+def _image_optics(parts: RunParts) -> Optics | None:
+    """Optics of the telescope, where a requirement needs them."""
+    return parts.optics if any(r.of_image for r in parts.requirements) else None
 
 
 @dataclass(frozen=True)
@@ -90,7 +117,9 @@ class MemberEvaluator:
         ``k_fsm`` and ``k_pma``.
     telescope : DesignBasis
     requirements : tuple of Requirement
-        Of the telescope.
+        Of the telescope, those that a member's run can be judged by.
+    optics : Optics, optional
+        Of the telescope, for requirements on the image of a star.
     """
 
     base: RunConfig
@@ -98,6 +127,7 @@ class MemberEvaluator:
     controllers: Mapping[str, SampledSystem]
     telescope: DesignBasis
     requirements: tuple[Requirement, ...]
+    optics: Optics | None = None
 
     @classmethod
     def of(cls, base: RunConfig) -> MemberEvaluator:
@@ -109,7 +139,9 @@ class MemberEvaluator:
             A file that cannot be read, controllers that cannot be used.
         """
         parts = RunParts(base)
-        return cls(base, parts.family, parts.models, parts.basis, parts.requirements)
+        known = unformed(parts)
+        requirements = tuple(r for r in parts.requirements if r not in known)
+        return cls(base, parts.family, parts.models, parts.basis, requirements, _image_optics(parts))
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -184,7 +216,7 @@ class MemberEvaluator:
         record = _Record(np.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"]))
         kernel()  # of many runs, so that the first one pays for all
         simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
-        return record.metrics(first, self.requirements)
+        return record.metrics(first, self.requirements, self.optics)
 
     @cached_property
     def _model(self) -> ModelDepth:
@@ -225,67 +257,68 @@ class _Record:
             self.largest[k] = max(self.largest[k], float(np.abs(block.command[:rows, columns]).max()))
         self.done += rows
 
-    def metrics(self, first: int, requirements: Sequence[Requirement]) -> dict[str, float]:
-        """Metrics of the rows from `first` on."""
-        from pointing_analysis.requirements.summary import Knowledge, Performance
+    def metrics(
+        self, first: int, requirements: Sequence[Requirement], optics: Optics | None = None
+    ) -> dict[str, float]:
+        """Metrics of the rows from `first` on; `optics` for requirements on the image of a star."""
+        errors, largest = self.values[first:], self.largest
+        samples = _Samples(_series(errors[:, :2], first), _series(errors[:, 2:4], first), optics)
+        performance = Performance.of(samples.performance.values, DT)
+        knowledge = Knowledge.of(samples.knowledge.values, DT)
+        always = samples.metrics(INSTANTS) | samples.metrics(WINDOWS)
+        found = {
+            "ape_max_arcsec": performance.ape_max,
+            "ape_p997_arcsec": performance.ape_p997,
+            "rpe_rms_mas": performance.rpe_rms,
+            "rpe_p997_mas": performance.rpe_p997,
+            "ake_p997_arcsec": knowledge.ake_p997_arcsec,
+            "rke_rms_mas": knowledge.rke_rms_mas,
+            "mirror_max_mrad": 1e3 * float(largest[0]),
+            "force_max_n": float(largest[1]),
+            **{name: value for name, value in always.items() if name in COMMON_METRICS},
+        }
+        for requirement in judged(requirements):
+            # a loop that is not stable starts at rest: what is left without its start-up may be too short for an index
+            with contextlib.suppress(ValueError):
+                found |= samples.metrics(requirement)
+        return found
 
-        judged_rows, largest = self.values[first:], self.largest
-        samples = _Samples.of(judged_rows[:, :2])
-        performance = Performance.of(judged_rows[:, :2], DT)
-        knowledge = Knowledge.of(judged_rows[:, 2:4], DT)
-        found = dict(
-            zip(
-                COMMON_METRICS,
-                (
-                    performance.ape_max,
-                    performance.ape_p997,
-                    performance.rpe_rms,
-                    performance.rpe_p997,
-                    knowledge.ake_p997_arcsec,
-                    knowledge.rke_rms_mas,
-                    1e3 * float(largest[0]),
-                    float(largest[1]),
-                    *samples.common(performance.rpe_windows_p997),
-                ),
-            )
-        )
-        return {**found, **samples.required(requirements)}
+
+def _series(error: FloatArray, first: int) -> ErrorSeries:
+    """An error (n, 2) [rad] from a tick on."""
+    return ErrorSeries(error, DT, first * DT, int(np.isnan(error).any(axis=1).sum()))
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """Samples of a simulated run that requirements judge [rad]: the error at each instant, its rms in each window."""
+    """Samples of the indices of a simulated run, those of each index made once."""
 
-    instants: FloatArray
-    windows: FloatArray
+    performance: ErrorSeries
+    knowledge: ErrorSeries
+    optics: Optics | None
+    _made: dict[Requirement, IndexSamples] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, error: FloatArray) -> _Samples:
-        """From the performance error (n, 2) [rad]."""
-        from pointing_analysis.indices import metrics
-        from pointing_analysis.requirements.summary import WINDOW
+    def of(self, requirement: Requirement) -> IndexSamples:
+        """Samples by which a recording of this run would be judged; ValueError: the index cannot be formed."""
+        r = requirement
+        index = Requirement(r.index, r.axis, r.times, 1.0, "", 0.5, 0.5, of_windows=r.of_windows, frequency=r.frequency)
+        if index not in self._made:
+            error = self.knowledge if index.index in ("AKE", "MKE", "RKE") else self.performance
+            self._made[index] = run_samples(error, index, self.optics)
+        return self._made[index]
 
-        return cls(metrics.radial(error), metrics.radial(np.sqrt(metrics.windows(error, DT, WINDOW).variance)))
-
-    def common(self, window_p997: float) -> tuple[float, ...]:
-        """Last of `COMMON_METRICS`."""
-        from pointing_analysis.indices.confidence import effective_number
-        from pointing_analysis.indices.errors import RAD_PER_MAS
-
-        numbers = effective_number(self.instants), effective_number(self.windows)
-        return (float(self.windows.max()) / RAD_PER_MAS, window_p997, *numbers)
-
-    def required(self, requirements: Sequence[Requirement]) -> dict[str, float]:
-        """Share above the limit of each requirement that a campaign judges, and quantiles that are no common metric."""
-        from pointing_analysis.read.mapped_arrays import SortedValues
-
-        found = {}
-        for r in judged(requirements):
-            of, scale = {"APE": self.instants, "RPE": self.windows}[r.index], INDICES[r.index][1]
-            found[_share_column(r)] = float(np.mean(of >= r.limit))
-            if quantile_column(r) not in COMMON_METRICS:
-                found[quantile_column(r)] = SortedValues(of / scale).quantile(r.probability)
-        return found
+    def metrics(self, requirement: Requirement) -> dict[str, float]:
+        """Columns of a requirement; ValueError: the index cannot be formed."""
+        named, samples = RequirementColumns.of(requirement), self.of(requirement)
+        sign = -1.0 if named.lower else 1.0  # of lower limits the smallest is the worst
+        ordered = SortedValues(sign * samples.values / named.scale)
+        beyond = np.count_nonzero(beyond_limit(samples.values, requirement)) + samples.missing
+        return {
+            named.share: float(beyond / (len(samples.values) + samples.missing)),
+            named.quantile: sign * ordered.quantile(requirement.probability),
+            named.worst: sign * float(ordered.at(ordered.size - 1)[0]),
+            named.effective: samples.effective,
+        }
 
 
 def finished_row(

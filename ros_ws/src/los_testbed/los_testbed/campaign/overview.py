@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, influences
+from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
 from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
+from pointing_analysis.requirements.rows import with_unit
+from pointing_analysis.requirements.text import Requirement
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
 RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
@@ -30,14 +34,8 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
     """
     table = folder.table()
     status = Counter(table.column("status").to_pylist())
-    metrics = {}
-    for name in campaign.metrics:
-        values = table.column(name).to_numpy()
-        finite = values[np.isfinite(values)]
-        metrics[name] = {
-            "members": int(finite.size),
-            **{f"q{q:g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in QUANTILES},
-        }
+    lower = {name for r in campaign.judged if r.lower for name in RequirementColumns.of(r).values}
+    metrics = {name: _quantiles(table.column(name).to_numpy(), name in lower) for name in campaign.metrics}
     ranked = table.column(RANKED[campaign.depth]).to_numpy()
     lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     key = np.where(lost, np.inf, np.where(np.isnan(ranked), -np.inf, ranked))
@@ -52,10 +50,28 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "rows_hash": folder.rows_hash(),
         "ranked_by": RANKED[campaign.depth],
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
-        "not_judged": [str(r) for r in not_judged(campaign.requirements, campaign.base.loop, campaign.depth)],
+        "not_judged": [f"{requirement}: {why}" for requirement, why in _not_judged(campaign).items()],
         "influence": [_shown(vars(i)) for i in _influences(campaign, table)],
         "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
     }
+
+
+def _quantiles(values: FloatArray, lower: bool) -> dict[str, float | None]:
+    """Number of members with a value and `QUANTILES` of them, of a column of a lower limit from the other end."""
+    finite = values[np.isfinite(values)]
+    wanted = [1.0 - q for q in QUANTILES] if lower else QUANTILES
+    found = {f"q{q:.3g}": float(f"{np.quantile(finite, q):.6g}") if finite.size else None for q in wanted}
+    return {"members": int(finite.size), **found}
+
+
+def quantile_heads(summary: dict[str, Any]) -> tuple[str, ...]:
+    """Headings of the quantiles of the metrics: of a lower limit those that so many members are above."""
+    any_lower = any("q0" in found for found in summary["metrics"].values())
+    return "median", "90 %", "99 %", "largest (of lower limits smallest)" if any_lower else "largest"
+
+
+def _not_judged(campaign: Campaign) -> dict[Requirement, str]:
+    return not_judged(campaign.requirements, campaign.base.loop, campaign.depth, campaign.refusals)
 
 
 def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
@@ -63,7 +79,7 @@ def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
         total = table.column(RANKED["model"]).to_numpy()
         return model_verdicts(total, table.column("status").to_pylist(), campaign.base.loop, campaign.requirements)
     columns = {name: table.column(name).to_numpy() for name in campaign.metrics}
-    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop, campaign.requirements)
+    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop, campaign.judged)
     return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]
 
 
@@ -81,14 +97,13 @@ def verdict_table(summary: dict[str, Any]) -> Table:
     table = Table(title="Requirements (ECSS-E-ST-60-10C)", title_justify="left")
     for name in ("requirement", "interpretation", "verdict"):
         table.add_column(name)
-    for name in ("quantile", "limit", "above", "samples"):
+    for name in ("quantile", "limit", "beyond", "samples"):
         table.add_column(name, justify="right")
     for v in summary["verdicts"]:
-        value = "unbounded" if v["value"] is None else f"{v['value']:.4g} {v['unit']}"
-        above = f"{100 * v['exceeding']:.3g} % ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
-        table.add_row(
-            v["requirement"], v["interpretation"], v["status"], value, f"{v['limit']:.4g}", above, str(v["samples"])
-        )
+        value = "unbounded" if v["value"] is None else with_unit(f"{v['value']:.4g}", v["unit"])
+        limit = f"{'above ' if v['lower_limit'] else ''}{v['limit']:.4g}"
+        beyond = f"{100 * v['exceeding']:.3g} % ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
+        table.add_row(v["requirement"], v["interpretation"], v["status"], value, limit, beyond, str(v["samples"]))
     return table
 
 
@@ -112,9 +127,9 @@ def metric_table(summary: dict[str, Any]) -> Table:
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     table = Table(title=f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}")
     table.add_column("metric")
-    for name in ("median", "90 %", "99 %", "largest"):
+    for name in quantile_heads(summary):
         table.add_column(name, justify="right")
     for name, found in summary["metrics"].items():
-        values = (found[f"q{q:g}"] for q in QUANTILES)
+        values = (value for key, value in found.items() if key != "members")
         table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
     return table

@@ -17,7 +17,7 @@ from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import yield_curve
 from los_testbed.campaign.meanings import meaning
-from los_testbed.campaign.overview import RANKED
+from los_testbed.campaign.overview import RANKED, quantile_heads
 from los_testbed.campaign.sampling import COLUMNS, box
 from los_testbed.campaign.verdict import LOST
 from pointing_analysis.files.atomic_output import write_text
@@ -61,7 +61,7 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
         summary=summary,
         meaning=meaning,
         manifest=campaign.manifest(),
-        quantiles=("median", "90 %", "99 %", "largest"),
+        quantiles=quantile_heads(summary),
         pictures=[
             {
                 "title": p.title,

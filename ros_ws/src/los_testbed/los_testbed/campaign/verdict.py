@@ -6,33 +6,40 @@ temporal       each member keeps the limit for the share of its time; the worst 
 mixed          all instants of all members together
 =============  =====================================================================================================
 
+The worst instant, the quantile and the share above a limit are columns of the data set
+(:class:`los_testbed.campaign.meanings.RequirementColumns`); an index with one value for each window or exposure has
+those in place of instants. Under a lower limit the worst is the smallest, and what is below the limit counts.
+
 Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`). The instants of
-a member weigh as many as its autocorrelation leaves. A member that diverged is above every limit; one that failed for
-another reason is left out and counted.
+a member weigh as many as its autocorrelation leaves. A member that diverged is beyond every limit, and so is one whose
+metric is not known; one that failed for another reason is left out and counted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from los_testbed.campaign.meanings import RequirementColumns
+from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
-from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.verdict import refusal
+from titop_plant.interface import DT
 from titop_plant.telescope.requirements import window_probability
 
 LOST = ("unstable", "diverged")
-"""Statuses of members that are above every limit."""
+"""Statuses of members that are beyond every limit."""
 
-INDICES = {"APE": ("ape", RAD_PER_ARCSEC, "arcsec"), "RPE": ("rpe_window", RAD_PER_MAS, "mas")}
-"""Index to the stem of its columns, unit in radians, unit."""
+PRE = "the PRE compares several runs, a campaign has one of each member"
+"""Why there is no verdict on the PRE."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +55,15 @@ class CampaignVerdict:
         Quantile of the interpretation and limit.
     unit : str
     exceeding : float
-        Share of the samples above the limit.
+        Share of the samples above the limit, or below a lower one.
     lower, upper : float
         Bounds of the probability to exceed, each with the confidence of the requirement.
     samples, needed : int
         Independent samples, and those that would show compliance with the exceedances seen.
     text : str
         Requirement in full.
+    lower_limit : bool
+        Whether the limit is a lower one.
     """
 
     requirement: str
@@ -69,6 +78,7 @@ class CampaignVerdict:
     samples: int
     needed: int
     text: str = ""
+    lower_limit: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; what is not finite is None."""
@@ -78,34 +88,50 @@ class CampaignVerdict:
         }
 
 
-def share_column(index: str, limit: float) -> str:
-    """Column with the share of the samples of a member above a limit [rad]: ``rpe_window_above_40_mas``."""
-    stem, scale, unit = INDICES[index]
-    return f"{stem}_above_{limit / scale:g}_{unit}"
-
-
-def quantile_column(requirement: Requirement) -> str:
-    """Column with the quantile of a member that a requirement names: ``rpe_window_p997_mas``.
-
-    Examples
-    --------
-    >>> from pointing_analysis.requirements.text import parse
-    >>> quantile_column(parse("prob(|APE| < 1 arcsec) >= 95 % at 90 % confidence"))
-    'ape_p95_arcsec'
-    """
-    stem, _, unit = INDICES[requirement.index]
-    return f"{stem}_p{requirement.probability:.10g}_{unit}".replace("_p0.", "_p")
-
-
 def judged(requirements: Sequence[Requirement], loop: str | None = None) -> tuple[Requirement, ...]:
-    """Requirements that campaigns judge, of a stage or of all: on both axes of the APE, or of the RPE of windows."""
-    return tuple(r for r in of_stage(requirements, loop) if _has_columns(r))
+    """Requirements that campaigns of simulated runs judge, of a stage or of all: those on single runs."""
+    return tuple(r for r in of_stage(requirements, loop) if r.index != "PRE")
 
 
-def not_judged(requirements: Sequence[Requirement], loop: str, depth: str = "time") -> tuple[Requirement, ...]:
-    """Requirements of a stage on which a campaign has no verdict at a depth."""
-    chosen = _of_model(requirements, loop) if depth == "model" else judged(requirements, loop)
-    return tuple(r for r in of_stage(requirements, loop) if r not in chosen)
+def refused(requirements: Sequence[Requirement], ticks: int, optics: Optics | None) -> dict[Requirement, str]:
+    """Requirements whose index the run of a member cannot have, and why.
+
+    Parameters
+    ----------
+    requirements : sequence of Requirement
+    ticks : int
+        Of the run of each member, without its start-up.
+    optics : Optics or None
+        Of the telescope.
+    """
+    reasons = {r: PRE if r.index == "PRE" else refusal(r, ticks, DT, optics) for r in requirements}
+    return {r: why for r, why in reasons.items() if why}
+
+
+def not_judged(
+    requirements: Sequence[Requirement],
+    loop: str,
+    depth: str = "time",
+    refusals: Mapping[Requirement, str] | None = None,
+) -> dict[Requirement, str]:
+    """Requirements of a stage on which a campaign has no verdict at a depth, and why.
+
+    Parameters
+    ----------
+    requirements : sequence of Requirement
+        Of the telescope.
+    loop : str
+        Stage.
+    depth : {"time", "model"}
+    refusals : mapping, optional
+        Of :func:`refused`, at depth time.
+    """
+    own = of_stage(requirements, loop)
+    if depth == "model":
+        known = f"depth model has the worst tone and the noise in windows of {1e3 * WINDOW:g} ms only"
+        return {r: known for r in own if r not in _of_model(requirements, loop)}
+    reasons = {**{r: PRE for r in own if r.index == "PRE"}, **(refusals or {})}
+    return {r: reasons[r] for r in own if r in reasons}
 
 
 def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Requirement, ...]:
@@ -113,15 +139,11 @@ def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Req
     return tuple(r for r in requirements if loop is None or not r.loops or loop in r.loops)
 
 
-def _has_columns(requirement: Requirement) -> bool:
-    windows = requirement.of_windows and requirement.times == (WINDOW,)
-    return requirement.index in INDICES and not requirement.axis and (requirement.index == "APE" or windows)
-
-
 def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requirement, ...]:
     """Those that the depth model judges: its level of tone and noise is that of one probability."""
     probability = window_probability(requirements)
-    return tuple(r for r in judged(requirements, loop) if r.index == "RPE" and r.probability == probability)
+    windows = [r for r in judged(requirements, loop) if r.index == "RPE" and r.of_windows and r.times == (WINDOW,)]
+    return tuple(r for r in windows if not r.axis and r.probability == probability)
 
 
 def verdicts(
@@ -145,28 +167,21 @@ def verdicts(
     if not keep.any():
         return found
     for requirement in judged(requirements, loop):
-        stem, scale, unit = INDICES[requirement.index]
-        limit = requirement.limit / scale
+        named = RequirementColumns.of(requirement)
+        beyond = -np.inf if named.lower else np.inf
 
         def column(name: str, instead: float) -> FloatArray:
-            values = np.where(lost, instead, columns.get(name, np.full(len(lost), np.nan)))[keep]
-            return np.asarray(values, dtype=float)
+            values = np.asarray(columns.get(name, np.full(len(lost), np.nan)), dtype=float)
+            return np.asarray(np.where(lost | np.isnan(values), instead, values)[keep])
 
-        worst, own = column(f"{stem}_max_{unit}", np.inf), column(quantile_column(requirement), np.inf)
-        share = column(share_column(requirement.index, requirement.limit), 1.0)
-        effective = np.maximum(column(f"{stem}_effective", 1.0), 1.0)
+        worst, own, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
+        effective = np.maximum(column(named.effective, 1.0), 1.0)
         pooled = float(np.average(share, weights=effective))
-        common = (requirement, limit, unit)
+        above, total = math.ceil(pooled * effective.sum() - 1e-6), int(effective.sum())
         found += [
-            _decided("ensemble", *common, int(np.sum(worst >= limit)), len(worst), _quantile(worst, requirement)),
-            _temporal(requirement, limit, unit, own),
-            _decided(
-                "mixed",
-                *common,
-                math.ceil(pooled * effective.sum() - 1e-6),
-                int(effective.sum()),
-                _quantile(own, requirement, mean=True),
-            ),
+            _decided("ensemble", requirement, _above(worst, requirement), len(worst), _quantile(worst, requirement)),
+            _temporal(requirement, own),
+            _decided("mixed", requirement, above, total, float(np.mean(own))),
         ]
     return found
 
@@ -188,56 +203,53 @@ def model_verdicts(
     if not keep.any():
         return []
     own = np.where(lost, np.inf, total)[keep]
-    return [_temporal(r, r.limit / RAD_PER_MAS, "mas", own) for r in _of_model(requirements, loop)]
+    return [_temporal(r, own) for r in _of_model(requirements, loop)]
 
 
-def _quantile(values: FloatArray, requirement: Requirement, mean: bool = False) -> float:
-    if mean:
-        return float(np.mean(values))
-    return SortedValues(values).quantile(requirement.probability)
+def _above(values: FloatArray, requirement: Requirement) -> int:
+    """How many values, in the unit of the columns, do not keep the limit."""
+    limit = requirement.limit / RequirementColumns.of(requirement).scale
+    return int(np.sum(values <= limit if requirement.lower else values >= limit))
 
 
-def _decided(
-    interpretation: str, requirement: Requirement, limit: float, unit: str, above: int, samples: int, value: float
-) -> CampaignVerdict:
+def _quantile(values: FloatArray, requirement: Requirement) -> float:
+    """What the required part of the values keeps."""
+    sign = -1.0 if requirement.lower else 1.0
+    return sign * SortedValues(sign * values).quantile(requirement.probability)
+
+
+def _decided(interpretation: str, requirement: Requirement, above: int, samples: int, value: float) -> CampaignVerdict:
     allowed = 1.0 - requirement.probability
     lower = exceedance_lower(above, samples, requirement.confidence)
     upper = exceedance_upper(above, samples, requirement.confidence)
     status = "compliant" if upper <= allowed else "not compliant" if lower > allowed else "not enough data"
     needed = samples_needed(requirement.probability, requirement.confidence, above)
-    return CampaignVerdict(
-        requirement.name,
-        interpretation,
-        status,
-        value,
-        limit,
-        unit,
-        above / samples,
-        lower,
-        upper,
-        samples,
-        needed,
-        str(requirement),
-    )
+    return _verdict(requirement, interpretation, status, value, above, samples, needed)
 
 
-def _temporal(requirement: Requirement, limit: float, unit: str, own: FloatArray) -> CampaignVerdict:
+def _temporal(requirement: Requirement, own: FloatArray) -> CampaignVerdict:
     """Every member keeps the limit for its share of the time; bounds are those of the share of members that do not."""
-    above, samples = int(np.sum(own >= limit)), len(own)
-    lower, upper = (f(above, samples, requirement.confidence) for f in (exceedance_lower, exceedance_upper))
-    status = "not compliant" if above else "compliant"
-    worst = float(np.max(own))
+    above, samples = _above(own, requirement), len(own)
+    worst = float(np.min(own) if requirement.lower else np.max(own))
+    return _verdict(requirement, "temporal", "not compliant" if above else "compliant", worst, above, samples, samples)
+
+
+def _verdict(
+    requirement: Requirement, interpretation: str, status: str, value: float, above: int, samples: int, needed: int
+) -> CampaignVerdict:
+    named = RequirementColumns.of(requirement)
     return CampaignVerdict(
-        requirement.name,
-        "temporal",
-        status,
-        worst,
-        limit,
-        unit,
-        above / samples,
-        lower,
-        upper,
-        samples,
-        samples,
-        str(requirement),
+        requirement=requirement.name,
+        interpretation=interpretation,
+        status=status,
+        value=value,
+        limit=requirement.limit / named.scale,
+        unit=named.unit,
+        exceeding=above / samples,
+        lower=exceedance_lower(above, samples, requirement.confidence),
+        upper=exceedance_upper(above, samples, requirement.confidence),
+        samples=samples,
+        needed=needed,
+        text=str(requirement),
+        lower_limit=named.lower,
     )

@@ -1,0 +1,338 @@
+"""Columns that a member of a campaign has for any requirement on single runs, and what is made of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.execution import identity
+from los_testbed.campaign.meanings import RequirementColumns, meaning
+from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, finished_row, metric_columns
+from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
+from los_testbed.campaign.page import write_page
+from los_testbed.campaign.sampling import COLUMNS, command, member_seeds, members
+from los_testbed.cli.app import main
+from los_testbed.cli.campaign import _show
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from rich.console import Console
+
+from pointing_analysis.image.optics import optics_of
+from pointing_analysis.indices.errors import knowledge_error, performance_error
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.verdict import index_samples
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+TAIL = ">= 0.9 at 95 % confidence"
+JUDGED = {
+    "time": "prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence",
+    "axis": "prob(|APE_y| < 0.05 arcsec) >= 0.9 at 95 % confidence",
+    "long": "prob(rms RPE(250 ms) < 20 mas) >= 0.7 at 95 % confidence",
+    "drift": "prob(|PDE(100 ms, 0.5 s)| < 5 mas) >= 0.8 at 95 % confidence",
+    "image": "prob(MTF(20 ms, Nyquist) > 0.7) >= 0.9 at 95 % confidence",
+    "energy": "prob(EE80(20 ms) < 100 mas) >= 0.95 at 95 % confidence",
+    "knowledge": "prob(|AKE_x| < 0.04 arcsec) >= 0.9 at 95 % confidence",
+    "instants": "prob(|RKE(40 ms)| < 10 mas) >= 0.9 at 95 % confidence",
+}
+"""Of another telescope, with limits within the range of its members."""
+
+OTHERS = {
+    "longest": "prob(rms RPE(30 s) < 40 mas) >= 0.9 at 95 % confidence",
+    "exposure": "prob(Strehl(2 s) > 0.5) >= 0.9 at 95 % confidence",
+    "again": "prob(|PRE(1 s)| < 40 mas) >= 0.9 at 95 % confidence",
+}
+"""That runs of two seconds cannot be judged by: an exposure of 2 s has one sample more."""
+
+
+def telescope(path: Path, requirements: dict[str, str], text: str = "") -> str:
+    """Parameter file of a telescope with more requirements than the reference."""
+    entries = "".join(f'[[requirement]]\nname = "{name}"\ntext = "{r}"\n' for name, r in requirements.items())
+    path.write_text(entries + text, "utf-8")
+    return str(path)
+
+
+def base_of(parameters: str, **changes: Any) -> RunConfig:
+    return replace(
+        RunConfig(mode="inprocess", loop="fsm+pma", scenario="design", duration=2.0, parameters=parameters), **changes
+    )
+
+
+def named(name: str, requirements: tuple[Requirement, ...]) -> tuple[Requirement, RequirementColumns]:
+    requirement = next(r for r in requirements if r.name == name)
+    return requirement, RequirementColumns.of(requirement)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("|APE| < 10 arcsec", "ape_above_10_arcsec ape_p9_arcsec ape_max_arcsec ape_effective"),
+        ("|APE| < 500 mas", "ape_above_0.5_arcsec ape_p9_arcsec ape_max_arcsec ape_effective"),
+        ("|APE_x| < 1 urad", "ape_x_above_0.206264806247096_arcsec ape_x_p9_arcsec ape_x_max_arcsec ape_x_effective"),
+        (
+            "rms RPE(20 ms) < 40 mas",
+            "rpe_window_above_40_mas rpe_window_p9_mas rpe_window_max_mas rpe_window_effective",
+        ),
+        ("|RPE(20 ms)| < 40 mas", "rpe_above_40_mas rpe_p9_mas rpe_max_mas rpe_effective"),
+        (
+            "rms RPE(250 ms) < 40 mas",
+            "rpe_window_250ms_above_40_mas rpe_window_250ms_p9_mas rpe_window_250ms_max_mas rpe_window_250ms_effective",
+        ),
+        ("|RPE_y(20 ms)| < 4 mas", "rpe_20ms_y_above_4_mas rpe_20ms_y_p9_mas rpe_20ms_y_max_mas rpe_20ms_y_effective"),
+        (
+            "|PDE(1 s, 1.5 min)| < 1 arcsec",
+            "pde_1s_90s_above_1000_mas pde_1s_90s_p9_mas pde_1s_90s_max_mas pde_1s_90s_effective",
+        ),
+        ("|MKE(1 s)| < 1 arcsec", "mke_1s_above_1_arcsec mke_1s_p9_arcsec mke_1s_max_arcsec mke_1s_effective"),
+        (
+            "MTF(20 ms, Nyquist) > 0.9",
+            "mtf_20ms_nyquist_below_0.9 mtf_20ms_nyquist_p1 mtf_20ms_nyquist_min mtf_20ms_nyquist_effective",
+        ),
+        (
+            "MTF(5 ms, 8 cycles/arcsec) > 0.9",
+            "mtf_5ms_8cycles_per_arcsec_below_0.9 mtf_5ms_8cycles_per_arcsec_p1 mtf_5ms_8cycles_per_arcsec_min "
+            "mtf_5ms_8cycles_per_arcsec_effective",
+        ),
+        ("EE80(20 ms) < 140 mas", "ee80_20ms_above_140_mas ee80_20ms_p9_mas ee80_20ms_max_mas ee80_20ms_effective"),
+        (
+            "ellipticity(20 ms) < 0.02",
+            "ellipticity_20ms_above_0.02 ellipticity_20ms_p9 ellipticity_20ms_max ellipticity_20ms_effective",
+        ),
+    ],
+)
+def test_names(text: str, names: str) -> None:
+    assert RequirementColumns.of(parse(f"prob({text}) {TAIL}")).names == tuple(names.split())
+
+
+def test_names_of_probabilities() -> None:
+    for probability, upper, lower in (("99.7 %", "p997", "p003"), ("0.5", "p5", "p5"), ("0.99999", "p99999", "p1e-05")):
+        strehl, ape = (
+            RequirementColumns.of(parse(f"prob({text}) >= {probability} at 95 % confidence"))
+            for text in ("Strehl(1 s) > 0.5", "|APE_x| < 1 mas")
+        )
+        assert (ape.quantile, strehl.quantile) == (f"ape_x_{upper}_arcsec", f"strehl_1s_{lower}")
+
+
+def drawn(rng: np.random.Generator) -> Requirement:
+    """Any requirement on single runs."""
+    times = [f"{rng.choice([2, 20, 20.001, 250, 33.3333337])} ms", f"{rng.choice([1, 10, 1234.567, 1234.568])} s"]
+    first, limit = str(rng.choice(times)), float(rng.choice([0.1, 0.25, 0.30000001, 0.3]))
+    unit, axis = str(rng.choice(["mas", "arcsec"])), str(rng.choice(["", "_x", "_y"]))
+    frequency = str(rng.choice(["Nyquist", "0.5 Nyquist", "8 cycles/arcsec", "8 cycles/mas", "8.5 cycles/mas"]))
+    texts = [f"|{index}{axis}| < {limit} {unit}" for index in ("APE", "AKE")]
+    texts += [f"|{index}{axis}({first})| < {limit} {unit}" for index in ("MPE", "RPE", "MKE", "RKE")]
+    texts += [f"rms {index}{axis}({first}) < {limit} {unit}" for index in ("RPE", "RKE")]
+    texts += [f"|PDE{axis}({', '.join(times)})| < {limit} {unit}", f"ellipticity({first}) < {limit}"]
+    texts += [f"MTF({first}, {frequency}) > {limit}", f"Strehl({first}) > {limit}"]
+    texts += [f"{index}({first}) < {limit} {unit}" for index in ("EE50", "EE80")]
+    return parse(f"prob({rng.choice(texts)}) >= {rng.choice([0.1, 0.5, 0.95, 0.997, 0.9973])} at 95 % confidence")
+
+
+def test_names_tell_requirements_apart_and_have_a_meaning() -> None:
+    """What differs between two of them is in their names; limits of the present columns have six digits."""
+    rng = np.random.default_rng(28)
+    values: dict[str, Any] = {}
+    shares: dict[str, Any] = {}
+    for r in (drawn(rng) for _ in range(4000)):
+        columns = RequirementColumns.of(r)
+        index = r.index, r.axis, r.times, r.of_windows, r.frequency
+        assert values.setdefault(columns.worst, index) == values.setdefault(columns.effective, index) == index
+        assert values.setdefault(columns.quantile, (index, r.probability)) == (index, r.probability)
+        six = columns.worst in ("ape_max_arcsec", "rpe_window_max_mas")
+        limit = f"{r.limit / columns.scale:{'.6g' if six else '.12g'}}"
+        assert shares.setdefault(columns.share, (index, limit)) == (index, limit)
+    assert len(values) > 500
+    for name in (*values, *shares):
+        assert re.fullmatch(r"[a-z0-9_.+-]+", name)
+        assert meaning(name) != name.replace("_", " "), name
+    assert len({meaning(name) for name in (*values, *shares)}) == len({*values, *shares})
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ("ape_y_max_arcsec", "absolute error, axis y, largest of the instants [arcsec]"),
+        (
+            "rpe_window_250ms_p997_mas",
+            "relative error, rms of a window of 250 ms, 99.7 % of the windows [mas]",
+        ),
+        ("rpe_40ms_x_effective", "relative error in windows of 40 ms, axis x: independent instants"),
+        (
+            "pde_1s_10s_above_5_mas",
+            "drift between two windows of 1 s, 10 s apart: share of the pairs of windows above 5 mas",
+        ),
+        (
+            "mtf_20ms_0.5nyquist_min",
+            "MTF of the motion in an exposure of 20 ms, at 0.5 Nyquist, smallest of the exposures",
+        ),
+        (
+            "mtf_20ms_8cycles_per_arcsec_below_0.9",
+            "MTF of the motion in an exposure of 20 ms, at 8 cycles/arcsec: share of the exposures below 0.9",
+        ),
+        ("strehl_20ms_p003", "Strehl ratio of the motion in an exposure of 20 ms, 99.7 % of the exposures are above"),
+    ],
+)
+def test_meanings(column: str, words: str) -> None:
+    assert meaning(column) == words
+
+
+def test_columns_of_the_reference_are_those_that_folders_have() -> None:
+    """Names and order, on which the hashes of rows depend."""
+    requirements = RunParts(RunConfig()).requirements
+    assert metric_columns("time", requirements) == (
+        *COMMON_METRICS,
+        "ape_above_10_arcsec",
+        "rpe_window_above_100_mas",
+        "rpe_window_above_40_mas",
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Telescope with requirements of many kinds, a member's row, and the bag of that member's recorded run."""
+    folder = tmp_path_factory.mktemp("columns")
+    file = telescope(folder / "mine.toml", {**JUDGED, **OTHERS})
+    base = base_of(file)
+    row = {**dict(zip(COLUMNS, map(float, members("uniform", 1, 7)[0]))), "seed": int(member_seeds(1, 7)[0])}
+    found = MemberEvaluator.of(base).row(0, row, "time")
+    line = command(row, f" --duration 2 --loop fsm+pma --scenario design --parameters {file} --output {folder / 'bag'}")
+    assert main([*shlex.split(line)[1:], "--json"]) == 0
+    return {"base": base, "row": found, "bag": folder / "bag"}
+
+
+def test_columns_are_what_analyse_says_of_the_recorded_run(
+    evaluated: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Same member, same seed: quantile, share and effective samples to all printed digits; the worst to the bit."""
+    capsys.readouterr()
+    assert main(["analyse", str(evaluated["bag"]), "--json"]) == 0
+    told = {r["name"]: r for r in json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]}
+    row, run = evaluated["row"], Run.open(evaluated["bag"])
+    assert row["status"] == "ok" and set(JUDGED) <= set(told)
+    for name, text in JUDGED.items():
+        r = parse(text)
+        columns, said = RequirementColumns.of(r), told[name]
+        assert columns.unit == said["unit"]
+        printed = [float(f"{row[c]:.6g}") for c in (columns.quantile, columns.share, columns.effective)]
+        assert printed == [said["quantile"], said["exceeding"], said["effective_samples"]], name
+        error = (knowledge_error if r.index in ("AKE", "RKE") else performance_error)(run)
+        values, _, _ = index_samples(error, r, optics_of(run))
+        worst = values.min() if r.lower else values.max()
+        assert row[columns.worst] == worst / columns.scale
+    exceeding = [told[name]["exceeding"] for name in JUDGED]
+    assert sum(0 < share < 1 for share in exceeding) >= 4, "limits within the range of the samples"
+
+
+def test_what_a_campaign_cannot_judge_is_named_with_the_reason(
+    evaluated: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyarrow")
+    asked = Campaign.of(evaluated["base"], "uniform", 1, 7, "time", identity(evaluated["base"]))
+    told = {**JUDGED, **OTHERS}
+    assert {r.name for r in asked.judged} == {*told, "APE", "RPE, fine", "RPE, finest"} - set(OTHERS)
+    row = evaluated["row"]
+    assert not any(RequirementColumns.of(parse(text)).worst in row for text in OTHERS.values())
+    folder = ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    folder.write(0, [row])
+    summary = campaign_summary(asked, folder)
+    assert summary["not_judged"] == [
+        f"{OTHERS['longest']}: the run must be at least as long as the window of 30 s, got 2 s",
+        f"{OTHERS['exposure']}: the run must last for one exposure of 2 s and a sample, got 2000 samples of 0.001 s",
+        f"{OTHERS['again']}: the PRE compares several runs, a campaign has one of each member",
+    ]
+    assert {v["requirement"] for v in summary["verdicts"]} == {*JUDGED, "APE", "RPE, fine", "RPE, finest"}
+    _show(Console(width=300), {**summary, "report": "r.html"}, folder)
+    shown = capsys.readouterr().out
+    assert all(f"no verdict of a campaign on {text}" in shown for text in summary["not_judged"])
+    page = write_page(asked, folder, summary, tmp_path / "r.html").read_text("utf-8")
+    assert "got 2000 samples of 0.001 s; prob(|PRE(1 s)|" in page
+
+
+def test_a_run_from_rest_is_shorter_by_its_start_up(tmp_path: Path) -> None:
+    file = telescope(tmp_path / "mine.toml", {"long": "prob(rms RPE(1.5 s) < 40 mas) >= 0.9 at 95 % confidence"})
+    for start, kept in (("steady", True), ("rest", False)):
+        asked = Campaign.of(base_of(file, start=start), "uniform", 1, 7, "time", {})
+        assert ("rpe_window_1.5s_max_mas" in asked.metrics) == kept
+        assert list(asked.refusals.values()) == (
+            [] if kept else ["the run must be at least as long as the window of 1.5 s, got 1 s"]
+        )
+    assert Campaign.of(base_of(file), "uniform", 1, 7, "model", {}).refusals == {}
+
+
+def test_optics_are_part_of_a_campaign_where_metrics_depend_on_them(tmp_path: Path) -> None:
+    wave = "[optics]\nwavelength = 633e-9\n"
+    star = {"star": "prob(Strehl(20 ms) > 0.5) >= 0.9 at 95 % confidence"}
+    reference, other = (
+        identity(base_of(telescope(tmp_path / f"{k}.toml", star, text))) for k, text in enumerate(("", wave))
+    )
+    assert set(other) - set(reference) == {"optics"}
+    assert "optics" not in identity(base_of(telescope(tmp_path / "none.toml", {}, wave)))
+    lost = telescope(tmp_path / "lost.toml", star, '[optics]\npupil = "none.fits"\n')
+    with pytest.raises(ValueError, match="cannot read the pupil"):
+        identity(base_of(lost))
+
+
+def test_rows_from_before_a_requirement_had_columns_are_computed_again(tmp_path: Path) -> None:
+    """Of the reference telescope none is; a folder of the same campaign with other columns is resumed, not refused."""
+    pytest.importorskip("pyarrow")
+    for file, kept in ((None, {0, 1}), (telescope(tmp_path / "mine.toml", JUDGED), set())):
+        asked = Campaign.of(replace(base_of(file or ""), parameters=file), "uniform", 20, 1, "time", {"version": "1"})
+        before = (
+            *COMMON_METRICS,
+            *("ape_above_10_arcsec", "rpe_window_above_100_mas", "rpe_window_above_40_mas"),
+        )
+        folder = ResultFolder(tmp_path / f"old-{bool(file)}")
+        folder.open(asked, False)
+        for number, chunk in asked.chunks():
+            folder.write(number, [finished_row(m["index"], m, dict.fromkeys(before, 1.0), "ok", "") for m in chunk])
+        assert folder.open(asked, True) == kept
+        for number, chunk in asked.chunks(frozenset(kept)):
+            metrics = dict.fromkeys(asked.metrics, 1.0)
+            folder.write(number, [finished_row(m["index"], m, metrics, "ok", "") for m in chunk])
+        assert folder.open(asked, True) == {0, 1}
+        assert campaign_summary(asked, folder)["members"] == 20
+
+
+def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
+    """Of a lower limit the quantiles of the members are those that so many are above."""
+    pytest.importorskip("pyarrow")
+    file = telescope(tmp_path / "mine.toml", JUDGED)
+    asked = Campaign.of(base_of(file), "uniform", 10, 1, "time", {"version": "1"})
+    folder = ResultFolder(tmp_path / "c")
+    folder.open(asked, False)
+    requirement, columns = named("image", asked.requirements)
+    for number, chunk in asked.chunks():
+        metrics = [
+            {**dict.fromkeys(asked.metrics, 1.0), columns.worst: 0.5 + 0.04 * m["index"], columns.quantile: 0.8}
+            for m in chunk
+        ]
+        folder.write(number, [finished_row(m["index"], m, v, "ok", "") for m, v in zip(chunk, metrics)])
+    summary = json.loads(json.dumps(campaign_summary(asked, folder)))
+    names = [name for r in asked.judged for name in RequirementColumns.of(r).names]
+    assert set(names) <= set(summary["metrics"])
+    worst = summary["metrics"][columns.worst]
+    assert worst == {"members": 10, "q0.5": 0.68, "q0.1": 0.536, "q0.01": 0.5036, "q0": 0.5}
+    assert list(summary["metrics"]["pde_100ms_500ms_max_mas"]) == ["members", "q0.5", "q0.9", "q0.99", "q1"]
+    assert list(summary["metrics"][columns.effective]) == ["members", "q0.5", "q0.9", "q0.99", "q1"]
+    shown = {v["interpretation"]: v for v in summary["verdicts"] if v["requirement"] == "image"}
+    assert shown["temporal"]["value"] == 0.8 and shown["temporal"]["lower_limit"] is True
+    assert shown["ensemble"]["text"] == str(requirement) and shown["ensemble"]["value"] == 0.54
+    page = write_page(asked, folder, summary, tmp_path / "r.html").read_text("utf-8")
+    for name in names:
+        assert f"<td>{name}<br>" in page and meaning(name) in page
+    assert "above 0.7 " in page
+    console = Console(width=300, record=True, file=(tmp_path / "screen").open("w"))
+    console.print(verdict_table(summary))
+    console.print(metric_table(summary))
+    text = console.export_text()
+    assert "above 0.7" in text and all(name in text for name in names)
+    assert "largest (of lower limits smallest)" in text and "largest (of lower limits smallest)" in page
