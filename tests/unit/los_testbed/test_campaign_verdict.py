@@ -72,6 +72,13 @@ def test_whole_counts_are_not_rounded_up() -> None:
     assert (more["mixed"].samples, more["mixed"].exceeding) == (31, 4 / 31)
 
 
+def test_no_more_samples_are_above_than_there_are() -> None:
+    """All of 7.9 effective samples: 7 of 7, and the bounds are numbers."""
+    mixed = by_kind(verdicts(columns([3], [3], [1.0], [7.9]), ["ok"], "fsm", [APE]))["mixed"]
+    assert (mixed.samples, mixed.exceeding, mixed.upper) == (7, 1.0, 1.0)
+    assert mixed.lower == exceedance_lower(7, 7, 0.75) and mixed.status == "not compliant"
+
+
 @pytest.mark.parametrize("count", [4, 5, 20])
 def test_status_is_that_of_the_bounds(count: int) -> None:
     for above in range(count + 1):

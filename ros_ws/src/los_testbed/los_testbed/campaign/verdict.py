@@ -177,7 +177,8 @@ def verdicts(
         worst, own, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
         effective = np.maximum(column(named.effective, 1.0), 1.0)
         pooled = float(np.average(share, weights=effective))
-        above, total = math.ceil(pooled * effective.sum() - 1e-6), int(effective.sum())
+        total = int(effective.sum())
+        above = min(math.ceil(pooled * effective.sum() - 1e-6), total)
         found += [
             _decided("ensemble", requirement, _above(worst, requirement), len(worst), _quantile(worst, requirement)),
             _temporal(requirement, own),
