@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, needed, same_bits, write
+from flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, same_bits, write
 from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import magnitudes, run_laws, without_frames
@@ -39,6 +39,10 @@ from titop_plant.interface import (
 BAG = Path(__file__).parents[2] / "bags/reference"
 RANDOM_CONTROLLERS, RANDOM_TICKS = 50, 300
 
+with_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
+with_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="no clang")
+COMPILERS = [pytest.param("gcc", marks=with_gcc), pytest.param("clang", marks=with_clang)]
+
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -51,18 +55,17 @@ def recorded() -> Run:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("compiler", COMPILERS)
 def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run, tmp_path: Path) -> None:
     """Estimates and commands are those of the record, which the testbed's laws have made."""
-    needed(compiler)
     laws = controllers(recorded)
     library = build(write(FlightLaws.of(laws.estimator, laws.controller), tmp_path / "laws", LIBRARY), compiler, level)
     states = RunStart.from_bytes(recorded.attachments[START_FILE]).states
     assert states is not None
     observer = FlightEstimator(library, (np.array(states.k_fsm), np.array(states.camera)))
-    flown = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=LAYOUT)
-    assert len(flown.stamp) == 4100
-    for name, (stamp, values) in flown.topics().items():
+    made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=LAYOUT)
+    assert len(made.stamp) == 4100
+    for name, (stamp, values) in made.topics().items():
         topic = recorded[name]
         assert np.array_equal(stamp, topic.stamp)
         expected = topic.values[:, : values.shape[1]]  # a message has three angles of the mirror
@@ -97,7 +100,7 @@ def inputs(rng: np.random.Generator) -> FloatArray:
     return without_frames(np.vstack([ordinary, odd]), rng)
 
 
-def flown_by(library: Path, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
+def answers_of(library: Path, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
     observer, controller, loop = FlightEstimator(library), FlightController(library), STAGES[-1]
     estimate, command = np.zeros((len(measurement), ESTIMATES)), np.zeros((len(measurement), COMMANDS))
     for row, y in enumerate(measurement):
@@ -109,16 +112,16 @@ def flown_by(library: Path, measurement: FloatArray, stages: list[int]) -> tuple
     return estimate, command
 
 
+@with_gcc
 @pytest.mark.parametrize("count", [4, pytest.param(RANDOM_CONTROLLERS, marks=pytest.mark.slow)])
 def test_random_controllers_on_inputs_of_all_magnitudes(count: int, tmp_path: Path) -> None:
-    needed("gcc")
     rng, finite, steps = np.random.default_rng(2035), 0, 0
     for number in range(count):
         laws = random_laws(rng, 1 + number % 12)
         library = build(write(laws, tmp_path / str(number), LIBRARY), "gcc", LEVELS[number % len(LEVELS)])
         measurement = inputs(rng)
         stages = np.repeat(rng.integers(0, len(STAGES), RANDOM_TICKS // 20), 20).tolist()
-        for found, expected in zip(flown_by(library, measurement, stages), run_laws(laws, measurement, stages)):
+        for found, expected in zip(answers_of(library, measurement, stages), run_laws(laws, measurement, stages)):
             assert same_bits(found, expected).all(), number
             finite, steps = finite + int(np.isfinite(expected).all(axis=1).sum()), steps + len(expected)
     assert 0.5 * steps < finite < steps  # both kinds of ticks
@@ -131,25 +134,25 @@ def self_test(folder: Path, compiler: str, *options: str) -> subprocess.Complete
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("compiler", COMPILERS)
 def test_the_self_test_passes_without_a_warning(compiler: str, level: str, shipped: Path) -> None:
-    done = self_test(shipped, needed(compiler), *STRICT, level, "-ffp-contract=off")
+    done = self_test(shipped, compiler, *STRICT, level, "-ffp-contract=off")
     assert done.returncode == 0 and "have the bits of the testbed" in done.stdout
 
 
+@with_gcc
 def test_the_self_test_finds_fused_products(shipped: Path) -> None:
     """A compiler that fuses products with sums makes other bits, and the self test says so."""
-    needed("gcc")
     if " fma " not in Path("/proc/cpuinfo").read_text("utf-8"):
         pytest.skip("this processor has no fused multiply-add of x86")
     done = self_test(shipped, "gcc", "-O2", "-mfma", "-ffp-contract=fast")
     assert done.returncode == 1 and "values differ" in done.stdout
 
 
+@with_gcc
 @pytest.mark.parametrize(("change", "found"), [("0x1.", "values differ"), ("> limit", "values differ")])
 def test_the_self_test_finds_another_law(change: str, found: str, shipped: Path, tmp_path: Path) -> None:
     """One number of a table, or the limit of the commands."""
-    needed("gcc")
     folder = Path(shutil.copytree(shipped, tmp_path / "other"))
     unit, other = {"0x1.": ("k_pma.c", "0x1.0"), "> limit": ("controller.c", "> 2.0 * limit")}[change]
     text = (folder / unit).read_text("utf-8")
@@ -158,15 +161,17 @@ def test_the_self_test_finds_another_law(change: str, found: str, shipped: Path,
     assert found in self_test(folder, "gcc", *FLAGS).stdout
 
 
+@with_gcc
 def test_undefined_behaviour_and_memory(shipped: Path) -> None:
-    done = self_test(shipped, needed("gcc"), "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    done = self_test(shipped, "gcc", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.skipif(
+    shutil.which("aarch64-linux-gnu-gcc") is None or shutil.which("qemu-aarch64") is None,
+    reason="no cross compiler and emulator of AArch64",
+)
 def test_aarch64_has_the_same_bits(shipped: Path) -> None:
-    needed("aarch64-linux-gnu-gcc")
-    if shutil.which("qemu-aarch64") is None:
-        pytest.skip("no qemu-aarch64")
     program = shipped / "self_test_aarch64"
     sources = [str(shipped / name) for name in SOURCES]
     for level in ("-O0", "-O3"):
@@ -176,11 +181,11 @@ def test_aarch64_has_the_same_bits(shipped: Path) -> None:
         assert done.returncode == 0, done.stdout
 
 
+@with_gcc
 @pytest.mark.parametrize("tool", [("make", "check"), ("cmake",)], ids=" ".join)
 def test_make_and_cmake_build_it(tool: tuple[str, ...], shipped: Path, tmp_path: Path) -> None:
-    needed("cc")
     if shutil.which(tool[0]) is None:
-        pytest.skip(f"no {tool[0]}")
+        pytest.skip("no make or cmake")
     folder = Path(shutil.copytree(shipped, tmp_path / "copy", ignore=shutil.ignore_patterns("self_test_*")))
     lines = [list(tool)]
     if tool[0] == "cmake":
@@ -192,9 +197,10 @@ def test_make_and_cmake_build_it(tool: tuple[str, ...], shipped: Path, tmp_path:
     assert "have the bits of the testbed" in done.stdout
 
 
+@with_gcc
 def test_the_rounding_of_a_step_is_within_its_bound(shipped: Path) -> None:
     """Against exact sums of fractions: n u / (1 - n u) times the sum of absolute values, of each row."""
-    library = build(shipped, needed("gcc"), "-O2")
+    library = build(shipped, "gcc", "-O2")
     rng, laws = np.random.default_rng(7), laws_of()
     matrix = np.hstack([laws.k_fsm.C, laws.k_fsm.D])
     n, u = matrix.shape[1], Fraction(1, 2**53)

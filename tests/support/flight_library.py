@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pytest
 from los_testbed.flight_code.export import FILES, render
 from los_testbed.flight_code.laws import FlightLaws
 from los_testbed.flight_code.tables import HEADER, UNITS
@@ -21,13 +19,6 @@ STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
 _ROOM = 1 << 14
 """Bytes for the state of a law: that of order 22 takes 400."""
-
-
-def needed(program: str) -> str:
-    """The name of a compiler; the test is skipped without it."""
-    if shutil.which(program) is None:
-        pytest.skip(f"no C compiler {program}")
-    return program
 
 
 LIBRARY = (HEADER, *(f"{unit}.c" for unit in UNITS))

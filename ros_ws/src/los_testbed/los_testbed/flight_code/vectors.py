@@ -1,4 +1,7 @@
-"""Vectors of the self test: seeded inputs, and what the laws of the testbed answer."""
+"""Vectors of the self test: seeded inputs, and what the laws of the testbed answer.
+
+The inputs are made by operations whose rounding is defined, so that every computer writes the same file.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from los_testbed.loop.command_gate import CommandGate
 from titop_plant.interface import COMMANDS, ESTIMATES, HELD, MEASUREMENTS, PLATFORM, STAGES, TICK_NS
 
 SEED = 35
-TICKS = 12
+CASE_TICKS = 12
 """Ticks of each case."""
 
 FRAME = 4
@@ -66,36 +69,37 @@ class GateTick:
     applied: FloatArray
 
 
-def _normal(rng: np.random.Generator) -> FloatArray:
-    return 1e-3 * rng.standard_normal((TICKS, MEASUREMENTS))
+def _ordinary(rng: np.random.Generator) -> FloatArray:
+    return 1e-3 * rng.uniform(-1.0, 1.0, (CASE_TICKS, MEASUREMENTS))
 
 
 def _to_the_limits(rng: np.random.Generator) -> FloatArray:
     """Commands from well inside their limits to beyond them."""
-    return _normal(rng) * np.geomspace(1e-2, 1e4, TICKS)[:, None]
+    return _ordinary(rng) * np.ldexp(1.0, np.arange(-6, 2 * CASE_TICKS - 6, 2))[:, None]
 
 
 def _zeros(rng: np.random.Generator) -> FloatArray:
-    return np.where(rng.random((TICKS, MEASUREMENTS)) < 0.5, 0.0, -0.0)
+    return np.where(rng.random((CASE_TICKS, MEASUREMENTS)) < 0.5, 0.0, -0.0)
 
 
 def _huge(rng: np.random.Generator) -> FloatArray:
-    return 1e300 * rng.uniform(-1.0, 1.0, (TICKS, MEASUREMENTS))
+    return 1e300 * rng.uniform(-1.0, 1.0, (CASE_TICKS, MEASUREMENTS))
 
 
 def _subnormal(rng: np.random.Generator) -> FloatArray:
-    return 5e-324 * rng.integers(-(1 << 40), 1 << 40, (TICKS, MEASUREMENTS))
+    return 5e-324 * rng.integers(-(1 << 40), 1 << 40, (CASE_TICKS, MEASUREMENTS)).astype(float)
 
 
-def magnitudes(rng: np.random.Generator, rows: int = TICKS) -> FloatArray:
+def magnitudes(rng: np.random.Generator, rows: int = CASE_TICKS) -> FloatArray:
     """Inputs of all magnitudes, (rows, 22): subnormal numbers to 1e300, of both signs."""
-    with np.errstate(under="ignore"):
-        return rng.choice([-1.0, 1.0], (rows, MEASUREMENTS)) * 10.0 ** rng.uniform(-323.0, 300.0, (rows, MEASUREMENTS))
+    size = rows, MEASUREMENTS
+    found: FloatArray = np.ldexp(rng.uniform(1.0, 2.0, size), rng.integers(-1073, 997, size))
+    return found * rng.choice([-1.0, 1.0], size)
 
 
 CASES = MappingProxyType(
     {
-        "normal": _normal,
+        "ordinary": _ordinary,
         "to the limits": _to_the_limits,
         "zeros": _zeros,
         "1e300": _huge,
@@ -119,13 +123,13 @@ def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatAr
 def law_ticks(laws: FlightLaws) -> Iterator[LawTick]:
     """Ticks of the laws of all :data:`CASES`, then of all stages one after the other."""
     rng = np.random.default_rng(SEED)
-    cases = [(np.full(TICKS, len(STAGES) - 1), without_frames(make(rng), rng)) for make in CASES.values()]
-    stages = np.repeat([3, 0, 1, 2, 3], 3)
-    cases.append((stages, without_frames(np.vstack([_normal(rng), _normal(rng)])[: len(stages)], rng)))
+    cases = [([len(STAGES) - 1] * CASE_TICKS, without_frames(make(rng), rng)) for make in CASES.values()]
+    stages = [stage for stage in (3, 0, 1, 2, 3) for _ in range(3)]
+    cases.append((stages, without_frames(np.vstack([_ordinary(rng), _ordinary(rng)])[: len(stages)], rng)))
     for stage, measurement in cases:
-        estimate, command = run_laws(laws, measurement, stage.tolist())
+        estimate, command = run_laws(laws, measurement, stage)
         for row in range(len(stage)):
-            yield LawTick(row == 0, int(stage[row]), measurement[row], estimate[row], command[row])
+            yield LawTick(row == 0, stage[row], measurement[row], estimate[row], command[row])
 
 
 def run_laws(laws: FlightLaws, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
