@@ -330,9 +330,12 @@ def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
     for name in names:
         assert f"<td>{name}<br>" in page and meaning(name) in page
     assert "above 0.7 " in page
-    console = Console(width=300, record=True, file=(tmp_path / "screen").open("w"))
-    console.print(verdict_table(summary))
-    console.print(metric_table(summary))
-    text = console.export_text()
-    assert "above 0.7" in text and all(name in text for name in names)
-    assert "largest (of lower limits smallest)" in text and "largest (of lower limits smallest)" in page
+    screens = {}
+    for width in (80, 300):
+        console = Console(width=width, record=True, file=(tmp_path / "screen").open("w"))
+        console.print(verdict_table(summary))
+        console.print(metric_table(summary))
+        screens[width] = console.export_text()
+        assert all(name in screens[width] for name in names), "a name that is cut names no column"
+    assert "above 0.7" in screens[300]
+    assert "largest (of lower limits smallest)" in screens[300] and "largest (of lower limits smallest)" in page

@@ -126,7 +126,7 @@ def metric_table(summary: dict[str, Any]) -> Table:
     """Table for the screen."""
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     table = Table(title=f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}")
-    table.add_column("metric")
+    table.add_column("metric", no_wrap=True)
     for name in quantile_heads(summary):
         table.add_column(name, justify="right")
     for name, found in summary["metrics"].items():
