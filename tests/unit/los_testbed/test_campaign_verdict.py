@@ -133,7 +133,11 @@ def test_requirements_of_a_stage() -> None:
     everything = [APE, axis, other, RPE, pairs]
     assert judged(everything) == (APE, axis, other, RPE)
     assert list(not_judged(everything, "fsm")) == [pairs]
-    assert list(not_judged(everything, "fsm+pma", "model")) == [APE, axis, other, pairs]
+    by_model = not_judged(everything, "fsm+pma", "model")
+    assert list(by_model) == [APE, axis, other, pairs]
+    why = "depth model has rms RPE(20 ms) only, of 99.7 % of the windows with the worst tone and the noise"
+    assert set(by_model.values()) == {why}
+    assert "the PRE compares several runs" in not_judged(everything, "fsm")[pairs]
 
 
 def test_what_runs_cannot_be_judged_by_is_said_of_their_stage() -> None:

@@ -128,8 +128,10 @@ def not_judged(
     """
     own = of_stage(requirements, loop)
     if depth == "model":
-        known = f"depth model has the worst tone and the noise in windows of {1e3 * WINDOW:g} ms only"
-        return {r: known for r in own if r not in _of_model(requirements, loop)}
+        part = f"{100.0 * window_probability(requirements):.10g} % of the windows"
+        known = f"depth model has rms RPE({1e3 * WINDOW:g} ms) only, of {part} with the worst tone and the noise"
+        chosen = _of_model(requirements, loop)
+        return {r: known for r in own if r not in chosen}
     reasons = {**{r: PRE for r in own if r.index == "PRE"}, **(refusals or {})}
     return {r: reasons[r] for r in own if r in reasons}
 
