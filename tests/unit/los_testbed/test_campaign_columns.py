@@ -75,6 +75,10 @@ def named(name: str, requirements: tuple[Requirement, ...]) -> tuple[Requirement
     ("text", "names"),
     [
         ("|APE| < 10 arcsec", "ape_above_10_arcsec ape_p9_arcsec ape_max_arcsec ape_effective"),
+        (
+            "rms RPE(20 ms) < 4.848e-8 rad",
+            "rpe_window_above_9.99972_mas rpe_window_p9_mas rpe_window_max_mas rpe_window_effective",
+        ),
         ("|APE| < 500 mas", "ape_above_0.5_arcsec ape_p9_arcsec ape_max_arcsec ape_effective"),
         ("|APE_x| < 1 urad", "ape_x_above_0.206264806247096_arcsec ape_x_p9_arcsec ape_x_max_arcsec ape_x_effective"),
         (
@@ -123,7 +127,10 @@ def test_names_of_probabilities() -> None:
 
 def drawn(rng: np.random.Generator) -> Requirement:
     """Any requirement on single runs."""
-    times = [f"{rng.choice([2, 20, 20.001, 250, 33.3333337])} ms", f"{rng.choice([1, 10, 1234.567, 1234.568])} s"]
+    times = [
+        f"{rng.choice([2, 20, 20.001, 250, 33.3333, 33.3333337])} ms",
+        f"{rng.choice([1, 10, 1234.567, 1234.568])} s",
+    ]
     first, limit = str(rng.choice(times)), float(rng.choice([0.1, 0.25, 0.30000001, 0.3]))
     unit, axis = str(rng.choice(["mas", "arcsec"])), str(rng.choice(["", "_x", "_y"]))
     frequency = str(rng.choice(["Nyquist", "0.5 Nyquist", "8 cycles/arcsec", "8 cycles/mas", "8.5 cycles/mas"]))

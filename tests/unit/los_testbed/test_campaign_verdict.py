@@ -120,6 +120,12 @@ def test_the_model_judges_windows_of_its_probability() -> None:
     (above,) = model_verdicts(np.array([10.0, 50.0, 5.0]), ["ok", "ok", "diverged"], "fsm+pma", [RPE])
     assert above.status == "not compliant" and above.exceeding == 2 / 3 and math.isinf(above.value)
     assert model_verdicts(np.ones(2), ["ok"] * 2, "fsm", [RPE]) == []
+    others = [
+        parse(f"prob({quantity} < 50 mas) >= 0.997 at 95 % confidence")
+        for quantity in ("rms RPE_x(20 ms)", "rms RPE(50 ms)", "|RPE(20 ms)|", "rms RKE(20 ms)")
+    ]
+    assert [v.requirement for v in model_verdicts(np.ones(1), ["ok"], "fsm+pma", [RPE, *others])] == ["R"]
+    assert list(not_judged([RPE, *others], "fsm+pma", "model")) == others
 
 
 def test_requirements_of_a_stage() -> None:
