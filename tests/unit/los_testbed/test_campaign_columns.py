@@ -14,7 +14,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import identity
 from los_testbed.campaign.meanings import RequirementColumns, meaning
-from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, finished_row, metric_columns
+from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS, command, member_seeds, members
@@ -262,6 +262,33 @@ def test_what_a_campaign_cannot_judge_is_named_with_the_reason(
     assert all(f"no verdict of a campaign on {text}" in shown for text in summary["not_judged"])
     page = write_page(asked, folder, summary, tmp_path / "r.html").read_text("utf-8")
     assert "got 2000 samples of 0.001 s; prob(|PRE(1 s)|" in page
+
+
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [
+        ("rms RPE(250 ms) < 1 arcsec", 1 / 4),
+        ("|APE_x| < 1 arcsec", 1 / 1000),
+        ("Strehl(20 ms) > 0.001", 2 / 49),
+        ("|MKE(250 ms)| < 1 arcsec", 0.0),
+    ],
+)
+def test_missing_windows_count_in_the_share(text: str, share: float) -> None:
+    """The line of sight of tick 300 is missing: the end of one exposure and the start of the next."""
+    values = 1e-9 * np.random.default_rng(1).standard_normal((1000, 4))
+    values[300, :2] = np.nan
+    requirement = parse(f"prob({text}) {TAIL}")
+    found = _Record(values, 1.0).metrics(0, [requirement], RunParts(RunConfig()).optics)
+    columns = RequirementColumns.of(requirement)
+    assert found[columns.share] == pytest.approx(share, rel=1e-12) and np.isfinite(found[columns.worst])
+
+
+def test_an_index_that_a_shorter_run_lacks_is_not_known() -> None:
+    """A member that starts at rest where the others do not: the rest of its row is there."""
+    values = 1e-9 * np.random.default_rng(1).standard_normal((1000, 4))
+    long = parse(f"prob(rms RPE(500 ms) < 1 mas) {TAIL}")
+    assert "rpe_window_500ms_max_mas" in _Record(values, 1.0).metrics(0, [long])
+    assert set(_Record(values, 1.0).metrics(600, [long])) == set(COMMON_METRICS)
 
 
 def test_a_run_from_rest_is_shorter_by_its_start_up(tmp_path: Path) -> None:
