@@ -74,8 +74,9 @@ def _ordinary(rng: np.random.Generator) -> FloatArray:
 
 
 def _to_the_limits(rng: np.random.Generator) -> FloatArray:
-    """Commands from well inside their limits to beyond them."""
-    return _ordinary(rng) * np.ldexp(1.0, np.arange(-6, 2 * CASE_TICKS - 6, 2))[:, None]
+    """Twice the inputs in each tick: commands from well inside their limits to beyond them."""
+    scale: FloatArray = np.ldexp(1e-5, np.arange(2 * CASE_TICKS))
+    return rng.uniform(-1.0, 1.0, (len(scale), MEASUREMENTS)) * scale[:, None]
 
 
 def _zeros(rng: np.random.Generator) -> FloatArray:
@@ -94,7 +95,8 @@ def magnitudes(rng: np.random.Generator, rows: int = CASE_TICKS) -> FloatArray:
     """Inputs of all magnitudes, (rows, 22): subnormal numbers to 1e300, of both signs."""
     size = rows, MEASUREMENTS
     found: FloatArray = np.ldexp(rng.uniform(1.0, 2.0, size), rng.integers(-1073, 997, size))
-    return found * rng.choice([-1.0, 1.0], size)
+    found *= rng.choice([-1.0, 1.0], size)
+    return found
 
 
 CASES = MappingProxyType(
@@ -123,7 +125,8 @@ def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatAr
 def law_ticks(laws: FlightLaws) -> Iterator[LawTick]:
     """Ticks of the laws of all :data:`CASES`, then of all stages one after the other."""
     rng = np.random.default_rng(SEED)
-    cases = [([len(STAGES) - 1] * CASE_TICKS, without_frames(make(rng), rng)) for make in CASES.values()]
+    inputs = [without_frames(make(rng), rng) for make in CASES.values()]
+    cases = [([len(STAGES) - 1] * len(measurement), measurement) for measurement in inputs]
     stages = [stage for stage in (3, 0, 1, 2, 3) for _ in range(3)]
     cases.append((stages, without_frames(np.vstack([_ordinary(rng), _ordinary(rng)])[: len(stages)], rng)))
     for stage, measurement in cases:
