@@ -113,12 +113,13 @@ CASES = MappingProxyType(
 
 
 def without_frames(measurement: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The measurements with a camera that is slower than the loop and loses parts of its frames: NaN or infinite."""
+    """The measurements with a camera that begins late, is slower than the loop and loses parts of its frames."""
     found = measurement.copy()
-    rows = np.arange(len(found)) % FRAME != 0
+    rows = np.arange(len(found)) % FRAME != 1
     found[np.ix_(rows, HELD)] = np.nan
     odd = np.flatnonzero(rows)[::2]
-    found[odd, HELD[0]] = rng.choice([1e-6, np.inf, -np.inf], len(odd))  # of which one component is not there
+    partly = np.array([[1e-6, np.nan], [np.inf, 1e-6], [-np.inf, -1e-6]])
+    found[np.ix_(odd, HELD[:2])] = rng.choice(partly, len(odd))
     return found
 
 
@@ -166,14 +167,15 @@ def gate_ticks(gate: CommandGate, hold_ticks: int, fade_ticks: int) -> Iterator[
     for k in range(1, last + fade_ticks + 5):
         now, applied = k * TICK_NS, np.zeros(size)
         candidate, stamp = gate.limit * rng.uniform(-1.0, 1.0, size), now - TICK_NS
-        offered = k < 20 or k >= last
-        fault = faults.get(k, "")
+        offered = k < 20 or k >= last - 1
+        fault = "old" if k == last - 1 else faults.get(k, "")
         if fault in ("not_finite", "infinite"):
             candidate[-1] = np.nan if fault == "not_finite" else np.inf
         elif fault == "limit":
             candidate[0] = -np.nextafter(gate.limit, np.inf)
         else:
-            stamp += {"off_grid": 1, "future": TICK_NS, "duplicate": -TICK_NS, "late": -3 * TICK_NS}.get(fault, 0)
+            late = {"off_grid": 1, "future": TICK_NS, "duplicate": -TICK_NS, "late": -3 * TICK_NS}
+            stamp += (late | {"old": -(hold_ticks + 1) * TICK_NS}).get(fault, 0)
         if not fault and k % 4 == 0:
             candidate[0] = gate.limit
         before = dict(gate.rejected)
