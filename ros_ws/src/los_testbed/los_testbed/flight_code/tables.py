@@ -22,7 +22,7 @@ HEADER = "los_flight.h"
 
 _TABLE = re.compile(r"^static const double (\w+)(?:\[\d+\])+ = \{(.*?)^\};$", re.DOTALL | re.MULTILINE)
 _NUMBER = r"-?0x[01](?:\.[0-9a-f]+)?p[+-]\d+"
-_STATED = re.compile(r'_SHA256(?:\[\])?[ =\\]*\s*"([0-9a-f]{64})"', re.IGNORECASE)
+_STATED = re.compile(r'_SHA256(?:\[65\])?[ =\\]*\s*"([0-9a-f]{64})"', re.IGNORECASE)
 
 
 def hex_float(value: float) -> str:
