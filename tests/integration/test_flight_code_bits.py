@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, same_bits, write
 from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import magnitudes, run_laws, without_frames
 from los_testbed.run.replay import LAYOUT, controllers
 from los_testbed.run_start import START_FILE, RunStart
+from support.flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, same_bits, write
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem
