@@ -268,7 +268,7 @@ class _Walk:
 
     def _data_after(self, end: Frame) -> bool:
         """Whether an end of the data is out of place: records follow it that stand in no summary."""
-        if end.at in self.summary.anchors:
+        if self.summary.anchors.get(end.at, (0, 0))[0] == OP_DATA_END:
             return False
         for frame in self.framing.frames(end.end):
             if not frame.whole or frame.op in (OP_DATA_END, OP_FOOTER):

@@ -111,6 +111,21 @@ def test_an_end_of_the_data_in_front_of_the_data_ends_nothing(bag: Path, op: int
     assert len(Run.open(bag)["truth/los"]) == 3000
 
 
+@pytest.mark.parametrize("number", [0, 1])
+def test_an_end_of_the_data_where_the_summary_has_a_chunk_ends_nothing(bag: Path, number: int) -> None:
+    """The two records have changed places: the end stands where an index says that a chunk begins."""
+    file = bag / "bag_0.mcap"
+    data = file.read_bytes()
+    found = records(data)
+    a, b = [place for place in found if data[place[0]] == OP_CHUNK][number]
+    c, d = next(place for place in found if data[place[0]] == OP_DATA_END)
+    file.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
+    result = repair_bag(bag, bag.parent / "new")
+    assert messages((bag.parent / "new" / "new_0.mcap").read_bytes()) == messages(data)
+    assert not result.losses and any("in front of data" in problem for problem in result.problems)
+    assert len(Run.open(bag)["truth/los"]) == 3000
+
+
 def test_without_a_header_a_chunk_that_stands_twice_does_not_hide_the_loss_of_another(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     data = file.read_bytes()
