@@ -64,7 +64,7 @@ def _product(columns: FloatArray, values: FloatArray, sums: FloatArray) -> None:
 
 
 @_compiled
-def _advance(
+def advance(
     pairs: int,
     own: FloatArray,
     cross: FloatArray,
@@ -75,7 +75,10 @@ def _advance(
     later: FloatArray,
     sums: FloatArray,
 ) -> None:
-    """Outputs (24,) from `values` (coordinates, commands, phasors), and the next coordinates in their place."""
+    """Tick of a plant of constant parameters, see :class:`titop_plant.simulation.plant_step.PlantStep`.
+
+    Outputs (24,) from `values` (coordinates, commands, phasors), and the next coordinates in their place.
+    """
     plain, n = len(own), later.size
     _product(outputs, values, sums)
     for i in range(pairs):
@@ -97,22 +100,6 @@ def _turn(turn: FloatArray, phasors: FloatArray) -> None:
         re, im = phasors[2 * k], phasors[2 * k + 1]
         phasors[2 * k] = re * turn[0, k] - im * turn[1, k]
         phasors[2 * k + 1] = re * turn[1, k] + im * turn[0, k]
-
-
-@_compiled
-def advance(
-    pairs: int,
-    own: FloatArray,
-    cross: FloatArray,
-    driven: FloatArray,
-    block: FloatArray,
-    outputs: FloatArray,
-    values: FloatArray,
-    later: FloatArray,
-    sums: FloatArray,
-) -> None:
-    """Tick of a plant of constant parameters, see :class:`titop_plant.simulation.plant_step.PlantStep`."""
-    _advance(pairs, own, cross, driven, block, outputs, values, later, sums)
 
 
 @_compiled
@@ -219,7 +206,7 @@ def loop(
             values[order + len(command) :] = phasors[row]
             between(nodes, places[row], values, later, other, sums)
         else:
-            _advance(pairs, own, cross, driven, block, outputs, values, later, sums)
+            advance(pairs, own, cross, driven, block, outputs, values, later, sums)
             _turn(turn, values[order + len(command) :])
         for i in range(size):
             y[i] = np.nan if absent[row, i] else (sums[i] + noise[row, i]) + bias[i]
