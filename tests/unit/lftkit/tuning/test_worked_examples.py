@@ -22,13 +22,13 @@ def test_robust_mass_spring_damper() -> None:
     assert result.status == "converged"
     assert result.rounds[0].worst_soft > 1.5 * result.rounds[0].soft, "the nominal design is fragile"
     assert all(w.value <= 1.01 for w in result.worst), "the robust one keeps every requirement in the box"
-    # an independent look at 50 random plants and the corners
+    # an independent look at 200 random plants and the corners
     from lftkit.tuning import certify
 
     rng = np.random.default_rng(5)
     low, high = np.array(list(example["BOX"].values())).T
     corners = [low + (high - low) * np.array([i & 1, i >> 1 & 1, i >> 2]) for i in range(8)]
-    points = [*corners, *rng.uniform(low, high, size=(50, 3))]
+    points = [*corners, *rng.uniform(low, high, size=(200, 3))]
     models = [example["build"](dict(zip(example["BOX"], p))) for p in points]
     found = certify(models, result.controller, example["REQUIREMENTS"])
     assert found.stable
