@@ -10,6 +10,7 @@ APE                  disturbance  LOS          gain  the limit of the absolute e
 RPE                  disturbance  LOS          gain  that of the relative error, of tones in all bands      the paper's
 slow, fast           disturbance  LOS          gain  the same, of tones below and above 85 rad/s            all
 noise -> APE         platform     LOS          rms   the limit of the absolute error                        the paper's
+all noise -> APE     sensors      LOS          rms   the noise's share of the budget of the absolute error  fsm, fsm+pma
 noise -> RPE         sensors      LOS          rms   the noise's share of the budget of the relative error  fsm, fsm+pma
 mirror               disturbance  mirror       gain  the authority of the mirror                            fsm, fsm+pma
 sensitivity, mirror  mirror       mirror       gain  a peak of 2 of the sensitivity                         fsm, fsm+pma
@@ -158,6 +159,15 @@ def _share(alone: Callable[[ErrorBudget], float], both: Callable[[ErrorBudget], 
     return lambda parameters, stage: (both if stage in FORCE_STAGES else alone)(error_budget(parameters))
 
 
+def _absolute_tone(parameters: Parameters, stage: str) -> float:
+    """What a tone may take of the absolute error where noise acts, too; all of it in stages without fine control."""
+    return error_budget(parameters).ape_tone if stage in MIRROR_STAGES else _ape(parameters, stage)
+
+
+def _absolute_noise(parameters: Parameters, stage: str) -> float:
+    return error_budget(parameters).ape_noise
+
+
 def _part(part: float, limit: Limit) -> Limit:
     return lambda parameters, stage: part * limit(parameters, stage)
 
@@ -168,7 +178,9 @@ def _always(value: float) -> Limit:
 
 _MIRROR, _FORCE = COMMANDED
 _NOISE = _share(lambda budget: budget.noise, lambda budget: budget.total_noise)
-_APE = FigureOfMerit("APE", LINE_OF_SIGHT, (DISTURBANCE,), _ape, STAGES, MIRROR_STAGES, target=_part(TUNED, _ape))
+_APE = FigureOfMerit(
+    "APE", LINE_OF_SIGHT, (DISTURBANCE,), _ape, STAGES, MIRROR_STAGES, target=_part(TUNED, _absolute_tone)
+)
 _RPE = replace(_APE, name="RPE", limit=_rpe, stages=(), target=None, relative=True)
 
 FIGURES = (
@@ -191,6 +203,7 @@ FIGURES = (
         target=_share(lambda budget: budget.fast_mirror, lambda budget: budget.fast),
     ),
     FigureOfMerit("noise -> APE", LINE_OF_SIGHT, MEASURED[:1], _ape, paper=FORCE_STAGES),
+    FigureOfMerit("all noise -> APE", LINE_OF_SIGHT, MEASURED, _absolute_noise, MIRROR_STAGES),
     FigureOfMerit("noise -> RPE", LINE_OF_SIGHT, MEASURED, _NOISE, MIRROR_STAGES, relative=True),
     FigureOfMerit(
         "mirror",

@@ -1,7 +1,7 @@
-"""Budget of the relative error: slow tones, fast tones and sensor noise share its limit.
+"""Budgets of the relative and of the absolute error: tones and sensor noise share a limit.
 
-The limit is asked of a part of the windows of 20 ms, whatever made the error; the requirement says of which part, here
-99.7 %. A tone of amplitude a along one axis and Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a
+The limit of the relative error is asked of a part of the windows of 20 ms, whatever made the error; the requirement
+says of which part, here 99.7 %. A tone of amplitude a along one axis and Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a
 random phase of the tone outside of a circle of radius L with the probability
 
     P = mean over phi of Q(L; a |sin phi|, r / sqrt 2),   Q: upper tail of the Rice distribution
@@ -15,6 +15,10 @@ requirement at this frequency.
 
 The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
 tones, K_PMA for the fast tones that are left. Below the line the sum keeps the limit.
+
+The absolute error has the same rule for the part of its instants, with two shares: noise, and the tone that keeps the
+limit beside it. The paper asks its limit of tones alone, and a telescope whose tone takes all of it is above the limit
+as soon as sensors are noisy.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from titop_plant.telescope.parameters import FIRST_PROBABILITY, Parameters
-from titop_plant.telescope.requirements import telescope_requirements, window_probability
+from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
 if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
     from lftkit import System
@@ -44,6 +48,12 @@ TOTAL_NOISE = 0.29
 TONE = 0.48958363084749135
 """Share of the amplitude of a tone that keeps the limit beside this noise, :func:`largest_tone` of it: every bag holds
 the budget, and the search for this number would take most of the time that a recorder needs to start."""
+
+APE_NOISE = 0.175
+"""Share of the limit of the absolute error that noise may take (rms), in both stages with fine control."""
+
+APE_TONE = 0.722186946061277
+"""Share of a tone's absolute error beside it, :func:`largest_tone` of that noise, for 99.7 % of the instants."""
 
 MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
 """Largest singular value of a sensitivity that a design may have, and the ones that K_FSM and K_PMA are tuned for: the
@@ -117,12 +127,12 @@ def _outside(level: float, tone: float, noise: float) -> float:
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Shares of the relative error [rad].
+    """Shares of the relative and of the absolute error [rad].
 
     Parameters
     ----------
     limit : float
-        Of the part of the windows that the requirement names, noise and tones together.
+        Relative error of the part of the windows that the requirement names, noise and tones together.
     noise, slow, fast_mirror : float
         What K_FSM is tuned for: noise (rms of both axes), amplitudes of slow and of fast tones, mirror alone.
     fast : float
@@ -131,6 +141,8 @@ class ErrorBudget:
         Noise with both controllers.
     tone : float
         Amplitude of a tone that keeps the limit beside `total_noise`.
+    ape_noise, ape_tone : float
+        Absolute error by noise (rms of both axes), and by the tone that keeps its limit beside it.
     """
 
     limit: float
@@ -140,10 +152,12 @@ class ErrorBudget:
     fast: float
     total_noise: float
     tone: float
+    ape_noise: float
+    ape_tone: float
 
 
 def error_budget(parameters: Parameters) -> ErrorBudget:
-    """The budget of a telescope: shares of its limit of the relative error.
+    """The budget of a telescope: shares of its limits of the relative and of the absolute error.
 
     Examples
     --------
@@ -156,9 +170,17 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     40.0
     """
     limit = float(parameters["weights"]["rpe_limit_fine"])
-    probability = window_probability(telescope_requirements(parameters))
-    tone = TONE if probability == FIRST_PROBABILITY else largest_tone(TOTAL_NOISE, 1.0, probability)
-    return ErrorBudget(limit, *(share * limit for share in (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, tone)))
+    requirements = telescope_requirements(parameters)
+    tone = _tone_share(TOTAL_NOISE, TONE, window_probability(requirements))
+    relative = (share * limit for share in (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, tone))
+    absolute_tone = _tone_share(APE_NOISE, APE_TONE, instant_probability(requirements))
+    ape = float(parameters["weights"]["ape_limit"])
+    return ErrorBudget(limit, *relative, APE_NOISE * ape, absolute_tone * ape)
+
+
+def _tone_share(noise: float, known: float, probability: float) -> float:
+    """:func:`largest_tone` beside `noise`; `known` is that of the first probability."""
+    return known if probability == FIRST_PROBABILITY else largest_tone(noise, 1.0, probability)
 
 
 def band_error_weight(parameters: Parameters, band: str) -> System:

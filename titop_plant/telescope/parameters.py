@@ -18,7 +18,13 @@ from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.parameter_check import ParameterFile
-from titop_plant.telescope.requirements import take_limits, telescope_requirements, window_probability, with_limits
+from titop_plant.telescope.requirements import (
+    instant_probability,
+    take_limits,
+    telescope_requirements,
+    window_probability,
+    with_limits,
+)
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -46,7 +52,7 @@ SOURCES = "disturbance"
 FOLDER = "folder"
 """Key of such a table for the folder of its file, to which other files in it are relative."""
 FIRST_PROBABILITY = 0.997
-"""Part of the windows that kept their limit in designs whose names do not say it."""
+"""Part of the windows, and of the instants, that kept their limit in designs whose names do not say it."""
 
 
 def load_parameters(path: str | Path = REFERENCE) -> Parameters:
@@ -161,9 +167,12 @@ def parameters_hash(parameters: Parameters) -> str:
     """
     known = without_image_optics(parameters)
     content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES)}
-    probability = window_probability(telescope_requirements(parameters))
-    if probability != FIRST_PROBABILITY:
-        content["window_probability"] = probability
+    requirements = telescope_requirements(parameters)
+    parts = {
+        "window_probability": window_probability(requirements),
+        "instant_probability": instant_probability(requirements),
+    }
+    content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
     for name in OWN_BODIES:
         file = content[name].get("modal_data", "")
         if file:

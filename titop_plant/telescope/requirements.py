@@ -119,7 +119,7 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
     ValueError
         There is none that it can be made of.
     """
-    ape = _strictest(requirements, lambda r: r.index == "APE" and all(_holds(r, loop) for loop in MIRROR_STAGES))
+    ape = _absolute(requirements)
     mirror = MIRROR_STAGES[0]
     fine, means = _finest(requirements)
     if ape is None or fine is None:
@@ -147,6 +147,24 @@ def window_probability(requirements: Sequence[Requirement]) -> float:
     """
     fine, _ = _finest(requirements)
     return math.nan if fine is None else requirements[fine].probability
+
+
+def instant_probability(requirements: Sequence[Requirement]) -> float:
+    """Part of the instants that must keep ``ape_limit``: of the requirement that it is made of; NaN without one.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> instant_probability(telescope_requirements(load_parameters()))
+    0.997
+    """
+    found = _absolute(requirements)
+    return math.nan if found is None else requirements[found].probability
+
+
+def _absolute(requirements: Sequence[Requirement]) -> int | None:
+    """Place of the requirement that ``ape_limit`` is made of."""
+    return _strictest(requirements, lambda r: r.index == "APE" and all(_holds(r, loop) for loop in MIRROR_STAGES))
 
 
 def _finest(requirements: Sequence[Requirement]) -> tuple[int | None, bool]:
