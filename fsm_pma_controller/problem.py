@@ -10,6 +10,7 @@ RPE                  soft  they make the RPE limit of both through its weight (H
 fast                 soft  the same for tones above 85 rad/s, with the amplitude of the budget; as implemented
 slow                 hard  the same below 85 rad/s, with the amplitude that the budget leaves; as implemented
 noise -> APE         soft  accelerometer noise at the platform makes the APE limit, rms (H2); the paper's problem only
+all noise -> APE     hard  all sensor noise makes the share of its budget, rms (H2); as implemented
 noise -> RPE         hard  all sensor noise makes the share of the budget (H2); as implemented
 force                hard  disturbances ask for 15.8 N, half of the authority (H-infinity)
 mirror               hard  they ask for 5.3 mrad of mirror (H-infinity); as implemented

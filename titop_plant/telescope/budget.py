@@ -1,8 +1,8 @@
 """Budgets of the relative and of the absolute error: tones and sensor noise share a limit.
 
 The limit of the relative error is asked of a part of the windows of 20 ms, whatever made the error; the requirement
-says of which part, here 99.7 %. A tone of amplitude a along one axis and Gaussian noise of r rms over both axes (r / sqrt 2 on each) are at a
-random phase of the tone outside of a circle of radius L with the probability
+says of which part, here 99.7 %. A tone of amplitude a along one axis and Gaussian noise of r rms over both axes (r /
+sqrt 2 on each) are at a random phase of the tone outside of a circle of radius L with the probability
 
     P = mean over phi of Q(L; a |sin phi|, r / sqrt 2),   Q: upper tail of the Rice distribution
 

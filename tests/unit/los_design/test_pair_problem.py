@@ -84,10 +84,11 @@ def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> No
         noises(Samples(open_loop), (ALONE, BOTH)),
     )
     plant, budget = open_loop.system.at({}), error_budget(parameters)
-    shares = {"fsm": budget.noise, "fsm+pma": budget.total_noise}
-    for value, (stage, share) in zip(problem.noise(x), shares.items()):
-        _, relative = noise_metrics(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
-        assert value * share == pytest.approx(relative, rel=1e-3)
+    shares = {"fsm": (budget.ape_noise, budget.noise), "fsm+pma": (budget.ape_noise, budget.total_noise)}
+    values = np.reshape(problem.noise(x), (2, 2))
+    for found, (stage, share) in zip(values, shares.items()):
+        exact = noise_metrics(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+        assert found * share == pytest.approx(exact, rel=1e-3)
 
 
 def test_samples_are_dense_where_modes_are_narrow(open_loop) -> None:
@@ -119,11 +120,13 @@ def test_the_shares_together_keep_the_limit(parameters) -> None:
         1 + 1e-9
     )
     assert combined_level(max(alone["slow"], alone["fast"]), budget.noise, 0.997) <= weights["rpe_limit"]
+    for stage in (alone, both):
+        assert combined_level(stage["APE"], budget.ape_noise, 0.997) <= weights["ape_limit"]
 
 
 def test_a_problem_of_one_controller_has_its_stage_only(open_loop) -> None:
     samples = Samples(open_loop)
     problem = pair_problem(samples, (BOTH,), (ACTUATORS,))
     assert all("alone" not in gain.name for gain in problem.gains)
-    assert [noise.name for noise in problem.noises] == ["noise -> RPE"]
+    assert [noise.name for noise in problem.noises] == ["all noise -> APE", "noise -> RPE"]
     assert problem.free.sum() == 100

@@ -77,7 +77,7 @@ def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
     found = measured(parameters, pair, {})
     for stage, system in zip((ALONE, BOTH), pair):
         tuned = system.provenance["tuned_values"]
-        assert set(tuned) == {*limits(parameters, stage), "noise -> RPE"}
+        assert set(tuned) == {*limits(parameters, stage), "all noise -> APE", "noise -> RPE"}
         for name in limits(parameters, stage):
             value = found[named(name, stage)]
             assert value <= tuned[name] * (1.0 + 1e-9) and (name == "force" or value > 0.5 * tuned[name])
@@ -102,7 +102,7 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameter
         found, kind, options, parameters, tmp_path, f"los-testbed design {kind} --nominal --loop-delay 0.0015 --seed 0"
     )
     stage = ALONE if kind == "k-fsm" else BOTH
-    assert set(found.provenance["tuned_values"]) == {*limits(parameters, stage), "noise -> RPE"}
+    assert set(found.provenance["tuned_values"]) == {*limits(parameters, stage), "all noise -> APE", "noise -> RPE"}
     assert not np.array_equal(found.A, other.A)
 
 

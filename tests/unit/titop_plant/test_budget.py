@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from titop_plant.telescope.budget import (
+    APE_NOISE,
+    APE_TONE,
     BAND_EDGE,
     TONE,
     TOTAL_NOISE,
@@ -62,7 +64,10 @@ def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> 
     assert alone <= parameters["weights"]["rpe_limit"]
     assert combined_level(budget.tone, budget.total_noise, PROBABILITY) == pytest.approx(budget.limit)
     assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0, PROBABILITY), rel=1e-12) == TONE
-    assert budget.fast <= budget.tone
+    assert pytest.approx(largest_tone(APE_NOISE, 1.0, PROBABILITY), rel=1e-12) == APE_TONE
+    assert combined_level(budget.ape_tone, budget.ape_noise, PROBABILITY) == pytest.approx(
+        parameters["weights"]["ape_limit"]
+    )
     assert budget.fast <= budget.tone < budget.fast_mirror
     weight = band_error_weight(parameters, "fast").to_control()
     assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)
@@ -79,8 +84,8 @@ def test_the_level_does_not_depend_on_the_unit() -> None:
         )
 
 
-def test_the_part_of_the_windows_is_that_of_the_finest_requirement(tmp_path: Path) -> None:
-    """A smaller part leaves more for the tones, and makes another design; other requirements have no say."""
+def test_the_parts_are_those_of_the_requirements(tmp_path: Path) -> None:
+    """A smaller part of the windows leaves more for the tones, and makes another design; the APE has its own part."""
     texts = {"finest": "95 %", "APE": "0.9"}
     paths = {name: tmp_path / f"{name}.toml" for name in texts}
     for name, entry in (("finest", "RPE, finest"), ("APE", "APE")):
@@ -94,4 +99,8 @@ def test_the_part_of_the_windows_is_that_of_the_finest_requirement(tmp_path: Pat
     own = error_budget(finest)
     assert own.limit == error_budget(reference).limit and own.tone > 1.05 * error_budget(reference).tone
     assert combined_level(own.tone, own.total_noise, 0.95) == pytest.approx(own.limit)
-    assert parameters_hash(finest) != parameters_hash(reference) == parameters_hash(ape)
+    absolute = error_budget(ape)
+    assert absolute.tone == error_budget(reference).tone and absolute.ape_tone > 1.05 * error_budget(reference).ape_tone
+    limit = ape["weights"]["ape_limit"]
+    assert combined_level(absolute.ape_tone, absolute.ape_noise, 0.9) == pytest.approx(limit)
+    assert len({parameters_hash(p) for p in (reference, finest, ape)}) == 3
