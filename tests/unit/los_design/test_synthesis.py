@@ -66,7 +66,7 @@ def measured(parameters, pair, values) -> dict[str, float]:
 
 
 def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
-    """Six steps at the nominal point: the files are whole, no value there is above the tuned one."""
+    """Six steps at the nominal point: the files are whole, no value there is above the tuned one (six digits)."""
     monkeypatch.setattr(synthesis, "EFFORT", TINY)
     assembled, options = telescope(), DesignOptions(seed=3)
     pair = synthesis.design_pair(assembled, parameters, options)
@@ -80,7 +80,7 @@ def test_a_pair_from_end_to_end(parameters, tmp_path, monkeypatch) -> None:
         assert set(tuned) == {*limits(parameters, stage), "all noise -> APE", "noise -> RPE"}
         for name in limits(parameters, stage):
             value = found[named(name, stage)]
-            assert value <= tuned[name] * (1.0 + 1e-9) and (name == "force" or value > 0.5 * tuned[name])
+            assert value <= tuned[name] * (1.0 + 1e-5) and (name == "force" or value > 0.5 * tuned[name])
         worst = {case["requirement"] for case in system.provenance["worst_cases"]}
         assert worst <= set(limits(parameters, stage)) and "fast" in worst
 
