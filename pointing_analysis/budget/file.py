@@ -21,7 +21,8 @@ from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
 from pointing_analysis.files.structured_text import StructuredTextError, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
-from pointing_analysis.requirements.text import ANGLES, Requirement, RequirementError, parse
+from pointing_analysis.requirements.text import Requirement, RequirementError, parse
+from pointing_analysis.units import ANGLES
 
 Entry = Mapping[str, Any]
 Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]

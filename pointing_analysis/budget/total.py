@@ -23,7 +23,8 @@ from pointing_analysis.budget.file import Budget, TotalRule
 from pointing_analysis.budget.lines import Total, combine, contribution
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
 from pointing_analysis.indices import confidence
-from pointing_analysis.requirements.text import ANGLES, Requirement
+from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.units import ANGLES
 
 BLOCK = 100_000
 ALONE = 10_000

@@ -1,14 +1,4 @@
-"""Any line of sight as arrays: the same metrics, verdicts and report as for a bag of the testbed.
-
-Examples
---------
->>> import numpy as np
->>> t = np.arange(6000) / 512
->>> xy = 0.05 * np.random.default_rng(1).standard_normal((6000, 2))
->>> found = judge_series(t, xy, unit="arcsec", requirements="prob(|APE| < 1 arcsec) >= 0.9 at 90 % confidence")
->>> found.verdicts[0].status
-'compliant'
-"""
+"""Any line of sight as arrays: the same metrics and report as for a bag of the testbed."""
 
 from __future__ import annotations
 
@@ -27,11 +17,12 @@ from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, regular
 from pointing_analysis.read.topic import NANO, Topic, make_topic
-from pointing_analysis.requirements.summary import SAMPLING, Summary, summarise
-from pointing_analysis.requirements.text import ANGLES, Requirement, load, parse
+from pointing_analysis.units import ANGLES
 
 LOS = "truth/los"
 """Topic under which the analysis looks for the line of sight."""
+SAMPLING = "sampling_of_the_samples"
+"""Parameter of a recording of others: its rate, where that is from, and the jitter of its times."""
 ORIGIN = NANO
 """Stamp of the first sample [ns] where the time has no epoch; the stamp 0 stands for "not stamped"."""
 LONGEST = 1e9
@@ -285,45 +276,3 @@ def series(
     if values.ndim != 2:
         raise ValueError(f"xy must have the shape (n, 2), got {values.shape}")
     return make_series(stamps_of(t, len(values), rate), values, unit=unit, rate=rate, path=name)
-
-
-def judge_series(
-    t: ArrayLike | None,
-    xy: ArrayLike,
-    *,
-    unit: str,
-    requirements: str | os.PathLike[str] | Sequence[Requirement | str] | None = None,
-    rate: float | None = None,
-    transient: float | None = None,
-    name: str = "series",
-) -> Summary:
-    """Metrics of a line of sight and verdicts on it, as of a bag.
-
-    Parameters
-    ----------
-    t, xy, unit, rate, name : see `series`
-    requirements : requirements or their texts, or one text, or the path of a file; by default none: metrics only
-    transient : seconds left out at the start; by default 5 s, of less than 10 s the first half
-
-    Returns
-    -------
-    Summary, with one `Verdict` for each requirement in ``verdicts``.
-
-    Raises
-    ------
-    ValueError
-        Samples or requirements that cannot be read.
-    """
-    run = series(t, xy, unit=unit, rate=rate, name=name)
-    return summarise(run, transient=transient, requirements=_requirements(requirements))
-
-
-def _requirements(
-    given: str | os.PathLike[str] | Sequence[Requirement | str] | None,
-) -> tuple[Requirement, ...] | None:
-    if given is None:
-        return None
-    if isinstance(given, os.PathLike) or (isinstance(given, str) and "prob" not in given):
-        return load(given)
-    entries = [given] if isinstance(given, str) else given
-    return tuple(parse(entry) if isinstance(entry, str) else entry for entry in entries)

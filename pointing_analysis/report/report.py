@@ -33,11 +33,11 @@ from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
+from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
-from pointing_analysis.spectra.moving_tones import moving_pictures
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.image.optics import OpticsError, optics_of
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
@@ -29,14 +28,14 @@ from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.requirements.image_summary import ImageSummary
 from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
+from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
 
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
-SAMPLING = "sampling_of_the_samples"
-"""Parameter of a recording of others: its rate, where that is from, and the jitter of its times."""
 UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
 WINDOW = 0.02  # [s], exposure of the reference telescope
 CAMERAS = frozenset({"camera/los"})

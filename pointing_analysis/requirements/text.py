@@ -39,7 +39,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pointing_analysis.units import ANGLES as ANGLES
+from pointing_analysis.units import ANGLES
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}
 #: index -> number of times it takes

@@ -12,8 +12,8 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.runner import Runner
 from ros_runs import assert_plant_is_recorded, config_for, topic_hashes
 
+from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.run import Run
-from pointing_analysis.spectra.moving_tones import motion_of
 
 pytestmark = pytest.mark.ros
 

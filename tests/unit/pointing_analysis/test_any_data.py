@@ -18,8 +18,9 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.series import judge_series, series
+from pointing_analysis.read.series import series
 from pointing_analysis.report.report import render
+from pointing_analysis.requirements.series_verdict import judge_series
 from pointing_analysis.requirements.summary import Summary, summarise
 from pointing_analysis.requirements.verdict import load, parse
 

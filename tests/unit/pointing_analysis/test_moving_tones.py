@@ -13,9 +13,9 @@ import pytest
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.moving_tones import PIECES, error_over_time
 from pointing_analysis.report.report import render, view
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.spectra.moving_tones import PIECES, error_over_time
 
 MAS = np.pi / 648_000_000
 SECONDS, START, RATE = 12.0, 100.0, 40.0
@@ -51,7 +51,7 @@ def test_the_report_has_pictures_of_what_moves_and_no_lines_or_tones_of_fixed_fr
 
 
 def test_the_spectrum_over_time_follows_the_wheel(tmp_path: Path) -> None:
-    from pointing_analysis.spectra.moving_tones import _spectra
+    from pointing_analysis.report.moving_tones import _spectra
 
     omega, time, values = _spectra(view(bag(tmp_path / "b", motion=MOTION), "fsm"))
     loudest = omega[values.argmax(axis=0)]

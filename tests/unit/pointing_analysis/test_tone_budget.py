@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pointing_analysis.budget.tone_budget import ToneBudget, tone_budget
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.indices.weights import rpe_discrete
+from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
 
 T = 1e-3 * np.arange(60_000)
 

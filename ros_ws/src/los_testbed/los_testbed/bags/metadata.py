@@ -141,7 +141,7 @@ def final_metadata(
 ) -> dict[str, str]:
     """The same with the statistics of each node, as one JSON object, the plant's name and tones, ``rpe_budget_mas``.
 
-    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.budget.tone_budget`).
+    The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.spectra.tone_budget`).
     """
     budget = _budget(parts.parameters, parts.config.loop)
     record = {**run_metadata(parts, start), BUDGET: json.dumps(budget)}

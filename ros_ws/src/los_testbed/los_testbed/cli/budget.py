@@ -34,9 +34,9 @@ def budget(
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
     from los_testbed.run.budget_sources import testbed_requirements, testbed_sources
-    from pointing_analysis.budget.page import digits, render_budget, vector
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
+    from pointing_analysis.report.budget_page import digits, render_budget, vector
 
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
     if output is not None:
