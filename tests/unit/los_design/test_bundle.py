@@ -265,6 +265,21 @@ def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedL
     assert any(isinstance(check_strip((stronger, strip, rebuilt.level)), str) for strip in strips)
 
 
+def test_a_proof_of_weaker_disturbances_is_refused_by_the_model_made_anew_alone(
+    loop: ImplementedLoop, tmp_path: Path
+) -> None:
+    """Weights and level times 0.8: with the file's own matrices the inequality is that of before, and holds."""
+    from lftkit.proofs.sampled_loop.checker import check_strip
+
+    stored = LoopProof.from_file(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
+    weaker = replace(stored.model, weights=stored.model.weights * [0.8, 1.0, 1.0])
+    forged = replace(stored, model=weaker, level=0.8 * stored.level)
+    anew = proof_of_loop(forged, loop, "APE")
+    strips = [strip for strip in forged.strips if strip.nodes[0] <= 0.07507 <= strip.nodes[-1]]
+    assert all(isinstance(check_strip((forged.model, strip, forged.level)), int) for strip in strips)
+    assert any(isinstance(check_strip((anew.model, strip, anew.level)), str) for strip in strips)
+
+
 def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.zip").write_text("no bundle")
     for file, expected in ((written, "the strips must cover the box"), (tmp_path / "text.zip", "must be a bundle")):

@@ -5,16 +5,28 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.proofs import ProofError, check_proof, worst_case_gain
-from lftkit.proofs.sampled_loop import LoopModel, LoopProof, bounds, check_loop_proof, loop_model, premises, prove_level
+from lftkit.proofs.sampled_loop import (
+    LoopModel,
+    LoopProof,
+    bounds,
+    check_loop_proof,
+    checker,
+    loop_model,
+    premises,
+    prove_level,
+)
 from lftkit.proofs.sampled_loop.above import beyond, channels, commands_bound, windows_above
+from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.checker import stable_below
 from lftkit.proofs.sampled_loop.nominal import nominal_windows
+from lftkit.proofs.strips import Strip
 
 DT = 0.01
 NYQUIST = math.pi / DT
@@ -66,6 +78,7 @@ ALONE: dict[str, tuple[str, Callable[[LoopProof], LoopProof]]] = {
     "no interval": ("require_groups", lambda p: dataclasses.replace(p, box=())),
     "no name": ("require_groups", lambda p: dataclasses.replace(p, names=())),
     "nominal left out": ("require_box", lambda p: dataclasses.replace(p, box=((0.1, 0.3),))),
+    "infinite level": ("require_band", lambda p: dataclasses.replace(p, level=math.inf)),
     "single precision of nodes": ("require_strip", lambda p: with_strips(p, nodes=lambda n: np.float32(n))),
 }
 """Function that refuses, and a proof that all other code accepts."""
@@ -81,7 +94,7 @@ ALSO: dict[str, Callable[[LoopProof], LoopProof]] = {
     "scalings of one node": lambda p: with_strips(p, G=lambda g: tuple(m[:1] for m in g)),  # type: ignore[attr-defined]
     "negative frequencies": lambda p: with_strips(p, nodes=lambda n: n - 1.0),  # type: ignore[operator]
     "band above half of the sampling rate": lambda p: dataclasses.replace(p, band=(0.5, 1.1 * NYQUIST)),
-    "level infinite": lambda p: dataclasses.replace(p, level=math.inf),
+    "level negative": lambda p: dataclasses.replace(p, level=-p.level),
 }
 
 
@@ -118,6 +131,102 @@ def test_a_box_of_unstable_members_is_refused(monkeypatch: pytest.MonkeyPatch) -
         forged = proven(damped(1.0), box)
     with pytest.raises(ProofError, match="contain zero"):
         check_loop_proof(forged)
+
+
+def resonant() -> LoopModel:
+    """Unit mass, damping 0.1, on a spring of 1 N/m that is uncertain; its position by a force."""
+    k = RealParameter("k", 1.0, 0.5, 1.5)
+    A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
+    plant = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("k",), elements=(k,))
+    return loop_model(plant, DT)
+
+
+def outside_proof(model: LoopModel, level: float) -> LoopProof:
+    """Scalings with D < 0, which bound the gain *outside* of the box: the resonance is inside."""
+    box, omega = ((-0.3, 0.3),), 1.0
+    z, e = model.at(omega)
+    w = np.eye(1, 2)
+    first, second = w - box[0][0] * z, box[0][1] * z - w
+    gain = e.conj().T @ e / level**2 - np.diag([0.0, 1.0])
+
+    def largest(D: float, G: float) -> float:
+        half = D * first.conj().T @ second + 1j * G * z.conj().T @ w
+        return float(np.linalg.eigvalsh(half + half.conj().T + gain)[-1])
+
+    tried = [
+        (-D, sign * G) for D in np.geomspace(1e-3, 1e3, 60) for G in np.geomspace(1e-4, 1e3, 60) for sign in (-1, 1)
+    ]
+    D, G = min(tried, key=lambda pair: largest(*pair))
+    band = omega - 1e-4, omega + 1e-4
+    scalings = [(np.full((2, 1, 1), value, dtype=complex),) for value in (D, G)]
+    strip = Strip(box, np.array(band), scalings[0], scalings[1], np.ones(2))
+    return LoopProof(model, ("k",), box, band, level, (strip,))
+
+
+def refused_without(proof: LoopProof, function: str, answer: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused, and accepted where one function of the checker is not asked."""
+    with pytest.raises(ProofError):
+        check_loop_proof(proof)
+    monkeypatch.setattr(checker, function, lambda *_: answer)
+    assert check_loop_proof(proof).level == proof.level
+
+
+def test_a_hole_is_refused_by_its_function_alone(proof: LoopProof, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused_without(dataclasses.replace(proof, band=(0.4, 2.0)), "covered", None, monkeypatch)
+
+
+def test_negative_scalings_are_refused_by_their_function_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it a level of 5 would be "proven", which the nominal member is above twice."""
+    model = resonant()
+    assert float(member_gains(model, 1.0, np.zeros((1, 1)))[0]) > 9.9
+    refused_without(outside_proof(model, 5.0), "scalings_allowed", True, monkeypatch)
+
+
+def test_a_level_that_is_exceeded_is_refused_by_the_inequality_alone(
+    proof: LoopProof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert float(member_gains(proof.model, 1.0, np.zeros((1, 1)))[0]) > 1.0
+    refused_without(dataclasses.replace(proof, level=1.0), "negative", True, monkeypatch)
+
+
+def whole(model: LoopModel, box: tuple[tuple[float, float], ...], band: tuple[float, float]) -> LoopProof:
+    found = prove_level(model, box, band, 1e4)
+    assert not found.uncovered
+    return LoopProof(model, ("d",), box, band, 1e4, tuple(found.strips))
+
+
+UNSTABLE: dict[str, Callable[[], LoopProof]] = {
+    "whole_axis": lambda: whole(damped(1.0), ((-0.2, 0.0),), (1.5, NYQUIST)),
+    "nominal_windows": lambda: whole(overdriven(), ((-0.01, 0.01),), (0.0, NYQUIST)),
+    "windows_above": lambda: whole(damped(500.0), ((-0.101, 0.0),), (0.0, NYQUIST)),
+}
+"""Function that is asked about stability, and a proof, with unstable members, that lacks its premise alone."""
+
+
+def overdriven() -> LoopModel:
+    """The nominal loop is unstable: the feedback of the velocity takes more than the damping away."""
+    model = damped(1.0)
+    return dataclasses.replace(model, K_C=-100.0 * model.K_C)
+
+
+@pytest.mark.parametrize("function", UNSTABLE)
+def test_unstable_members_are_not_called_stable_by_one_function_alone(
+    function: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forged = UNSTABLE[function]()
+    checked = check_loop_proof(forged)
+    assert not checked.stable and checked.stable_below < math.inf
+    monkeypatch.setattr(checker, function, lambda *_: True)
+    assert check_loop_proof(forged).stable
+
+
+def test_each_premise_of_the_page_has_a_forged_proof() -> None:
+    """The table of docs/certificates.md names the functions that are tried here, and no others."""
+    page = (Path(__file__).parents[4] / "docs" / "certificates.md").read_text("utf-8")
+    table = page.split("**Premises.**")[1].split("\n\n")[1]
+    named = {row.split("|")[2].strip().strip("`") for row in table.splitlines()[2:]}
+    others = {"covered", "scalings_allowed", "negative", "proof_of_loop"}
+    assert named == {function for function, _ in ALONE.values()} | others | set(UNSTABLE)
 
 
 def test_stable_includes_poles_above_half_of_the_sampling_rate() -> None:
