@@ -78,14 +78,7 @@ class Campaign:
             An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not
             have; runs shorter than a window; what :func:`los_testbed.campaign.sampling.members` refuses.
         """
-        if depth not in DEPTHS:
-            raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
-        if base.scenario == "ramp":
-            raise ValueError("scenario must be unit_norm, design, imbalance or worst_case in a campaign, got ramp")
-        if depth == "model" and base.frame_ticks != FRAME_TICKS:
-            raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
-        if depth == "time" and base.duration < WINDOW:
-            raise ValueError(f"duration must be at least the window of {WINDOW:g} s, got {base.duration:g} s")
+        check_depth(base, depth)
         if sampling == "adversarial":
             points = adversarial_members(base, samples, seed)
         else:
@@ -147,6 +140,25 @@ class Campaign:
             "identity": dict(self.identity),
             "run": {name: v for name, v in self.base.to_plain().items() if name not in ("output", "domain")},
         }
+
+
+def check_depth(base: RunConfig, depth: str) -> None:
+    """Refuse settings that members cannot be evaluated with.
+
+    Raises
+    ------
+    ValueError
+        An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not have;
+        runs shorter than a window.
+    """
+    if depth not in DEPTHS:
+        raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
+    if base.scenario == "ramp":
+        raise ValueError("scenario must be unit_norm, design, imbalance or worst_case in a campaign, got ramp")
+    if depth == "model" and base.frame_ticks != FRAME_TICKS:
+        raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
+    if depth == "time" and base.duration < WINDOW:
+        raise ValueError(f"duration must be at least the window of {WINDOW:g} s, got {base.duration:g} s")
 
 
 class ResultFolder:

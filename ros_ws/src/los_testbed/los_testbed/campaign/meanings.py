@@ -37,6 +37,8 @@ MEANINGS = {
     "rpe_peak_rad_s": "frequency of the worst tone [rad/s]",
 }
 
+RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
+"""Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
 
 ABSOLUTE = ("APE", "MPE", "AKE", "MKE")
 """Indices whose columns are in arcsec; those of other angles are in mas."""

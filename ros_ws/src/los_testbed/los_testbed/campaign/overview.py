@@ -11,15 +11,14 @@ from rich.table import Table
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, influences
-from los_testbed.campaign.meanings import RequirementColumns
-from los_testbed.campaign.sampling import COLUMNS, RANDOM, command
+from los_testbed.campaign.meanings import RANKED, RequirementColumns
+from los_testbed.campaign.reproduction import figure_text, member_command
+from los_testbed.campaign.sampling import COLUMNS, RANDOM
 from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 from pointing_analysis.requirements.rows import with_unit
 from pointing_analysis.requirements.text import Requirement
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
-RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
-"""Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
 
 
 def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -> dict[str, Any]:
@@ -108,18 +107,19 @@ def verdict_table(summary: dict[str, Any]) -> Table:
 
 
 def _member(row: dict[str, Any], campaign: Campaign) -> dict[str, Any]:
-    base = campaign.base
-    options = f" --duration {base.duration:g} --loop {base.loop} --scenario {base.scenario}"
-    for name in ("k_fsm", "k_pma", "parameters"):
-        value = getattr(base, name)
-        options += f" --{name.replace('_', '-')} {value}" if value else ""
     value = row[RANKED[campaign.depth]]
     return {
         "index": row["index"],
         "status": row["status"],
         "value": float(f"{value:.6g}") if np.isfinite(value) else None,
-        "command": command(row, options),
+        "figure": figure_text(row, campaign.depth),
+        "command": member_command(row, campaign.base, campaign.depth),
     }
+
+
+def worst_lines(summary: dict[str, Any]) -> list[str]:
+    """Lines for the screen: figure of each of the worst members and the command that gives it."""
+    return [f"{summary['ranked_by']} {member['figure']}: {member['command']}" for member in summary["worst"]]
 
 
 def metric_table(summary: dict[str, Any]) -> Table:

@@ -16,8 +16,8 @@ from matplotlib.ticker import MaxNLocator
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import yield_curve
-from los_testbed.campaign.meanings import meaning
-from los_testbed.campaign.overview import RANKED, quantile_heads
+from los_testbed.campaign.meanings import RANKED, meaning
+from los_testbed.campaign.overview import quantile_heads
 from los_testbed.campaign.sampling import COLUMNS, box
 from los_testbed.campaign.verdict import LOST
 from pointing_analysis.files.atomic_output import write_text

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.campaign_member import refuse_beside_member, show_member
 from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, option, with_files
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen
@@ -68,6 +69,10 @@ def campaign(
     keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
     output: NewFolder = None,
+    member: Annotated[
+        str | None,
+        typer.Option(metavar="TAU,...,OMEGA_2", help="Evaluate this one member alone; its noise has the seed --seed."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
@@ -85,12 +90,16 @@ def campaign(
     number("--keep", keep, 0, 1000)
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
-    tls = TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
-    folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
-    folder.check(resume)
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     given = {"mode": "inprocess", "scenario": scenario, "loop": loop, "duration": duration, **settings}
     base = RunConfig.from_mapping({name: value for name, value in given.items() if value is not None})
+    if member is not None:
+        refuse_beside_member({"--scheduler": scheduler, "--keep": keep, "--resume": resume, "--output": output})
+        show_member(base, member, seed, depth, json_)
+        return
+    tls = TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
+    folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
+    folder.check(resume)
     warn(check_controllers(base))
     check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
     with Progress("parameters of the members"):
@@ -132,15 +141,15 @@ def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: froze
 
 def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> None:
     """Tables, the commands of the worst members, and where the results are."""
-    from los_testbed.campaign.overview import metric_table, verdict_table
+    from los_testbed.campaign.overview import metric_table, verdict_table, worst_lines
 
     console.print(metric_table(summary))
     if summary["verdicts"]:
         console.print(verdict_table(summary))
     for text in summary["not_judged"]:
         console.print(f"no verdict of a campaign on {text}", soft_wrap=True, highlight=False, markup=False)
-    for member in summary["worst"][:5]:
-        console.print(f"{summary['ranked_by']} {member['value']}: {member['command']}", soft_wrap=True, highlight=False)
+    for line in worst_lines(summary)[:5]:
+        console.print(line, soft_wrap=True, highlight=False)
     console.print(f"rows       {folder.path}", soft_wrap=True)
     console.print(f"report     {summary['report']}", soft_wrap=True)
 

@@ -1,0 +1,82 @@
+"""The command that gives the figure of one member of a campaign again.
+
+At depth time it is a recorded run of the member with its seed. At depth model there is no run: what is evaluated there
+is the worst tone of unit norm and the noise, from the matrices, and a simulated run has other disturbances. The command
+is then the evaluation of this one member at that depth.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from los_testbed.campaign.meanings import RANKED
+from los_testbed.campaign.sampling import COLUMNS, box, command
+from los_testbed.config import RunConfig
+from pointing_analysis.requirements.rows import digits, with_unit
+
+FILES = ("k_fsm", "k_pma", "parameters")
+MODEL_DIGITS = 6
+"""Digits of a figure at depth model: it has no scatter."""
+
+
+def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
+    """Command line that gives the figure of a member.
+
+    Parameters
+    ----------
+    row : mapping
+        Row of the data set.
+    base : RunConfig
+        Settings that all members of the campaign share.
+    depth : {"time", "model"}
+
+    Examples
+    --------
+    >>> row = {"seed": 3, **dict.fromkeys(COLUMNS, 0.5)}
+    >>> member_command(row, RunConfig(mode="inprocess", loop="fsm"), "model")
+    'los-testbed campaign --depth model --loop fsm --member=0.5,0.5,0.5,0.5,0.5,0.5,0.5'
+    """
+    files = {name: getattr(base, name) for name in FILES}
+    options = "".join(f" --{name.replace('_', '-')} {shlex.quote(value)}" for name, value in files.items() if value)
+    if depth == "model":
+        values = ",".join(repr(float(row[name])) for name in COLUMNS)
+        return f"los-testbed campaign --depth model --loop {base.loop}{options} --member={values}"
+    length = f"{base.duration!r}".removesuffix(".0")
+    return command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{options}")
+
+
+def member_of(text: str, parameters: str | None) -> dict[str, float]:
+    """Parameters of a member from the value of ``--member``.
+
+    Raises
+    ------
+    ValueError
+        Other than seven numbers, or one outside its range.
+    """
+    parts = text.split(",")
+    try:
+        values = dict(zip(COLUMNS, map(float, parts), strict=True))
+    except ValueError:
+        raise ValueError(f"--member must be {','.join(COLUMNS)}, got {text!r}") from None
+    for name, (low, high) in box(parameters).items():
+        slack = 1e-9 * (high - low)
+        if not low - slack <= values[name] <= high + slack:
+            raise ValueError(f"--member: {name} must be between {low:g} and {high:g}, got {values[name]:g}")
+    return values
+
+
+def figure_text(row: Mapping[str, Any], depth: str) -> str:
+    """Figure by which the members of a depth are ranked, as its command prints it; of a lost member its status.
+
+    Examples
+    --------
+    >>> figure_text({"status": "ok", "total_mas": 38.50072}, "model"), figure_text({"status": "diverged"}, "time")
+    ('38.5007 mas', 'diverged')
+    """
+    value = float(row.get(RANKED[depth], math.nan))
+    if not math.isfinite(value):
+        return str(row["status"])
+    return with_unit(digits(value, MODEL_DIGITS) if depth == "model" else digits(value), "mas")

@@ -1,0 +1,77 @@
+"""One member of a campaign alone, ``los-testbed campaign --member``: its figures, without a cluster."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+from rich.table import Table
+
+from lftkit.support.progress import Progress
+from los_testbed.cli.output import print_json, warn
+from los_testbed.config import RunConfig
+from los_testbed.exit_codes import ExitCode
+from los_testbed.run.screen import Screen
+from pointing_analysis.requirements.rows import ABSENT, digits
+
+
+def refuse_beside_member(given: Mapping[str, Any]) -> None:
+    """Refuse options that are for many members.
+
+    Raises
+    ------
+    ValueError
+        One of them is given.
+    """
+    for name, value in given.items():
+        if value:
+            raise ValueError(f"{name} must not be given with --member, got {value}")
+
+
+def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) -> None:
+    """Evaluate one member in this process and print its figures; a member that is lost or failed ends with code 1.
+
+    Parameters
+    ----------
+    base : RunConfig
+        Settings of the campaign.
+    text : str
+        Value of ``--member``.
+    seed : int
+        Of the noise and of the disturbance's phases; without effect at depth model.
+    depth : {"time", "model"}
+    json_ : bool
+        Print the row as a JSON object, too.
+
+    Raises
+    ------
+    ValueError
+        No member of the family; settings that a campaign does not have.
+    """
+    from los_testbed.campaign.dataset import check_depth
+    from los_testbed.campaign.member import MemberEvaluator
+    from los_testbed.campaign.reproduction import MODEL_DIGITS, member_of
+    from los_testbed.factories import check_controllers
+
+    check_depth(base, depth)
+    values = member_of(text, base.parameters)
+    warn(check_controllers(base))
+    with Progress("member"):
+        row = MemberEvaluator.of(base).row(0, {**values, "seed": seed}, depth)
+    named = ("index", "seed", "status", "reason", "hash", *values)
+    metrics = {name: value for name, value in row.items() if name not in named}
+    table = Table(title=f"one member, depth {depth}: {row['status']}", title_justify="left")
+    table.add_column("metric", no_wrap=True)
+    table.add_column("value", justify="right")
+    for name, value in metrics.items():
+        table.add_row(name, digits(value, MODEL_DIGITS) if math.isfinite(value) else ABSENT)
+    console = Screen(stderr=json_)
+    console.print(table)
+    if json_:
+        finite = {name: value if math.isfinite(value) else None for name, value in metrics.items()}
+        print_json({**values, "status": row["status"], "reason": row["reason"], "metrics": finite})
+    if row["status"] != "ok":
+        console.print(f"{row['status']}: {row['reason']}", soft_wrap=True, highlight=False)
+        raise typer.Exit(ExitCode.FAILED)
