@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, assemble_controller
+from los_testbed.loop.simulate import simulate as run
 
 from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -44,13 +45,9 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
         LosEstimator(k_fsm),
         assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, design_basis(load_parameters()), "fsm+pma"),
     )
-    measured, estimate, command = np.zeros(22), np.zeros(2), np.zeros(8)
-    los = np.zeros((ticks, 2))
-    for k in range(ticks):
-        plant.step(command, measured, los[k])
-        estimator.step(measured, estimate)
-        controller.step(estimate, measured[:6], command)
-    return los
+    los: list[np.ndarray] = []
+    run(plant, estimator, controller, ticks, lambda block, rows: los.append(block.truth[:rows].copy()))
+    return np.concatenate(los)
 
 
 @pytest.mark.parametrize(("omega", "frame_ticks"), [(60.0, 1), (145.0, 1), (440.0, 1), (60.0, 20), (440.0, 20)])
