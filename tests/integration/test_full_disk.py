@@ -15,6 +15,8 @@ from support.simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.run import Run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture
 def small(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path]:

@@ -11,6 +11,8 @@ from los_testbed.cli.app import main
 
 import los_estimator
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 DOCS = Path(__file__).parents[2] / "docs"
 
 

@@ -15,6 +15,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.rows import cells
 from titop_plant.interface import STAGES
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory):

@@ -15,6 +15,8 @@ from scipy import io
 
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 RUN = Run((200.0, -210.0, 220.0, -230.0), 2.0, 1)
 RATE, N = 2000.0, 6000
 T = np.arange(N) / RATE
