@@ -170,8 +170,9 @@ def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:
         open_los(tmp_path / "a.h5", unit="mas")
 
 
-@pytest.mark.parametrize("seconds", [60, 3600])
-@pytest.mark.parametrize("gap", [1, 103])
+@pytest.mark.parametrize(
+    ("seconds", "gap"), [(60, 1), (60, 103), pytest.param(3600, 1, marks=pytest.mark.slow), (3600, 103)]
+)
 def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int) -> None:
     n = seconds * 512
     kept = np.delete(np.arange(n), np.arange(9000, 9000 + gap))
