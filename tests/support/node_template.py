@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import gc
 import importlib
 import json
 import os
@@ -33,6 +34,17 @@ NODES = {
     (str(Path(__file__).with_name("simple_telescope.py")),): "simple_telescope",
 }
 """Modules with a `main`, by the arguments of the interpreter that start them."""
+
+LATE_IMPORTS = (
+    "email.parser",
+    "los_design.verification.statements",
+    "rosidl_generator_py",
+    "service_msgs.msg",
+    "std_srvs.srv",
+    "titop_plant.telescope.budget",
+    "type_description_interfaces.srv",
+)
+"""Modules that nodes import when they have begun."""
 
 EARLY_VARIABLES = ("PYTHON", "ROS_PYTHON", "LD_", "MALLOC_", "OPENBLAS_")
 """Beginnings of the names of variables that are read when a process starts or imports."""
@@ -147,8 +159,9 @@ def _node_of(command: Sequence[str]) -> tuple[str, list[str]]:
 
 def serve(channel: socket.socket) -> int:
     """Make copies until the other side is closed. In a copy: its exit code."""
-    for name in NODES.values():
+    for name in (*NODES.values(), *LATE_IMPORTS):
         importlib.import_module(name)
+    first_moments()
     assert threading.active_count() == 1, "a fork copies one thread only"
     tracing = TracingLibrary()
     while True:
@@ -173,6 +186,27 @@ def serve(channel: socket.socket) -> int:
             os.close(descriptor)
         channel.send(os.read(reading, 100))
         os.close(reading)
+
+
+def first_moments() -> None:
+    """What every node does before its first tick and which is the same for all: once, before the copies are made.
+
+    Type supports of messages, the shipped parameter file, the search for libraries of linear algebra. The garbage
+    collector leaves what is there alone from now on, so that a copy does not write to the pages of all objects.
+    """
+    from rclpy.type_support import check_for_type_support
+
+    from lftkit.support.threads import one_thread
+    from titop_plant.telescope.parameters import load_parameters
+
+    for module in [module for module in sys.modules.values() if hasattr(module, "__dict__")]:
+        for kind in [value for value in vars(module).values() if isinstance(value, type)]:
+            if hasattr(type(kind), "_TYPE_SUPPORT"):
+                check_for_type_support(kind)
+    load_parameters()
+    one_thread()
+    gc.collect()
+    gc.freeze()
 
 
 class TracingLibrary:
