@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from los_testbed.run import summary as screen
 from los_testbed.run.older_bags import REMARK
+from los_testbed.run.source_shares import SourceShare, as_rows
 from los_testbed.run.summary import RunSummaries, missed_share, print_summary, summarise_runs
 from rich.console import Console
 from rich.table import Table
@@ -174,3 +175,29 @@ def test_what_is_open_is_summarised_without_a_report() -> None:
     (one,) = found.runs
     assert one["ticks"] == 2000 and one["remarks"] == [] and REMARK not in one["remarks"]
     assert one["bag"] == str(found.summaries[0].path) and one["loop"] == found.summaries[0].loop
+    assert "disturbances" not in one and found.shares == ((),)
+
+
+def test_sources_and_notes_of_each_run_are_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shares of a run, or why there are none; an older bag says whose requirements it is judged by."""
+    wheel = SourceShare("wheel", "tone", "hub", 1.0, 2.0, 1.0)
+    older = series(None, 0.1 * JITTER["truth/los"].values, unit="rad", rate=1000.0, name="older")
+
+    def shares(run: Any) -> tuple[SourceShare, ...]:
+        if run.path.name == "older":
+            raise ValueError("no telescope")
+        return (wheel,)
+
+    monkeypatch.setattr(screen, "source_shares", shares)
+    monkeypatch.setattr(screen, "is_older", lambda run: run.path.name == "older")
+    monkeypatch.setattr(screen, "with_requirements", lambda run: replace(run, label="older one"))
+    found = summarise_runs([JITTER, older], None)
+    assert [one.get("disturbances") for one in found.runs] == [as_rows([wheel]), None]
+    assert found.shares == ((wheel,), ()) and found.remarks == ((), (REMARK, "no telescope"))
+    assert [run.label for run in screen.judged([JITTER, older], None, None).runs] == [JITTER.label, "older one"]
+    assert summarise_runs([older], None, requirements=(APE,)).remarks == (("no telescope",),)
+
+
+def test_remarks_are_what_a_bag_says_of_itself(summary: Summary) -> None:
+    run: Any = SimpleNamespace(parameters={"start_note": "starts at rest", "proof": ""}, attachments={})
+    assert screen.remarks_of(run, summary) == ("starts at rest",)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Requirements, Transient
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.cli.recordings import Bags, Los, OpticsFile, Rate, Requirements, Unit, open_runs, requirements_in
 from los_testbed.run.screen import Screen
+
+if TYPE_CHECKING:
+    from pointing_analysis.read.recording import Recording
 
 ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
@@ -32,23 +36,12 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
 
 def analyse(
-    bags: Annotated[
-        list[Path],
-        typer.Argument(help="Bags, or tables: CSV, Parquet, .mat, HDF5, .npy, .npz."),
-    ],
+    bags: Bags,
     report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
     transient: Transient = None,
-    los: Annotated[
-        str | None,
-        typer.Option(
-            help="Line of sight: topic or topic.field of another bag, two columns of a table.", metavar="NAME"
-        ),
-    ] = None,
-    unit: Annotated[
-        str | None,
-        typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas; default: that of header or attribute."),
-    ] = None,
-    rate: Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")] = None,
+    los: Los = None,
+    unit: Unit = None,
+    rate: Rate = None,
     time: Annotated[
         str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
     ] = None,
@@ -60,20 +53,19 @@ def analyse(
     """See ANALYSE_EXAMPLES."""
     from lftkit.support.progress import Progress
     from los_testbed.run.summary import print_summary, summarise_runs
-    from pointing_analysis.image.optics import load_optics, with_optics
     from pointing_analysis.read.los_source import open_los
-    from pointing_analysis.requirements.verdict import load
 
     seconds("--transient", transient)
     target = report
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"
-    given = None if requirements is None else load(requirements)
-    seen = None if optics is None else load_optics(optics)
-    limit = chunk_limit(max_chunk)
+    given = requirements_in(requirements)
+
+    def opener(bag: Path, limit: int) -> Recording:
+        return open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit)
+
     with Progress("analysis"):
-        runs = [open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit) for bag in bags]
-        runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
+        runs = open_runs(bags, opener, max_chunk, optics)
         summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Screen(stderr=json_), summaries)
     if json_:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Transient
-from los_testbed.cli.output import chunk_limit, number, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import number, print_json, seconds
+from los_testbed.cli.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
 from los_testbed.run.screen import Screen, say
+
+if TYPE_CHECKING:
+    from pointing_analysis.read.recording import Recording
 
 FIGURES_EXAMPLES = """Draw a star and a test target as the detector sees them, MTF, encircled energy and ellipticity.
 
@@ -46,13 +51,11 @@ image_app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
-Bags = Annotated[
-    list[Path], typer.Argument(help="Bags (folders or .mcap files), or tables: .csv, .parquet, .npy, .npz.")
-]
-Bag = Annotated[Path, typer.Argument(help="Bag (folder or .mcap file), or table: .csv, .parquet, .npy, .npz.")]
-Los = Annotated[str | None, typer.Option(metavar="NAME", help="Line of sight, as in `analyse`.")]
-Unit = Annotated[str | None, typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas.")]
-Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
+
+def _opener(los: str | None, unit: str | None, rate: float | None) -> Callable[[Path, int], Recording]:
+    from pointing_analysis.read.los_source import open_los
+
+    return lambda bag, limit: open_los(bag, los=los, unit=unit, rate=rate, max_chunk=limit)
 
 
 @image_app.callback()
@@ -74,17 +77,13 @@ def figures(
 ) -> None:
     """See FIGURES_EXAMPLES."""
     from pointing_analysis.files.atomic_output import check_output
-    from pointing_analysis.image.optics import NONE_KNOWN, load_optics, optics_of, with_optics
-    from pointing_analysis.read.los_source import open_los
+    from pointing_analysis.image.optics import NONE_KNOWN, optics_of
     from pointing_analysis.report.image_pictures import draw_pictures
     from pointing_analysis.report.report import labels, view
 
     seconds("--transient", transient)
     check_output(output, "--output", folder=True)
-    seen = None if optics is None else load_optics(optics)
-    limit = chunk_limit(max_chunk)
-    runs = [open_los(bag, los=los, unit=unit, rate=rate, max_chunk=limit) for bag in bags]
-    runs = runs if seen is None else [with_optics(run, *seen) for run in runs]
+    runs = open_runs(bags, _opener(los, unit, rate), max_chunk, optics)
     for run in runs:
         if optics_of(run) is None:
             raise ValueError(f"{run.path}: {NONE_KNOWN}")
@@ -117,7 +116,6 @@ def export(
     from pointing_analysis.files.atomic_output import check_output
     from pointing_analysis.image.export import write_kernel, write_path
     from pointing_analysis.indices.errors import performance_error
-    from pointing_analysis.read.los_source import open_los
 
     seconds("--transient", transient)
     number("--step", step, 1e-6, 1e6, "mas")
@@ -126,7 +124,7 @@ def export(
     if number_ is not None and exposure is None:
         raise ValueError(f"--exposure must be given with --number, got none with {number_}")
     check_output(output, "--output")
-    run = open_los(bag, los=los, unit=unit, rate=rate, max_chunk=chunk_limit(max_chunk))
+    (run,) = open_runs([bag], _opener(los, unit, rate), max_chunk)
     series = performance_error(run, transient)
     if output.suffix.lower() == ".csv" or path:
         found = write_path(output, series, run.path.name, exposure, number_)

@@ -24,17 +24,6 @@ Transient = Annotated[
     float | None,
     typer.Option(help="Seconds to leave out at the start; default: as the bag says, else 5, at most half."),
 ]
-Requirements = Annotated[
-    Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
-]
-OpticsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--optics",
-        metavar="FILE",
-        help="TOML file with a table optics: aperture, wavelength, pixel. Default: the bag's.",
-    ),
-]
 Telescope = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
 Designs = Annotated[str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")]
 ObserverFile = Annotated[Path | None, typer.Option(help="Observer file instead of the stored design.")]

@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, OpticsFile, Requirements, Transient
-from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json, seconds
+from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.cli.recordings import OpticsFile, Requirements, open_runs, requirements_in
 from los_testbed.run.screen import Screen, say
 from pointing_analysis.files.atomic_output import check_output
 
@@ -53,48 +54,27 @@ def report(
 ) -> None:
     """See REPORT_EXAMPLES."""
     from lftkit.support.progress import Progress
-    from los_testbed.run.older_bags import REMARK, is_older, with_requirements
-    from los_testbed.run.predictions import predictions
-    from los_testbed.run.summary import shares_of
-    from pointing_analysis.image.optics import load_optics, with_optics
+    from los_testbed.run.summary import judged
     from pointing_analysis.read.run import Run
-    from pointing_analysis.report.report import labels, write_report
-    from pointing_analysis.requirements.summary import summarise_all
-    from pointing_analysis.requirements.verdict import load
+    from pointing_analysis.report.report import labels
 
     for option, value in (("--transient", transient), ("--start", start)):
         seconds(option, value)
     if not stop > start:
         raise ValueError(f"--stop must be after --start = {start:g} s, got {stop:g} s")
-    given = None if requirements is None else load(requirements)
+    given = requirements_in(requirements)
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     check_output(target, "--output")
-    limit = chunk_limit(max_chunk)
+
+    def opener(bag: Path, limit: int) -> Run:
+        return Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit)
+
     with Progress("report"):
-        opened = [Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit) for bag in bags]
-        if optics is not None:
-            seen = load_optics(optics)
-            opened = [with_optics(run, *seen) for run in opened]
-        assumed = [given is None and is_older(run) for run in opened]
-        runs = [with_requirements(run) if older else run for run, older in zip(opened, assumed)]
-        remarks = [(REMARK,) if older else () for older in assumed]
-        found = summarise_all(runs, transient=transient, requirements=given)
-        expected = predictions(runs, transient, start, stop)
-        shares, missing = shares_of(runs)
-        remarks = [(*one, *more) for one, more in zip(remarks, missing)]
-        write_report(
-            runs,
-            target,
-            transient=transient,
-            requirements=given,
-            predictions=expected,
-            remarks=remarks,
-            sources=shares,
-            summaries=found,
-        )
-    console = Screen(stderr=json_)
-    show(console, labels(runs), found)
-    for text in dict.fromkeys(text for texts in remarks for text in texts):
+        result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
+        result.write_page(target, result.notes, start, stop)
+    found, console = result.summaries, Screen(stderr=json_)
+    show(console, labels(result.runs), found)
+    for text in dict.fromkeys(text for texts in result.notes for text in texts):
         say(console, text, "note")
     say(console, f"report  {target}")
     if json_:

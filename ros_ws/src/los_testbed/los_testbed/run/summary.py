@@ -83,42 +83,77 @@ def summarise_runs(
     """
     if report is not None:
         check_output(report, "the report")
-    found = [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags]
-    assumed = [requirements is None and is_older(run) for run in found]
-    opened = [with_requirements(run) if older else run for run, older in zip(found, assumed)]
-    summaries = tuple(summarise_all(opened, transient=transient, requirements=requirements))
-    remarks = tuple(
-        (*(remarks_of(run, found) if isinstance(run, Run) else ()), *([REMARK] if older else []))
-        for run, found, older in zip(opened, summaries, assumed)
+    found = judged(
+        [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags], transient, requirements
     )
-    shares, missing = shares_of(opened)
-    remarks = tuple((*one, *more) for one, more in zip(remarks, missing))
+    own = [
+        remarks_of(run, summary) if isinstance(run, Run) else () for run, summary in zip(found.runs, found.summaries)
+    ]
+    remarks = tuple((*one, *notes) for one, notes in zip(own, found.notes))
     if report is not None:
+        found.write_page(report, remarks)
+    metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, remarks))
+    for values, rows in zip(metrics, found.shares):
+        if rows:
+            values["disturbances"] = as_rows(rows)
+    return RunSummaries(found.summaries, metrics, report, remarks, found.shares)
+
+
+@dataclass(frozen=True)
+class JudgedRuns:
+    """Open recordings with their verdicts.
+
+    Attributes
+    ----------
+    runs : tuple of Recording
+        Older bags of this testbed with the requirements of the reference telescope.
+    summaries : tuple of Summary
+    shares : tuple of tuple of SourceShare
+        Of each run what its sources of disturbance do.
+    notes : tuple of tuple of str
+        Of each run what is assumed, and why there are no shares.
+    transient : float or None
+        Seconds of start-up that are left out.
+    requirements : sequence of Requirement or None
+        In place of those of the runs.
+    """
+
+    runs: tuple[Recording, ...]
+    summaries: tuple[Summary, ...]
+    shares: tuple[tuple[SourceShare, ...], ...]
+    notes: tuple[tuple[str, ...], ...]
+    transient: float | None
+    requirements: Sequence[Requirement] | None
+
+    def write_page(
+        self, path: Path, remarks: Sequence[Sequence[str]], start: float = 0.0, stop: float = math.inf
+    ) -> None:
+        """Write the HTML report; `start` and `stop` are the part of each bag that was read [s]."""
         from los_testbed.run.predictions import predictions
         from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
-        expected = predictions(opened, transient)
         write_report(
-            opened,
-            report,
-            transient=transient,
-            requirements=requirements,
-            predictions=expected,
+            self.runs,
+            path,
+            transient=self.transient,
+            requirements=self.requirements,
+            predictions=predictions(self.runs, self.transient, start, stop),
             remarks=remarks,
-            sources=shares,
-            summaries=summaries,
+            sources=self.shares,
+            summaries=self.summaries,
         )
-    metrics = tuple(_metrics(*one) for one in zip(opened, summaries, remarks))
-    for values, rows in zip(metrics, shares):
-        if rows:
-            values["disturbances"] = as_rows(rows)
-    return RunSummaries(summaries, metrics, report, remarks, shares)
 
 
-def shares_of(runs: Sequence[Recording]) -> tuple[tuple[tuple[SourceShare, ...], ...], tuple[tuple[str, ...], ...]]:
-    """Of each run the shares of its sources of disturbance, and why there are none."""
-    found = [_shares_or_reason(run) for run in runs]
-    return tuple(shares for shares, _ in found), tuple(notes for _, notes in found)
+def judged(
+    found: Sequence[Recording], transient: float | None, requirements: Sequence[Requirement] | None
+) -> JudgedRuns:
+    """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
+    assumed = [requirements is None and is_older(run) for run in found]
+    runs = tuple(with_requirements(run) if older else run for run, older in zip(found, assumed))
+    summaries = tuple(summarise_all(runs, transient=transient, requirements=requirements))
+    shares = [_shares_or_reason(run) for run in runs]
+    notes = tuple((*([REMARK] if older else []), *missing) for older, (_, missing) in zip(assumed, shares))
+    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), notes, transient, requirements)
 
 
 def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:

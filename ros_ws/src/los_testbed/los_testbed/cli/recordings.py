@@ -1,0 +1,72 @@
+"""Recordings as `analyse`, `report` and `image` take them: their options, and how they are opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from los_testbed.cli.output import chunk_limit
+
+if TYPE_CHECKING:
+    from pointing_analysis.read.recording import Recording
+    from pointing_analysis.requirements.text import Requirement
+
+R = TypeVar("R", bound="Recording")
+
+TABLES = "CSV, Parquet, .mat, HDF5, .npy, .npz"
+
+Bags = Annotated[list[Path], typer.Argument(help=f"Bags (folders or .mcap files), or tables: {TABLES}.")]
+Bag = Annotated[Path, typer.Argument(help=f"Bag (folder or .mcap file), or table: {TABLES}.")]
+Los = Annotated[
+    str | None,
+    typer.Option(help="Line of sight: topic or topic.field of another bag, two columns of a table.", metavar="NAME"),
+]
+Unit = Annotated[
+    str | None,
+    typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas; default: that of header or attribute."),
+]
+Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
+Requirements = Annotated[
+    Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
+]
+OpticsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--optics",
+        metavar="FILE",
+        help="TOML file with a table optics: aperture, wavelength, pixel. Default: the bag's.",
+    ),
+]
+
+
+def open_runs(
+    bags: Sequence[Path], opener: Callable[[Path, int], R], max_chunk: float, optics: Path | None = None
+) -> list[R]:
+    """Open recordings; those of a file replace their optics.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+    opener : callable
+        Opens one, with the largest chunk that is unpacked [byte].
+    max_chunk : float
+        ``--max-chunk`` [MB].
+    optics : Path, optional
+        ``--optics``.
+    """
+    from pointing_analysis.image.optics import load_optics, with_optics
+
+    seen = None if optics is None else load_optics(optics)
+    limit = chunk_limit(max_chunk)
+    runs = [opener(bag, limit) for bag in bags]
+    return runs if seen is None else [with_optics(run, *seen) for run in runs]
+
+
+def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
+    """Requirements of ``--requirements``; None where none is given: those of each recording hold."""
+    from pointing_analysis.requirements.text import load
+
+    return None if file is None else load(file)
