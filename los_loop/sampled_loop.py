@@ -7,7 +7,7 @@ after which all sensors have a sample again, its stability is that of the produc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar, cast
@@ -149,8 +149,26 @@ class SampledLoop:
         phase = np.angle(values)
         phase = phase + 2.0 * np.pi * np.round((self.frame_ticks * np.angle(turned) - phase) / (2.0 * np.pi))
         poles = (np.log(np.abs(values)) + 1j * phase) / (self.frame_ticks * DT)
-        found = poles[(poles.imag > 0.0) & (poles.imag < highest) & (-poles.real < damping * np.abs(poles))]
-        return np.asarray(np.sort(found.imag), dtype=float)
+        return _slow(poles, highest, damping)
+
+
+def periodic_covariances(ticks: Sequence[tuple[FloatArray, FloatArray]]) -> list[FloatArray]:
+    """Covariance of the state before each tick of a period, in the steady state.
+
+    Parameters
+    ----------
+    ticks : sequence of (ndarray, ndarray)
+        Matrix A of each tick and covariance Q of the noise it adds, shape (n, n); stable over the period.
+    """
+    size = len(ticks[0][0])
+    period: FloatArray = np.eye(size)
+    added: FloatArray = np.zeros((size, size))
+    for A, Q in ticks:
+        period, added = A @ period, A @ added @ A.T + Q
+    found = [np.asarray(linalg.solve_discrete_lyapunov(period, added), dtype=float)]
+    for A, Q in ticks[:-1]:
+        found.append(A @ found[-1] @ A.T + Q)
+    return found
 
 
 def radius_of(multipliers: ComplexArray, frame_ticks: int) -> float:
@@ -165,7 +183,11 @@ def slow_modes(multipliers: ComplexArray, frame_ticks: int, highest: float, damp
     ``pi / (frame_ticks dt)``.
     """
     seen = multipliers[np.abs(multipliers) > 1e-6]
-    poles = np.log(seen) / (frame_ticks * DT)
+    return _slow(np.asarray(np.log(seen) / (frame_ticks * DT), dtype=complex), highest, damping)
+
+
+def _slow(poles: ComplexArray, highest: float, damping: float) -> FloatArray:
+    """Frequencies [rad/s] of the oscillating ones below `highest` with a damping ratio below `damping`."""
     found = poles[(poles.imag > 0.0) & (poles.imag < highest) & (-poles.real < damping * np.abs(poles))]
     return np.asarray(np.sort(found.imag), dtype=float)
 

@@ -23,7 +23,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.sampling import sampled
 from los_loop.figures_of_merit import figure
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.sampled_loop import SampledLoop, periodic_covariances, sampled_loop
 from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response
 from titop_plant.interface import (
     COMMANDS,
@@ -365,14 +365,8 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
         np.hstack([w.D @ loop.truth, w.C]),
     )
     ticks = loop.each_tick(extended)
-    period: FloatArray = np.eye(n + m)
-    accumulated: FloatArray = np.zeros((n + m, n + m))
-    for A, Q in ticks:
-        period, accumulated = A @ period, A @ accumulated @ A.T + Q
-    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, accumulated), dtype=float)
     power = np.zeros(2)
-    for A, Q in ticks:
+    for P in periodic_covariances(ticks):
         power += [np.trace(C @ P @ C.T) for C in outputs]
-        P = A @ P @ A.T + Q
     plain, relative = np.sqrt(np.maximum(power / len(ticks), 0.0))
     return float(plain), float(relative)

@@ -83,18 +83,17 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
 def write_picture(path: Path, picture: FloatArray, header: dict[str, tuple[Any, str]]) -> None:
     """Write a picture; `header` has value and comment of each key."""
     fits = astropy_fits()
-    unit = fits.PrimaryHDU(picture)
-    for key, (value, comment) in header.items():
-        unit.header[key] = (value, comment)
-    with atomic_file(path) as temporary:
-        unit.writeto(temporary)
+    _write(path, fits.PrimaryHDU(picture), header)
 
 
 def write_table(path: Path, columns: dict[str, tuple[FloatArray, str]], header: dict[str, tuple[Any, str]]) -> None:
     """Write a table; `columns` has values and unit of each name."""
     fits = astropy_fits()
     made = [fits.Column(name=name, format="D", unit=unit, array=values) for name, (values, unit) in columns.items()]
-    unit = fits.BinTableHDU.from_columns(made)
+    _write(path, fits.BinTableHDU.from_columns(made), header)
+
+
+def _write(path: Path, unit: Any, header: dict[str, tuple[Any, str]]) -> None:
     for key, (value, comment) in header.items():
         unit.header[key] = (value, comment)
     with atomic_file(path) as temporary:

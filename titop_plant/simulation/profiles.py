@@ -7,6 +7,7 @@ The angle through which a wheel has turned is then known in closed form, so the 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,6 +116,33 @@ def _moved(
     return Profile(time, theta + rate * passed, np.asarray(speed) + np.outer(passed, np.asarray(acceleration)))
 
 
+def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of a CSV file that a setting names in place of one of its choices.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        The setting, for the message.
+    choices : iterable of str
+        Its values that are no file.
+
+    Raises
+    ------
+    ValueError
+        No such file, or no text.
+    """
+    try:
+        lines = list(csv.reader(read_ordinary_file(path).removeprefix("\ufeff").rstrip().splitlines()))
+    except OSError as error:
+        raise ValueError(
+            f"{what} must be one of {', '.join(choices)} or a CSV file, got {path}: {error.strerror}"
+        ) from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text") from None
+    return [name.strip() for name in lines[0]] if lines else [], lines[1:]
+
+
 def read_profile(path: Path) -> Profile:
     """Profile of a CSV file with the header :data:`COLUMNS`.
 
@@ -123,18 +151,11 @@ def read_profile(path: Path) -> Profile:
     ValueError
         No such file, another header, a value that is no finite number, times that do not rise from 0.
     """
-    try:
-        lines = list(csv.reader(read_ordinary_file(path).splitlines()))
-    except OSError as error:
-        choices = ", ".join(PROFILES)
-        raise ValueError(f"profile must be one of {choices} or a CSV file, got {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text") from None
-    header = [name.strip() for name in lines[0]] if lines else []
+    header, lines = read_csv(path, "profile", PROFILES)
     if header != list(COLUMNS):
         raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
     rows = []
-    for number, line in enumerate(lines[1:], start=2):
+    for number, line in enumerate(lines, start=2):
         try:
             rows.append([float(text) for text in line])
         except ValueError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.variants import family
+from titop_plant.simulation.profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
@@ -126,18 +125,11 @@ def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
 
 
 def _listed(path: Path, samples: int, ranges: FloatArray) -> FloatArray:
-    try:
-        lines = list(csv.reader(read_ordinary_file(path).removeprefix("\ufeff").rstrip().splitlines()))
-    except OSError as error:
-        choices = ", ".join(SAMPLINGS)
-        raise ValueError(f"sampling must be one of {choices} or a CSV file, got {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text") from None
-    header = [name.strip() for name in lines[0]] if lines else []
+    header, lines = read_csv(path, "sampling", SAMPLINGS)
     if sorted(header) != sorted(COLUMNS):
         raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
-    points = np.empty((len(lines) - 1, len(COLUMNS)))
-    for number, line in enumerate(lines[1:], start=2):
+    points = np.empty((len(lines), len(COLUMNS)))
+    for number, line in enumerate(lines, start=2):
         values = dict(zip(header, line))
         for k, (name, (low, high)) in enumerate(zip(COLUMNS, ranges)):
             text = values.get(name, "").strip()

@@ -17,9 +17,9 @@ from rich.table import Table
 from lftkit.support.progress import Progress
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.cli.redesign import WorkersOption, processes
+from los_testbed.cli.redesign import WorkersOption, designs_in, processes
 from los_testbed.run.screen import Screen
-from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from los_testbed.variants import WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file, check_output
 from pointing_analysis.files.structured_text import load_json, read_text
 from titop_plant.interface import (
@@ -113,7 +113,6 @@ def certify(
 
 def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
     """The implemented loops, and the worst points that are known of them."""
-    from lftkit import SampledSystem
     from los_design.search.worst_points import load_worst_points
     from los_design.synthesis.store import load_designs
     from los_loop.implemented_loop import ImplementedLoop
@@ -121,16 +120,12 @@ def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemen
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
-    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+    from titop_plant.telescope.parameters import design_basis, load_parameters
 
-    if folder is not None and not folder.is_dir():
-        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
-    own = folder is not None and (folder / TELESCOPE_FILE).exists()
-    parameters = load_parameters(folder / TELESCOPE_FILE if folder is not None and own else REFERENCE)
     if folder is None:
-        k_fsm, k_pma = load_designs("implemented")
+        parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
     else:
-        k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+        parameters, k_fsm, k_pma = designs_in(folder)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))

@@ -8,7 +8,7 @@ import shutil
 import sys
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -19,6 +19,10 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, met
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file
+
+if TYPE_CHECKING:
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import Parameters
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
@@ -111,6 +115,25 @@ def processes(workers: int) -> int:
     return workers or len(os.sched_getaffinity(0))
 
 
+def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
+    """Telescope and controllers of a folder of designs; the reference telescope where it names none.
+
+    Raises
+    ------
+    ValueError
+        No folder, or a file that is missing or cannot be read.
+    """
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    if not folder.is_dir():
+        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+    file = folder / TELESCOPE_FILE
+    parameters = load_parameters(file if file.exists() else REFERENCE)
+    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    return parameters, k_fsm, k_pma
+
+
 def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None:
     """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
 
@@ -119,7 +142,6 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
     ValueError
         A file is missing.
     """
-    from lftkit import SampledSystem
     from lftkit.support.threads import one_thread
     from lftkit.support.workers import Workers
     from los_design.search.worst_points import load_adversarial
@@ -127,13 +149,9 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
-    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+    from titop_plant.telescope.parameters import design_basis
 
-    if not folder.is_dir():
-        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
-    file = folder / TELESCOPE_FILE
-    parameters = load_parameters(file if file.exists() else REFERENCE)
-    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    parameters, k_fsm, k_pma = designs_in(folder)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     with one_thread(), Workers(workers) as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)

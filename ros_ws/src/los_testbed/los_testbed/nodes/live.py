@@ -15,10 +15,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from los_testbed.bags.cdr import codec_for, stamp_of
+from los_testbed.bags.cdr import stamp_of
 from los_testbed.factories import RunParts
 from los_testbed.live.access import certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
@@ -26,11 +25,9 @@ from los_testbed.live.frames import Frames
 from los_testbed.live.page_server import PageServer
 from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.raw_topics import RawSubscription
-from los_testbed.nodes.support.track import ReportTrack, Track, merge
+from los_testbed.nodes.support.track import merge, report_tracks, topic_tracks
 from los_testbed.run.viewers import Live
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS
-from titop_plant.interface import TICK_NS
+from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS, TOPICS
 
 DEPTH = 1000
 PERIOD_S = 0.02
@@ -85,21 +82,10 @@ class LiveNode:
     def __init__(self, context: NodeContext, live: Live) -> None:
         config, node = context.config, context.node
         self.context = context
-        self.tracks = [
-            Track(
-                topic.path_in(config.namespace),
-                RawSubscription(node, topic.name, topic.type_name, DEPTH, config.mode == "lockstep", topic.publisher),
-                topic.every(config.frame_ticks) * TICK_NS,
-                codec_for(topic),
-            )
-            for topic in TOPICS
-        ]
+        self.tracks = topic_tracks(context, DEPTH, reliable=config.mode == "lockstep")
         self._served = set(live.topics) or {*(topic.name for topic in TOPICS), OWN_DIAGNOSTICS}
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
-        self.reports = {
-            name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
-            for name in NODES
-        }
+        self.reports = report_tracks(context)
         self._simulated = config.mode == "lockstep"
         self._next_look = 0
         tls, host = certificate(live.tls_cert or None, live.tls_key or None), live.host

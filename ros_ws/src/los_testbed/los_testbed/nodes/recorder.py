@@ -12,10 +12,9 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
-from los_testbed.bags.cdr import codec_for, stamp_of
+from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.factories import RunParts
@@ -23,14 +22,14 @@ from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.support.raw_topics import RawPublisher
 from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
-from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track, merge
+from los_testbed.nodes.support.track import UNKNOWN_NS, Track, merge, report_tracks, topic_tracks
 from los_testbed.run.bag_names import free_name
 from los_testbed.run.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
-from los_testbed.topics import NODES, OWN_DIAGNOSTICS, PROGRESS_TOPIC, TOPICS
+from los_testbed.topics import NODES, PROGRESS_TOPIC, TOPICS
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
@@ -71,21 +70,9 @@ class Recorder:
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else self.parts.start
         self._reported: dict[str, int] = {}
-        self.tracks = [
-            Track(
-                topic.path_in(config.namespace),
-                RawSubscription(node, topic.name, topic.type_name, DEPTH, publisher=topic.publisher),
-                topic.every(config.frame_ticks) * TICK_NS,
-                codec_for(topic),
-            )
-            for topic in TOPICS
-        ]
+        self.tracks = topic_tracks(context, DEPTH)
         self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
-        # /diagnostics is for everybody's reports: those of the run are read from the topics of its own nodes
-        self.reports = {
-            name: ReportTrack(RawSubscription(node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
-            for name in NODES
-        }
+        self.reports = report_tracks(context)
         self._late = ReportWatch(node, NODES[:-1]) if config.mode == "realtime" else None
         self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
         self._second = ""

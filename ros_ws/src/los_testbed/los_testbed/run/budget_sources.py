@@ -12,11 +12,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from los_loop.sampled_loop import SampledLoop
+from los_loop.sampled_loop import SampledLoop, periodic_covariances
 from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
@@ -104,16 +103,7 @@ def _noise(path: tuple[str, ...], loop: SampledLoop, parameters: Parameters, uni
 def _correlation(loop: SampledLoop, sigma: FloatArray, unit: float) -> Callable[[int], FloatArray]:
     """Covariance (2, 2) of the line of sight with itself some ticks later, mean over a frame period."""
     ticks = loop.each_tick(lambda A, N: (A, (N * sigma) @ (N * sigma).T))
-    size = len(loop.hold)
-    period: FloatArray = np.eye(size)
-    total: FloatArray = np.zeros((size, size))
-    for A, Q in ticks:
-        period, total = A @ period, A @ total @ A.T + Q
-    P: FloatArray = np.asarray(linalg.solve_discrete_lyapunov(period, total))
-    start = []
-    for A, Q in ticks:
-        start.append(P @ loop.truth.T)
-        P = A @ P @ A.T + Q
+    start = [P @ loop.truth.T for P in periodic_covariances(ticks)]
     C = loop.truth / unit**2
 
     @cache

@@ -6,16 +6,19 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 
-from los_testbed.bags.cdr import Codec, CodecError, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.bags.diagnostics import Status, read_diagnostics
 from los_testbed.loop.members import OPEN, OWN, PENDING
 from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.serialized_reader import Taken
-from los_testbed.topics import DIAGNOSTICS_TOPIC
+from los_testbed.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
+from titop_plant.interface import TICK_NS
 
 MAX_DISORDER = 1000
 """Periods that a sample may come after a later one and still count."""
@@ -200,6 +203,28 @@ class ReportTrack(Track):
             else:
                 self._refused += 1
         self._undecided = waiting
+
+
+def topic_tracks(context: NodeContext, depth: int, reliable: bool = True) -> list[Track]:
+    """A track of each topic of the run, in the order of `TOPICS`; `depth` messages may wait on each."""
+    config = context.config
+    return [
+        Track(
+            topic.path_in(config.namespace),
+            RawSubscription(context.node, topic.name, topic.type_name, depth, reliable, topic.publisher),
+            topic.every(config.frame_ticks) * TICK_NS,
+            codec_for(topic),
+        )
+        for topic in TOPICS
+    ]
+
+
+def report_tracks(context: NodeContext) -> dict[str, ReportTrack]:
+    """Reports of each node, from its own topic: /diagnostics is for everybody's."""
+    return {
+        name: ReportTrack(RawSubscription(context.node, f"{name}/{OWN_DIAGNOSTICS}", DiagnosticArray, publisher=name))
+        for name in NODES
+    }
 
 
 def merge(reports: Sequence[Track]) -> Track:
