@@ -329,10 +329,10 @@ def bound_text(figure: str, level: float, limit: float) -> str:
 
     Examples
     --------
-    >>> bound_text("slow", 0.4991, 1.9392547e-7)
-    'slow 19.96 of 40 mas'
-    >>> bound_text("APE", 0.9958, 4.8481368e-5), bound_text("force", 0.2097, 0.1)
-    ('APE 9.958 of 10 arcsec', 'force 0.02097 of 0.1 N')
+    >>> bound_text("slow", 0.4991, 1.4544410e-7)
+    'slow 14.97 of 30 mas'
+    >>> bound_text("APE", 0.9958, 2.4240684e-5), bound_text("force", 0.2097, 0.1)
+    ('APE 4.979 of 5 arcsec', 'force 0.02097 of 0.1 N')
     """
     row = next(row for row in FIGURES if row.name == figure)
     unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"

@@ -144,7 +144,14 @@ def test_samples_needed_by_trying_all_numbers(p: float, c: float, k: int) -> Non
     assert confidence.samples_needed(p, c, k) == n
 
 
-@pytest.mark.parametrize(("p", "c", "rate"), [(0.5, 0.95, 1.0), (0.5, 0.95, 0.8), (0.9, 0.9, 0.5), (0.99, 0.95, 0.04)])
+def test_samples_needed_where_the_confidence_is_reached_exactly() -> None:
+    """Of n samples none exceeds the median with the probability 2^-n, a number without rounding."""
+    assert [confidence.samples_needed(0.5, 1.0 - 0.5**n) for n in range(1, 20)] == list(range(1, 20))
+
+
+@pytest.mark.parametrize(
+    ("p", "c", "rate"), [(0.5, 0.95, 1.0), (0.5, 0.95, 0.8), (0.9, 0.9, 0.5), (0.99, 0.95, 0.04), (0.99, 0.9, 1.0)]
+)
 def test_samples_to_refute_by_trying_all_numbers(p: float, c: float, rate: float) -> None:
     """Exact up to 50 samples, then in steps of 2 %."""
 
