@@ -9,7 +9,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import read_only
-from lftkit.tuning.descent.pieces import HARD_TARGET, Piece
+from lftkit.tuning.pieces import HARD_TARGET, Piece
 
 AT_BOUND = 1e-4  # distance from a bound, of its scale, at which a parameter counts as being there
 NEAR_BOUND = 0.5  # distance, of its scale, from which a bound is told to the descent

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from lftkit.tuning.descent.minimax import DescentOptions
-from lftkit.tuning.descent.pieces import HARD_TARGET
 from lftkit.tuning.descent.single_start import StartResult, tune_from
 from lftkit.tuning.descent.starts import Start, random_starts
+from lftkit.tuning.pieces import HARD_TARGET
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
 

@@ -13,10 +13,10 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
 from lftkit.tuning.bounds import bounds_of
-from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
+from lftkit.tuning.pieces import Piece
 from lftkit.tuning.requirements import (
     ClosedLoopPoles,
     ControllerPoles,

@@ -18,6 +18,7 @@ from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, certify
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import FEASIBLE
 from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
@@ -25,7 +26,6 @@ from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_sta
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
-from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
-from lftkit.tuning.descent.pieces import HARD_TARGET, Oracle, OracleResult
+from lftkit.tuning.pieces import HARD_TARGET, Oracle, OracleResult
 
 USED_MARGIN = 0.9  # fraction of the linearised distance to the boundary of the domain that a step may use
 MAX_PLANES, PLANES_PER_POINT = 60, 3

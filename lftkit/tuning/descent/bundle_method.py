@@ -22,8 +22,8 @@ from lftkit.tuning.descent.bundle import Bundle
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
 from lftkit.tuning.descent.minimax import DescentOptions
-from lftkit.tuning.descent.pieces import Oracle, OracleResult
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
+from lftkit.tuning.pieces import Oracle, OracleResult
 from lftkit.tuning.status import TuningStatus
 
 ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25  # of the predicted decrease
@@ -64,7 +64,7 @@ def minimise(
 ) -> BundleResult:
     """Minimise the largest soft piece from `x0` (n,), inside the domain.
 
-    The hard pieces are to be at most :data:`lftkit.tuning.descent.pieces.HARD_TARGET`.
+    The hard pieces are to be at most :data:`lftkit.tuning.pieces.HARD_TARGET`.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.metric import Metric
-from lftkit.tuning.descent.pieces import OracleResult, matching_piece
+from lftkit.tuning.pieces import OracleResult, matching_piece
 
 MIN_MULTIPLIER = 1e-8  # pieces with a smaller multiplier say nothing about the Lagrangian
 MIN_MATCHED = 0.3  # sum of the multipliers of matched pieces below which nothing is learned

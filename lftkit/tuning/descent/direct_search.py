@@ -12,6 +12,7 @@ import time
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.gain_moves import gain_moves
 from lftkit.tuning.descent.grid_source import Point, point_at
 from lftkit.tuning.descent.metric import Metric
@@ -21,7 +22,6 @@ from lftkit.tuning.descent.single_start import StartResult, stabilise, unstable
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
 from lftkit.tuning.descent.starts import Start
-from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import Point, point_at
 from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.smooth_phase import smooth_phase
-from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.stable_state_space import StableStateSpace
 from lftkit.tuning.structures import AffineStructure, Structure

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.pieces import OracleResult, Piece
+from lftkit.tuning.pieces import OracleResult, Piece
 
 EIGENVALUE_FLOOR = 1e-9  # of the scaled Gauss-Newton matrix: directions that change nothing keep a finite length
 SMALLEST_DIAGONAL = 1e-30  # squared relative change of the values by one parameter below which there is none

@@ -11,9 +11,9 @@ from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.tuning.descent.metric import EIGENVALUE_FLOOR, Metric, metric_of
-from lftkit.tuning.descent.pieces import HARD_TARGET
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.gains.grid_gains import GridGains
+from lftkit.tuning.pieces import HARD_TARGET
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.structures import gain_sizes, jacobian
 

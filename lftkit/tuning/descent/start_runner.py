@@ -24,10 +24,10 @@ from lftkit.tuning.descent.direct_search import (
     negligible_value,
     perturbed,
 )
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
 from lftkit.tuning.descent.starts import Start
-from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
 

@@ -18,9 +18,9 @@ from lftkit.analysis.batched_linalg import (
 from lftkit.analysis.norms import hinf_norm
 from lftkit.systems.filters import transfer
 from lftkit.systems.system import System
+from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.controller_response import controller_response
-from lftkit.tuning.gains.exact_value import ExactValue
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import H2Gain, HinfGain

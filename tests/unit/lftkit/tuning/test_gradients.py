@@ -9,9 +9,9 @@ from lftkit.systems.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.decentralised import Decentralised
-from lftkit.tuning.descent.pieces import Piece
 from lftkit.tuning.gains.gains import singular_slopes
 from lftkit.tuning.gains.plant_responses import PlantResponses
+from lftkit.tuning.pieces import Piece
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
 from lftkit.tuning.stable_state_space import StableStateSpace

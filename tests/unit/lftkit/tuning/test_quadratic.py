@@ -7,8 +7,8 @@ import pytest
 
 from lftkit.tuning.descent.bundle_method import minimise
 from lftkit.tuning.descent.minimax import DescentOptions
-from lftkit.tuning.descent.pieces import HARD_TARGET, OracleResult, Piece
 from lftkit.tuning.descent.simplex_qp import simplex_minimum
+from lftkit.tuning.pieces import HARD_TARGET, OracleResult, Piece
 
 
 @pytest.mark.parametrize(("pieces", "size"), [(2, 1), (5, 3), (50, 10), (100, 150)])
