@@ -59,6 +59,22 @@ def without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyP
         monkeypatch.setattr("pointing_analysis.report.report.PICTURES", ())
 
 
+@pytest.fixture(scope="session")
+def parameters() -> Any:
+    """Parameters of the reference telescope; nothing may change them."""
+    from titop_plant.telescope.parameters import load_parameters
+
+    return load_parameters()
+
+
+@pytest.fixture(scope="session")
+def system(parameters: Any) -> Any:
+    """The reference telescope between the ports of the control loop, an uncertain system."""
+    from titop_plant.simulation.build import control_loop_plant, telescope
+
+    return control_loop_plant(telescope(), parameters)
+
+
 UNJUDGED: list[str] = []
 """What was not judged in this run."""
 

@@ -7,30 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_controller, build_estimator, build_plant
-from los_testbed.loop.simulate import simulate
+from los_testbed.factories import RunParts
 from los_testbed.run_start import RunStart
+from support.true_los import true_los
 
 from pointing_analysis.indices.metrics import radial, windows
 from titop_plant.interface import DT, FRAME_TICKS, STAGES
 
 WHEELS = (300.0, -200.0, 150.0, -400.0)
-
-
-def line_of_sight(config: RunConfig) -> np.ndarray:
-    """Truth of every tick (n, 2), by the parts that run and without a bag."""
-    estimator, controller, found = build_estimator(config), build_controller(config), []
-    estimator.reset()
-    controller.reset()
-    simulate(
-        build_plant(config),
-        estimator,
-        controller,
-        config.ticks,
-        lambda block, rows: found.append(block.truth[:rows].copy()),
-        RunParts(config).start.command,
-    )
-    return np.concatenate(found)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +34,7 @@ def test_a_steady_start_has_no_transient(biased: RunConfig, loop: str) -> None:
     all that the first one holds."""
     config = replace(biased, loop=loop)
     tone = RunParts(config).start.tone
-    los, t = line_of_sight(config), DT * np.arange(config.ticks)
+    los, t = true_los(config), DT * np.arange(config.ticks)
     frame = 2.0 * np.pi / (FRAME_TICKS * DT)
     columns = [np.exp(1j * (tone.omega + k * frame) * t) for k in range(-FRAME_TICKS // 2, FRAME_TICKS // 2)]
     columns += [np.exp(1j * k * frame * t) for k in range(FRAME_TICKS // 2 + 1)]
@@ -63,8 +47,8 @@ def test_a_steady_start_has_no_transient(biased: RunConfig, loop: str) -> None:
 def test_a_start_at_rest_becomes_the_steady_one(biased: RunConfig) -> None:
     """After 200 s; at the beginning the washout's answer to the bias of the accelerometers is many times as large."""
     biased = replace(biased, worst_of="fast")
-    steady = line_of_sight(replace(biased, duration=2.0))
-    rest = line_of_sight(replace(biased, duration=200.0, start="rest"))
+    steady = true_los(replace(biased, duration=2.0))
+    rest = true_los(replace(biased, duration=200.0, start="rest"))
     first, last, same = (np.hypot(*windows(part, DT, 0.02).rpe_rms) for part in (rest[:1000], rest[-2000:], steady))
     assert last == pytest.approx(same, rel=0.02)
     assert radial(rest[2000:6000]).max() > 5.0 * radial(steady).max()

@@ -24,6 +24,7 @@ from scipy import linalg
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, System
+from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
@@ -39,12 +40,11 @@ from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
 from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, PLATFORM
-from titop_plant.simulation.build import PlantFamily, control_loop_plant, telescope
+from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
-from titop_plant.telescope.parameters import load_parameters
 
 SAME = 1e-10
 TICKS = 200
@@ -52,16 +52,6 @@ FEW, MANY = (0, 1, 16), 100
 """Points that always run: 16 is the one at which images of held commands matter most."""
 POINTS = [pytest.param(seed, marks=[] if seed in FEW else [pytest.mark.slow]) for seed in range(MANY)]
 Pair = tuple[SampledSystem, SampledSystem]
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
-@pytest.fixture(scope="module")
-def system(parameters) -> System:
-    return control_loop_plant(telescope(), parameters)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +114,8 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
         found[name] = run(simulated, start, stage, pair, limits)
     allowed = SAME * max(figure("RPE").limit(parameters, stage), float(np.abs(predicted).max()))
     assert np.abs(found["quiet"] - predicted).max() < allowed
-    by_bias, state = np.empty((TICKS, 2)), np.zeros(len(loop.hold))
+    by_bias = np.empty((TICKS, 2))
+    state: FloatArray = np.zeros(len(loop.hold))
     for k in range(TICKS):
         by_bias[k] = loop.truth @ state
         A, N = (loop.hold, loop.noise_hold) if k % FRAME_TICKS else (loop.frame, loop.noise_frame)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_controller, build_estimator, build_plant
-from los_testbed.loop.simulate import simulate
+from los_testbed.factories import RunParts
 from los_testbed.variants import of_scenario
+from support.true_los import true_los
 
 from los_loop.sampled_loop import sampled_loop
 from los_loop.worst_tone import INDICES, WorstTone, worst_tone
@@ -22,20 +22,9 @@ from titop_plant.telescope.weights import rpe_weight
 
 def measured(config: RunConfig, omega: float) -> float:
     """Amplitude of the line of sight at the tone [rad], norm of both axes, fitted to the record of a run."""
-    estimator, controller, found = build_estimator(config), build_controller(config), []
-    estimator.reset()
-    controller.reset()
-    simulate(
-        build_plant(config),
-        estimator,
-        controller,
-        config.ticks,
-        lambda block, rows: found.append(block.truth[:rows].copy()),
-        RunParts(config).start.command,
-    )
     t = DT * np.arange(config.ticks)
     basis = np.column_stack([np.cos(omega * t), np.sin(omega * t)])
-    fit = np.linalg.lstsq(basis, np.concatenate(found), rcond=None)[0]
+    fit = np.linalg.lstsq(basis, true_los(config), rcond=None)[0]
     return float(np.sqrt(np.sum(fit**2)))
 
 

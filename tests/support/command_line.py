@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from pathlib import Path
+
 import pytest
 from los_testbed.cli import app
 
@@ -14,3 +17,39 @@ def call_command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tupl
         code = int(stop.code or 0)
     out, err = capsys.readouterr()
     return code, out, err
+
+
+@dataclass
+class CommandLine:
+    """The command line in an empty folder; a call gives exit code, output and error output.
+
+    Attributes
+    ----------
+    capsys : fixture of the test
+    here : the working directory
+    files : a folder for files of the user
+    first : words that each command begins with
+    controllers : options that name the controllers of the small telescope
+    """
+
+    capsys: pytest.CaptureFixture[str]
+    here: Path
+    files: Path
+    first: tuple[str, ...] = ()
+    controllers: list[str] = field(default_factory=list)
+
+    @classmethod
+    def below(
+        cls,
+        folder: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+        *first: str,
+    ) -> CommandLine:
+        """In a new folder ``here`` below another one, which becomes the working directory."""
+        (folder / "here").mkdir()
+        monkeypatch.chdir(folder / "here")
+        return cls(capsys, folder / "here", folder, first)
+
+    def __call__(self, *arguments: object) -> tuple[int, str, str]:
+        return call_command(self.capsys, *self.first, *arguments)

@@ -30,21 +30,9 @@ from los_design.verification.certify import (
 )
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 212.0)
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
-@pytest.fixture(scope="module")
-def system(parameters):
-    return control_loop_plant(telescope(), parameters)
 
 
 @pytest.fixture(scope="module")

@@ -21,14 +21,9 @@ from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop_norms import sampled_loop_metrics
 from titop_plant.interface import LOOP_DELAY, MEASURED
 from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import design_basis, load_parameters
+from titop_plant.telescope.parameters import design_basis
 
 IMPLEMENTED = DesignOptions()
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:

@@ -27,12 +27,6 @@ from los_loop.sampled_loop_norms import noise_metrics
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.budget import combined_level, error_budget
-from titop_plant.telescope.parameters import load_parameters
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 @pytest.fixture(scope="module")

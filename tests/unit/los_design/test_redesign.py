@@ -23,12 +23,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
+from titop_plant.telescope.parameters import parameters_hash
 
 
 @pytest.fixture

@@ -21,15 +21,10 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_response
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import design_basis, load_parameters, uncertain_parameters
+from titop_plant.telescope.parameters import design_basis, uncertain_parameters
 
 PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
 STATUSES = {"converged", "rounds", "out_of_time"}
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 def check_file(system, kind: str, options: DesignOptions, parameters, tmp_path, command: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,15 +33,10 @@ from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.telescope.budget import combined_level
-from titop_plant.telescope.parameters import load_parameters, parameter_corners
+from titop_plant.telescope.parameters import parameter_corners
 
 POINTS = [{"stiffness": 0.5}, {"stiffness": 1.7}, {}]
 ARCSEC = 4.84813681109536e-06
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 def quiet_pair() -> tuple[SampledSystem, SampledSystem]:
@@ -152,7 +148,8 @@ def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_val
         for p in (np.array([point]), np.ones(1))
     ]
     assert brackets[1].value > brackets[0].value
-    value, omega = stage_check._worst(search, ("m", brackets))
+    found: Any = stage_check._worst(search, ("m", brackets))
+    value, omega = found
     assert value == pytest.approx(0.99, abs=1e-6)
     assert omega == pytest.approx(1.03, rel=1e-4)
 

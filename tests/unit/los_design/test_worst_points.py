@@ -26,10 +26,9 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE, INPUTS
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import no_tones, weight_amplitudes
 from titop_plant.simulation.plant_step import step_matrix
-from titop_plant.telescope.parameters import load_parameters, parameter_box
+from titop_plant.telescope.parameters import parameter_box
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = (*(f"wheel_{i}.speed" for i in range(1, 5)), *(f"solar_array.{n}" for n in ("omega_1", "omega_2", "tau")))
@@ -41,18 +40,9 @@ KNOWN = {
 
 
 @pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
-@pytest.fixture(scope="module")
-def system(parameters):
-    return control_loop_plant(telescope(), parameters)
-
-
-@pytest.fixture(scope="module")
 def pair() -> tuple[SampledSystem, SampledSystem]:
-    return tuple(SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma"))
+    k_fsm, k_pma = (SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma"))
+    return k_fsm, k_pma
 
 
 def known_values(stage: str) -> dict[str, float]:

@@ -22,8 +22,6 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import INDICES
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
 
 ADDED = replace(
     figure("force"),
@@ -35,16 +33,6 @@ ADDED = replace(
     allowed=0.5,
 )
 NOISE = replace(figure("noise -> RPE"), name="noise of the camera", inputs=("camera_los",), relative=False)
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
-@pytest.fixture(scope="module")
-def system(parameters):
-    return control_loop_plant(telescope(), parameters)
 
 
 @pytest.fixture

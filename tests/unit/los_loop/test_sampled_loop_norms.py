@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +15,9 @@ from los_loop.sampled_loop import SampledLoop, sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
 from los_loop.tone_model import ToneModel
 from titop_plant.simulation.disturbances import weight_amplitudes
-from titop_plant.telescope.parameters import load_parameters
 
 OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
 COMPLETE = 9  # 2 * SIDEBANDS + 1: no sideband is omitted and the response is exact
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 def closed(frame_ticks: int, stage: str = "fsm+pma") -> SampledLoop:
@@ -170,8 +165,8 @@ def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
     """Rms of the line of sight, plain and weighted, by iterating the covariance from zero until it is periodic."""
     t = 0.02
     numerator, denominator = [t**2, np.sqrt(12.0) * t, 0.0], [t**2, 6.0 * t, 12.0]
-    A, B, C, D = signal.tf2ss(*signal.bilinear(numerator, denominator, 1.0 / DT))
-    A, B, C, D = (np.kron(np.eye(2), M) for M in (A, B, C, D))
+    one = signal.tf2ss(*signal.bilinear(numerator, denominator, 1.0 / DT))
+    A, B, C, D = (np.kron(np.eye(2), M) for M in one)
     n, size = len(loop.hold), len(loop.hold) + 4
     P, power = np.zeros((size, size)), np.zeros(2)
     steps = []
@@ -194,7 +189,7 @@ def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("frame_ticks", [1, 20])
 def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, parameters) -> None:
     """Sensors with different noise on every kind of channel, so that none is taken for another."""
-    table = {
+    table: dict[str, Any] = {
         "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
         "camera_noise": 2e-3,
         "strain_gauge_noise": 5e-2,

@@ -4,10 +4,11 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import call_command
+from command_line import CommandLine
 from los_testbed.cli.run import configure
 from los_testbed.factories import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
@@ -20,25 +21,17 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Run a command in an empty folder with the small telescope; exit code, output, error output."""
+    """The command line with the small telescope."""
 
     def plant(parts):
         config = parts.config
         return SimpleTelescope(config.frame_ticks, config.seed, config.noise, config.camera_dropout)
 
     monkeypatch.setattr(RunParts, "plant", plant)
-    (tmp_path / "files").mkdir()
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    own = write_controllers(tmp_path / "files")
-
-    def call(*arguments):
-        return call_command(capsys, *arguments)
-
-    call.controllers = [f"--{name.replace('_', '-')}={path}" for name, path in own.items()]
-    call.files = tmp_path / "files"
-    call.here = tmp_path / "here"
-    return call
+    files = tmp_path / "files"
+    files.mkdir()
+    controllers = [f"--{name.replace('_', '-')}={path}" for name, path in write_controllers(files).items()]
+    return replace(CommandLine.below(tmp_path, monkeypatch, capsys), files=files, controllers=controllers)
 
 
 def test_a_run_ends_with_one_json_line(run):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call_command
+from command_line import CommandLine
 from los_testbed import factories
 from los_testbed.cli.run import configure
 from los_testbed.config import RunConfig, physical_hash
@@ -25,16 +25,7 @@ from titop_plant.telescope.weights import rpe_weight
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Run a command in an empty folder; exit code, output, error output."""
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-
-    def call(*arguments):
-        return call_command(capsys, *arguments)
-
-    call.files = tmp_path
-    call.here = tmp_path / "here"
-    return call
+    return CommandLine.below(tmp_path, monkeypatch, capsys)
 
 
 def test_json_says_what_the_model_is(run) -> None:

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from command_line import call_command
+from command_line import CommandLine
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
@@ -31,15 +31,7 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture
 def call(tmp_path, monkeypatch, capsys):
-    """Run the command in an empty folder: exit code, output, error output."""
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-
-    def run(*arguments):
-        return call_command(capsys, "replay", *arguments)
-
-    run.here = tmp_path / "here"
-    return run
+    return CommandLine.below(tmp_path, monkeypatch, capsys, "replay")
 
 
 def other_observer(path, pole=0.9):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from command_line import call_command
+from command_line import CommandLine
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read import run as read
@@ -17,15 +17,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture
 def call(tmp_path, monkeypatch, capsys):
-    """Run the command in an empty folder: exit code, output, error output."""
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-
-    def run(*arguments):
-        return call_command(capsys, "report", *arguments)
-
-    run.here = tmp_path / "here"
-    return run
+    return CommandLine.below(tmp_path, monkeypatch, capsys, "report")
 
 
 def los(seconds: float, scale: float = 5.0) -> np.ndarray:

@@ -45,11 +45,6 @@ def system():
     return telescope().system
 
 
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
-
-
 def corners(parameters) -> list[dict[str, float]]:
     """Wheels 1, 3 and wheels 2, 4 at either limit of their speed, angle and frequencies at either limit."""
     table = uncertain_parameters(parameters)
