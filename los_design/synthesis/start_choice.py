@@ -12,10 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from lftkit import SampledSystem, System
+from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ResponseProblem, ResponseSource, parameters_of
+from lftkit.tuning.structures import gain_matrix_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
 from los_design.synthesis.rounds import TOLERANCE
@@ -64,25 +65,28 @@ def choose_start(
     ValueError
         No start stabilises the telescope.
     """
-    given = None if observer is None else gain_matrix(continuous(observer).at({}))
+    given = None if observer is None else gain_matrix_of(continuous(observer).at({}))
     own, at = blocks(parameters, task.tuned), _corners(task, options.seed)
 
     def stable(pair: Pair) -> bool:
         x = parameters_of(own, pair)
         return all(task.stable(x, values) for values in at)
 
-    stored = [given if given is not None else gain_matrix(stored_start("k-fsm")), gain_matrix(stored_start("k-pma"))]
+    stored = [
+        given if given is not None else gain_matrix_of(stored_start("k-fsm")),
+        gain_matrix_of(stored_start("k-pma")),
+    ]
     if is_reference(parameters) and stable(stored):
         return parameters_of(own, stored)
     report("another telescope than that of the stored start: starts are compared")
-    k_fsm, k_pma = (gain_matrix(continuous(system).at({})) for system in load_designs("implemented"))
+    k_fsm, k_pma = (gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented"))
     starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
     if given is None:
         starts[KALMAN] = [_kalman(telescope, parameters, options), k_pma]
     if ACTUATORS in task.tuned:
         first = starts[STORED_PAIR if given is not None else KALMAN][0]
         for seed in LAW_SEEDS:
-            laws = ([first, gain_matrix(random_law(seed, gain))] for gain in LAW_GAINS)
+            laws = ([first, gain_matrix_of(random_law(seed, gain))] for gain in LAW_GAINS)
             starts[f"a random K_PMA, seed {seed}"] = next((start for start in laws if stable(start)), [])
     found = {name: parameters_of(own, start) for name, start in starts.items() if start and stable(start)}
     if not found:
@@ -138,8 +142,3 @@ def largest(problem: ResponseProblem, x: FloatArray) -> float:
     """Largest value of all gains and noises; infinite where a loop is singular."""
     value = max(float(problem.values(x).max()), float(problem.noise(x).max(initial=0.0)))
     return value if np.isfinite(value) else np.inf
-
-
-def gain_matrix(system: System) -> FloatArray:
-    """``[A, B; C, D]``."""
-    return np.block([[system.A, system.B], [system.C, system.D]])

@@ -18,7 +18,7 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
-from pointing_analysis.files.structured_text import StructuredTextError, load_toml, read_text
+from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.requirements.text import Requirement, RequirementError, parse
@@ -163,7 +163,7 @@ def _total(file: Path, entry: Any) -> TotalRule:
 
 
 def _positive(file: Path, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+    if not is_number(value) or not 0 < value < math.inf:
         raise BudgetError(f"{file}: {name} must be a positive number, got {value!r}")
     return float(value)
 
@@ -218,7 +218,7 @@ class _Reader:
         """Magnitude of all transfers at some frequencies [Hz]."""
         total: FloatArray = np.ones(hertz.size)
         for entry in transfers:
-            if isinstance(entry, (int, float)) and not isinstance(entry, bool):
+            if is_number(entry):
                 total = total * abs(float(entry))
             elif isinstance(entry, dict) and set(entry) == {"numerator", "denominator"}:
                 from scipy import signal  # slow to import, and few budgets have such a transfer

@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import yaml
 
@@ -52,6 +52,17 @@ def read_text(path: Path) -> str:
         raise StructuredTextError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise StructuredTextError(f"{path} must be text in UTF-8, got other bytes") from None
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value of a file is a number; true and false are none.
+
+    Examples
+    --------
+    >>> [is_number(value) for value in (1, 2.5, True, "3")]
+    [True, True, False, False]
+    """
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _check(value: Any, what: object, depth: int = 0) -> None:

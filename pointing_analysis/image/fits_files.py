@@ -17,6 +17,7 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import atomic_file
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.image.pupil import PixelPupil
 
 SCALES = ("PUPLSCAL", "PIXELSCL")
@@ -65,7 +66,7 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
         raise ValueError("pupil must be a FITS file with a picture, got one without")
     _, header, data = found[0]
     scale = next((header[key] for key in SCALES if key in header), None)
-    if isinstance(scale, bool) or not isinstance(scale, (int, float)) or not 0.0 < scale < math.inf:
+    if not is_number(scale) or not 0.0 < scale < math.inf:
         got = "none" if scale is None else repr(scale)
         raise ValueError(f"pupil must have the metres per pixel as {' or '.join(SCALES)} in its header, got {got}")
     if data.ndim != 2 or data.dtype.kind not in "biuf":

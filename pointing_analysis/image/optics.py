@@ -29,7 +29,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from pointing_analysis.arrays import ComplexArray, FloatArray
-from pointing_analysis.files.structured_text import StructuredTextError, load_toml, read_text
+from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.image.pupil import AnnularPupil, Pupil, with_spider
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.units import RAD_PER_MAS
@@ -196,7 +196,7 @@ def from_mapping(table: Any, where: str, pupil_file: bytes = b"") -> Optics:
 def _number(table: Mapping[str, Any], key: str, where: str) -> float:
     value, (low, high, words) = table[key], NUMBERS[key]
     whole = key != "spider_vanes" or isinstance(value, int)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low < value < high or not whole:
+    if not is_number(value) or not low < value < high or not whole:
         raise OpticsError(f"{where}: optics.{key} must be {words}, got {value!r}")
     return float(value)
 

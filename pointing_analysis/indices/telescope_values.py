@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.recording import Recording
 
 #: for bags that do not say their own: ``los_sensitivity`` [rad of line of sight per rad of mirror], ``fsm_authority``
@@ -18,6 +19,6 @@ DEFAULTS: Mapping[str, float] = MappingProxyType(
 def telescope_value(run: Recording, name: str) -> float:
     """A value of `DEFAULTS` as the recorder wrote it into the bag, or the default where the bag does not say it."""
     value = run.parameters.get(name)
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0:
+    if is_number(value) and math.isfinite(value) and value > 0:
         return float(value)
     return DEFAULTS[name]

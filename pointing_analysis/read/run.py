@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import merged, value_of
@@ -144,7 +145,7 @@ class Run:
     def _planned(self, topic: Topic) -> int | None:
         """Samples that the run was to have, by the duration in its configuration; None where it is not known."""
         duration = self.parameters.get("duration")
-        if isinstance(duration, bool) or not isinstance(duration, (int, float)) or not topic.period > 0:
+        if not is_number(duration) or not topic.period > 0:
             return None
         return round(duration / topic.period) if 0 < duration < 1e9 else None
 

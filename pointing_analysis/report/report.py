@@ -11,13 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jinja2
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import check_output, write_text
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
 from pointing_analysis.indices.metrics import is_whole
 from pointing_analysis.indices.motion import motion_of
@@ -34,6 +35,7 @@ from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.report.moving_tones import moving_pictures
+from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
@@ -45,34 +47,6 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 #: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
 Model = Mapping[str, tuple[FloatArray, FloatArray]]
-
-
-class OwnErrors(Protocol):
-    """A source of disturbance and the errors that it makes alone: APE 99.7 % [arcsec], RPE rms [mas], its share."""
-
-    @property
-    def name(self) -> str:
-        """Of the source."""
-
-    @property
-    def kind(self) -> str:
-        """Of the source."""
-
-    @property
-    def place(self) -> str:
-        """Where it acts."""
-
-    @property
-    def ape(self) -> float:
-        """99.7 % quantile of the absolute error [arcsec]."""
-
-    @property
-    def rpe(self) -> float:
-        """Rms of the relative error in windows of 20 ms [mas]."""
-
-    @property
-    def share(self) -> float:
-        """Part of the sum of squares of all sources' relative errors."""
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -95,7 +69,7 @@ def tones_of(run: Recording) -> FloatArray:
     for key in () if motion_of(run) else ("tones_rad_s", "wheel_speed"):
         value = run.parameters.get(key, [])
         value = value if isinstance(value, list) else [value]
-        found += [float(x) for x in value if isinstance(x, (int, float)) and not isinstance(x, bool)]
+        found += [float(x) for x in value if is_number(x)]
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
@@ -264,7 +238,7 @@ def render(
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
-    sources: Sequence[Sequence[OwnErrors]] = (),
+    sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
 ) -> str:
     """The report as HTML text.
@@ -321,7 +295,7 @@ def render(
             for p in drawn
         ],
         sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
-        sources=[(n, [_own_errors(one) for one in found]) for n, found in zip(names, sources) if found],
+        sources=[(n, [one.shown for one in found]) for n, found in zip(names, sources) if found],
         predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
@@ -343,18 +317,6 @@ def _sources(runs: Sequence[Recording]) -> dict[str, str]:
         else other,
         "from": name.capitalize(),
         "alone": what,
-    }
-
-
-def _own_errors(source: OwnErrors) -> dict[str, str]:
-    """Row of a source of disturbance, ready to print."""
-    return {
-        "name": source.name,
-        "kind": source.kind,
-        "place": source.place,
-        "ape": digits(source.ape),
-        "rpe": digits(source.rpe),
-        "share": f"{100 * source.share:.3g} %",
     }
 
 
@@ -385,7 +347,7 @@ def write_report(
     model: Model | None = None,
     predictions: Sequence[Prediction | None] = (),
     remarks: Sequence[Sequence[str]] = (),
-    sources: Sequence[Sequence[OwnErrors]] = (),
+    sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.

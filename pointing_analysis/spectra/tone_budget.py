@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
@@ -118,4 +119,4 @@ def _rms(power: FloatArray) -> tuple[float, float]:
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return is_number(value) and math.isfinite(value)

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import copy
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lftkit.tuning.responses import gain_matrices
+from lftkit.tuning.structures import gain_matrix_of
 from los_design.synthesis import start_choice, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import BOTH, blocks
-from los_design.synthesis.start_choice import gain_matrix
 from los_design.synthesis.starts import stored_start
 from los_design.synthesis.store import continuous, load_designs
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.simulation.build import telescope
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters
 
 KEPT = 500.0
 """Random laws with larger entries are taken as not stabilising."""
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters()
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +37,8 @@ def chosen(monkeypatch):
     """What a design begins with, as gain matrices, and the lines of the choice."""
 
     def choose(parameters, assembled, options=None, observer=None):
-        lines, found = [], []
+        lines: list[str] = []
+        found: list[Any] = []
 
         def stop(task, start, *rest):
             found.append(gain_matrices(blocks(parameters, task.tuned), start()))
@@ -50,7 +46,7 @@ def chosen(monkeypatch):
 
         monkeypatch.setattr(synthesis, "design_in_rounds", stop)
         options = options or DesignOptions()
-        design = synthesis.design_pair
+        design: Any = synthesis.design_pair
         if observer is not None:
             design = partial(synthesis.design_actuators, observer=observer)
         with pytest.raises(InterruptedError):
@@ -70,7 +66,7 @@ def test_the_reference_telescope_has_the_stored_start(parameters, chosen) -> Non
     found, lines = chosen(parameters, telescope())
     assert lines == []
     for M, kind in zip(found, ("k-fsm", "k-pma")):
-        np.testing.assert_array_equal(M, gain_matrix(stored_start(kind)))
+        np.testing.assert_array_equal(M, gain_matrix_of(stored_start(kind)))
 
 
 @pytest.mark.slow
@@ -85,7 +81,7 @@ def test_another_telescope_has_the_best_of_several_after_a_short_descent(paramet
     assert lines[1].startswith("start from the stored pair: ") and len(lines) == 2
     before, after = (float(text.split()[-1]) for text in lines[1].split(", after"))
     assert after < before
-    stored = [gain_matrix(continuous(system).at({})) for system in load_designs("implemented")]
+    stored = [gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented")]
     assert all(np.abs(M - S).max() > 0.0 for M, S in zip(found, stored))
 
 
@@ -94,7 +90,7 @@ def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(parame
 
     def stable(task, x, values=None):
         F, P = gain_matrices(blocks(parameters, BOTH), x)
-        stored = np.array_equal(P, gain_matrix(continuous(load_designs("implemented")[1]).at({})))
+        stored = np.array_equal(P, gain_matrix_of(continuous(load_designs("implemented")[1]).at({})))
         return np.array_equal(F, kalman) and np.abs(P).max() < KEPT and not stored
 
     monkeypatch.setattr(synthesis.Task, "stable", stable)
@@ -115,5 +111,5 @@ def test_a_given_observer_stays_as_it_is(parameters, chosen, monkeypatch) -> Non
     monkeypatch.setattr(start_choice, "POINTS", 0)
     table, observer = another(parameters), load_designs("implemented")[0]
     (F, _), lines = chosen(table, build_telescope(table), DesignOptions(nominal=True), observer)
-    np.testing.assert_array_equal(F, gain_matrix(continuous(observer).at({})))
+    np.testing.assert_array_equal(F, gain_matrix_of(continuous(observer).at({})))
     assert not any("Kalman" in line for line in lines)

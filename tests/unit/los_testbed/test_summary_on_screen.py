@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from los_testbed.run import summary as screen
 from los_testbed.run.older_bags import REMARK
-from los_testbed.run.source_shares import SourceShare, as_rows
+from los_testbed.run.source_shares import as_rows
 from los_testbed.run.summary import RunSummaries, missed_share, print_summary, summarise_runs
 from rich.console import Console
 from rich.table import Table
 
 from pointing_analysis.read.series import series
+from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise
 from pointing_analysis.requirements.text import parse
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from los_testbed.config import RunConfig
-from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.files.structured_text import is_number, read_text
 from pointing_analysis.read.series import stamps_of
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
@@ -90,8 +90,7 @@ class Entry:
     def number(self, key: str, default: float | None = None, low: float = -math.inf) -> float:
         """A finite number, above `low`."""
         value = self.table.get(key, default)
-        fits = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not fits or not (math.isfinite(value) or value == default) or not value > low:
+        if not is_number(value) or not (math.isfinite(value) or value == default) or not value > low:
             above = "" if low == -math.inf else f" above {low:g}"
             raise self.error(f"{key} must be a number{above}, got {value!r}")
         return float(value)

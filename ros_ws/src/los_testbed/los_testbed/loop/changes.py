@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from los_testbed.config import RunConfig
+from pointing_analysis.files.structured_text import is_number
 from titop_plant.interface import RATE, TICK_NS
 
 NEVER = 1 << 62
@@ -62,7 +63,7 @@ def parse_change(text: str) -> tuple[str, Any, float | None]:
     name, at = content["name"], content.get("at")
     if not isinstance(name, str):
         raise ValueError(f"name of a fault must be a text, got {name!r}")
-    if at is not None and (isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at < 1e6):
+    if at is not None and (not is_number(at) or not 0.0 <= at < 1e6):
         raise ValueError(f"at must be seconds from the start of the run, got {at!r}")
     return ALIASES.get(name, name), content["value"], None if at is None else float(at)
 

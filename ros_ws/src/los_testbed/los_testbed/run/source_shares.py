@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import default_transient
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.summary import Performance
 from titop_plant.interface import DT
 from titop_plant.simulation.driven_plant import DrivenPlant
@@ -28,30 +29,6 @@ from titop_plant.simulation.sources.drive import Sources, source_matrix
 
 LONGEST = 20.0
 """Seconds of a run that are simulated for each source."""
-
-
-@dataclass(frozen=True)
-class SourceShare:
-    """One source and its own errors.
-
-    Attributes
-    ----------
-    name, kind, place : str
-        Of the source.
-    ape : float
-        99.7 % quantile of its absolute error, both axes [arcsec].
-    rpe : float
-        Its relative error, rms of both axes in windows of 20 ms [mas].
-    share : float
-        Its part of the sum of squares of the relative errors of all sources, between 0 and 1.
-    """
-
-    name: str
-    kind: str
-    place: str
-    ape: float
-    rpe: float
-    share: float
 
 
 def source_shares(run: Recording) -> tuple[SourceShare, ...]:

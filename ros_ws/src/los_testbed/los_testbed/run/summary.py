@@ -17,15 +17,16 @@ from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.screen import met, printable, say
-from los_testbed.run.source_shares import SourceShare, as_rows, source_shares
+from los_testbed.run.source_shares import as_rows, source_shares
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.image.optics import optics_of
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
-from pointing_analysis.requirements.rows import cells, digits, heads
+from pointing_analysis.requirements.rows import cells, heads
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
@@ -259,7 +260,7 @@ def _shares(shares: Sequence[SourceShare]) -> Table:
     for head in ("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"):
         table.add_column(head, justify="right")
     for s in shares:
-        table.add_row(s.name, s.kind, s.place, digits(s.ape), digits(s.rpe), f"{100 * s.share:.3g} %")
+        table.add_row(*s.shown.values())
     return table
 
 
