@@ -183,8 +183,11 @@ def signal_to_runner(rng: random.Random, folder: Path) -> Case:
         moment(case, process, rng)
         process.send_signal(number)
 
+    def end_by_interrupt() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
     case.act = act
-    case.prepare = lambda: signal.signal(signal.SIGINT, signal.default_int_handler) and None
+    case.prepare = end_by_interrupt
     return case
 
 
@@ -404,8 +407,8 @@ def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
 def main(minutes: float, seed: int, cases: list[int]) -> int:
     """Cases until the time is over or a signal comes; the exit code."""
     came: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda number, _: came.append(number))
+    for kind_of_end in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(kind_of_end, lambda number, _: came.append(number))
     for line in faults():
         sys.stdout.write(f"{line}\n")
     table: dict[str, Counter[str]] = {}

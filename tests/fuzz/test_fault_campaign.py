@@ -21,8 +21,10 @@ def test_a_process_that_is_left_is_found_and_ended(tmp_path: Path, monkeypatch: 
     case = case_in(tmp_path, {})
     assert not orphans(case)
     waiting = "import sys; print(flush=True); sys.stdin.read()"
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", waiting], env={**os.environ, MARK: str(tmp_path)}, **pipes) as process:
+    marked = {**os.environ, MARK: str(tmp_path)}
+    with subprocess.Popen(
+        [sys.executable, "-c", waiting], env=marked, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
         assert process.stdout is not None
         process.stdout.readline()
         assert orphans(case) == [process.pid]

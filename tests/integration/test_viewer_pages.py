@@ -28,9 +28,9 @@ def test_commands_and_options_exist(name) -> None:
 
 def test_python_code_prints_the_documented_output(monkeypatch, capsys) -> None:
     monkeypatch.chdir(ROOT)
-    code = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "open_a_bag.md").read_text("utf-8"), re.S)[1]
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "open_a_bag.md").read_text("utf-8"), re.S)[:1]
     exec(code, {})
-    shape = re.search(r"# (.*)$", code, re.M)[1]
+    shape = re.findall(r"# (.*)$", code, re.M)[0]
     out = capsys.readouterr().out.splitlines()
     assert out[0] == shape
     assert out[1] == "1 ['k_fsm.json', 'k_pma.json', 'run.yaml', 'start.json']"

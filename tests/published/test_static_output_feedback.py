@@ -15,6 +15,7 @@ from oracles.full_order_bound import full_order_bound
 
 from lftkit.analysis.batched_linalg import eigenvalues, largest_gains, solve
 from lftkit.analysis.norms import hinf_norm
+from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 from lftkit.tuning.requirements import HinfGain
@@ -91,7 +92,7 @@ def test_no_static_gain_reaches_the_value_published_for_nn1() -> None:
     assert poles.real.max() < 0.0
     own = [np.abs(poles[:, k]) for k in range(3)]
     every = np.array([0.0, 2.0, 4.0, 5.0, 6.0, 7.0, 8.5, 10.0, 20.0, 100.0, 1e3])
-    lower = np.zeros(len(K))
+    lower: FloatArray = np.zeros(len(K))
     for w in (*np.broadcast_to(every[:, None], (len(every), len(K))), *own):
         states = solve(1j * w[:, None, None] * np.eye(3) - closed, np.broadcast_to(B[:, :3] + 0j, closed.shape))
         lower = np.maximum(lower, largest_gains(rows @ states))

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ COMMAND = [sys.executable, "-m", "los_testbed.cli.app", "control"]
 def controlled(tmp_path_factory):
     """One run in real time with all that a user may do."""
     folder = tmp_path_factory.mktemp("controlled")
-    found = {}
+    found: dict[str, Any] = {}
 
     def use(runner):
         user = UserNode(runner.domain)

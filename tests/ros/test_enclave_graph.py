@@ -4,6 +4,7 @@ import contextlib
 import os
 import time
 from fnmatch import fnmatchcase
+from typing import Any
 
 import pytest
 
@@ -77,7 +78,7 @@ def look(domain):
 
 
 def test_permissions_cover_every_name_of_a_run(tmp_path):
-    found = {}
+    found: dict[Any, Any] = {}
     config = config_for(tmp_path, duration=60.0)
 
     def progress(ticks):

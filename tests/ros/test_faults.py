@@ -7,6 +7,7 @@ import sys
 import time
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,9 @@ def mirror_angle(bag):
 @pytest.mark.parametrize("name", ["estimator", pytest.param("controller", marks=pytest.mark.slow)])
 def test_a_killed_node_is_replaced_and_the_plant_goes_on(tmp_path, name):
     """Nothing in shared memory is left of it: a lock there that died with its holder would stop the nodes that live."""
-    killed, threads, before = [], [], set(glob("/dev/shm/*fastrtps*"))
+    killed: list[Any] = []
+    threads: list[Any] = []
+    before = set(glob("/dev/shm/*fastrtps*"))
 
     def kill(runner):
         for pid in runner.processes.values():
@@ -214,7 +217,8 @@ def test_a_killed_plant_is_replaced_the_others_stay_and_nothing_recorded_is_lost
 @pytest.mark.slow
 def test_a_plant_that_dies_again_and_again_ends_the_run_with_whole_bags(tmp_path):
     def kill_for_ever(runner):
-        killed, ticks, end = set(), 300, time.monotonic() + 60
+        killed: set[Any] = set()
+        ticks, end = 300, time.monotonic() + 60
         while len(killed) < 4:
             assert time.monotonic() < end, f"{len(killed)} plants ran long enough to be killed"
             pid = runner.processes["plant"]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,7 +37,8 @@ def permitted():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A run in lockstep with a server for viewers, beside a second controller that was there before it."""
-    folder, seen = tmp_path_factory.mktemp("isolated"), {}
+    folder = tmp_path_factory.mktemp("isolated")
+    seen: dict[str, Any] = {}
     config = config_for(folder, duration=DURATION, mode="lockstep")
 
     def progress(ticks):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def watched(tmp_path_factory):
 
 def bag_messages(bag):
     """Bytes of every message, by topic and stamp."""
-    found = {}
+    found: dict[str, Any] = {}
     with next(bag.glob("*.mcap")).open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
             found.setdefault(channel.topic, {})[stamp_of(message.data)] = message.data
@@ -79,7 +80,8 @@ def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
             killed.append(runner.processes["live"])
             os.kill(killed[0], signal.SIGKILL)
 
-    killed, runner = [], Runner(config, progress, commands={"plant": PLANT}, live=Live(port=0))
+    killed: list[Any] = []
+    runner = Runner(config, progress, commands={"plant": PLANT}, live=Live(port=0))
     results = runner.run()
     assert killed and results.statistics["plant"]["ticks"] == "800"
     assert not results.failures

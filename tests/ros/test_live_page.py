@@ -6,6 +6,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -121,7 +122,8 @@ def use_page(page, found):
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory):
     """One run with a browser and two viewers that never read."""
-    folder, found = tmp_path_factory.mktemp("live"), {}
+    folder = tmp_path_factory.mktemp("live")
+    found: dict[str, Any] = {}
 
     def tell(foxglove, page):
         found.update(foxglove=foxglove, address=page)

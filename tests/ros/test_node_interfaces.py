@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from typing import Any
 
 import pytest
 
@@ -48,7 +49,7 @@ class Observer:
         self.executor.add_node(self.node)
         self.diagnostics = []
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
-        self.statistics = {name: [] for name in NODES}
+        self.statistics: dict[str, list[Any]] = {name: [] for name in NODES}
         for name, messages in self.statistics.items():
             self.node.create_subscription(Float64MultiArray, f"/telescope/{name}/statistics", messages.append, 10)
 
@@ -84,7 +85,7 @@ def seen(tmp_path_factory):
     """One run during which a user looks at everything."""
     folder = tmp_path_factory.mktemp("interfaces")
     config = config_for(folder, duration=60.0)
-    found = {}
+    found: dict[str, Any] = {}
 
     def look(ticks):
         if ticks < 300 or found:
@@ -144,7 +145,7 @@ def test_topics_and_nodes_are_those_of_the_table(seen):
 
 
 def test_diagnostics_come_once_a_second_from_each_node(seen):
-    by_name = {}
+    by_name: dict[str, Any] = {}
     for status in seen[0]["diagnostics"]:
         by_name.setdefault(status.name, []).append(status)
     assert set(by_name) == {f"telescope: {n}" for n in NODES}

@@ -2,6 +2,7 @@
 
 from collections import deque
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,8 @@ class Queue:
     """A subscription without middleware."""
 
     def __init__(self, topic: TopicDefinition) -> None:
-        self.topic, self.guard, self.waiting = topic, SourceGuard("/telescope/node"), deque()
+        self.topic, self.guard = topic, SourceGuard("/telescope/node")
+        self.waiting: deque[bytes] = deque()
 
     def send(self, stamp: int) -> None:
         self.waiting.append(bytes(codec_for(self.topic).encode(stamp, np.zeros(self.topic.size))))
@@ -102,7 +104,7 @@ def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node)
     for queue in (*plant, *followers):
         queue.endpoints = lambda: endpoints
     made.reports, made.simulated, made._named, made._held_since = {}, True, False, 0
-    sent = []
+    sent: list[int] = []
     made._header, made.progress = SimpleNamespace(encode=lambda stamp: stamp), SimpleNamespace(publish=sent.append)
 
     def progress_at(time_ns):
@@ -118,9 +120,9 @@ def test_the_run_begins_when_the_graph_knows_the_nodes_or_has_had_its_time(node)
 
 
 def test_a_report_waits_until_the_graph_knows_its_node():
-    queue = Queue(TOPICS[0])
+    queue: Any = Queue(TOPICS[0])
     queue.name, queue.guard.expected = "/telescope/plant/diagnostics", "/telescope/plant"
-    endpoints = []
+    endpoints: list[Endpoint] = []
     queue.endpoints = lambda: endpoints
     track = ReportTrack(queue)
     for publisher in ("01", "02"):
@@ -136,7 +138,7 @@ def test_a_report_waits_until_the_graph_knows_its_node():
 
 
 def test_a_report_that_comes_when_its_node_has_left_the_graph_is_taken():
-    queue = Queue(TOPICS[0])
+    queue: Any = Queue(TOPICS[0])
     queue.name, queue.guard.expected = "/telescope/plant/diagnostics", "/telescope/plant"
     queue.endpoints = lambda: [Endpoint("01", "/telescope/plant")]
     track = ReportTrack(queue)

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from typing import Any
 
 import pytest
 
@@ -78,7 +79,7 @@ def test_a_program_that_offers_neither_is_not_watched(nodes):
 
 
 def test_a_run_tells_that_a_node_hung(tmp_path):
-    stopped = []
+    stopped: list[Any] = []
 
     def progress(ticks):
         if ticks > 1500 and not stopped:

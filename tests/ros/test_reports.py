@@ -2,6 +2,7 @@
 
 import random
 import sys
+from typing import Any
 
 import pytest
 
@@ -93,7 +94,7 @@ class Graph:
 
 def test_a_second_publisher_is_reported_at_the_first_look_and_once():
     """The recorder looks every 20 ms."""
-    graph = Graph(PLANT)
+    graph: Any = Graph(PLANT)
     watch = SourceWatch(graph, [graph])
     assert watch.look(0) == []
     graph.seen.append(STRANGER)
@@ -105,7 +106,7 @@ def test_a_second_publisher_is_reported_at_the_first_look_and_once():
 
 
 def test_a_publisher_without_a_node_is_reported_when_none_becomes_known():
-    graph = Graph(PLANT, PROGRAM)
+    graph: Any = Graph(PLANT, PROGRAM)
     watch = SourceWatch(graph, [graph])
     looks = [watch.look(0) for _ in range(UNKNOWN_LOOKS + 2)]
     assert looks.count([(TOPIC, "unknown")]) == 1
@@ -113,7 +114,7 @@ def test_a_publisher_without_a_node_is_reported_when_none_becomes_known():
 
 
 def test_a_restarted_plant_is_no_second_publisher_and_interleaved_messages_of_its_name_are():
-    graph = Graph(PLANT, Endpoint("04", "/telescope/plant"))
+    graph: Any = Graph(PLANT, Endpoint("04", "/telescope/plant"))
     watch = SourceWatch(graph, [graph])
     assert watch.look(0) == []
     for gid in (b"\1", b"\4", b"\1"):

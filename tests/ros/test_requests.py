@@ -1,5 +1,7 @@
 """A node asks the middleware whether there is a request, without its executor."""
 
+from typing import Any
+
 import pytest
 import rclpy
 from los_testbed.nodes.support.raw_topics import RawSubscription
@@ -64,7 +66,7 @@ def test_messages_count_only_where_an_executor_takes_them(nodes):
     requests, executor = Requests(server), SingleThreadedExecutor(context=server.context)
     executor.add_node(server)
     ours = RawSubscription(server, "raw", Header)
-    seen = []
+    seen: list[Any] = []
     server.create_subscription(Header, "ordinary", seen.append, 10)
     raw, ordinary = (user.create_publisher(Header, name, 10) for name in ("raw", "ordinary"))
     assert _until(lambda: raw.get_subscription_count() and ordinary.get_subscription_count())

@@ -1,6 +1,7 @@
 """What users and strangers may do to a run by mistake or on purpose: no requests, many at once, impostors."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def forge(domain):
 
 @pytest.fixture(scope="module")
 def rough(tmp_path_factory):
-    found = {}
+    found: dict[str, Any] = {}
     results = run_with_fault(tmp_path_factory.mktemp("rough"), 300, lambda runner: use(runner, found), after=500)
     return found, results, Run.open(results.bag)
 

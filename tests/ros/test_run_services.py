@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,8 @@ def served(tmp_path_factory):
     folder = tmp_path_factory.mktemp("served")
     config = config_for(folder, mode="lockstep", duration=3600.0, wait_for_start=True)
     runner = Runner(config, commands={"plant": PLANT})
-    found, errors = {}, []
+    found: dict[str, Any] = {}
+    errors: list[BaseException] = []
 
     def use():
         user = UserNode(runner.domain)

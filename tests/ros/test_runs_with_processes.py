@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ FOLLOWERS = {"los_estimate": "estimator", "fsm/command": "controller", "pma/comm
 def real_time(tmp_path_factory):
     folder = tmp_path_factory.mktemp("realtime")
     config = config_for(folder, duration=1.5)
-    seen = []
+    seen: list[Any] = []
     results = Runner(config, seen.append, {"plant": PLANT}).run()
     return config, results, seen
 

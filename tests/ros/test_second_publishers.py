@@ -1,6 +1,7 @@
 """A stranger with publishers of its own on the topics of a run: counted, reported while it lasts, never believed."""
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def reports_of_the_plant(bag):
 
 def test_a_second_publisher_is_reported_within_50_ms_of_its_first_message(tmp_path):
     """One message in each tick that it hears, from the moment it appears: at the report there are at most 50."""
-    counts = []
+    counts: list[Any] = []
 
     def follow(runner):
         fsm = codec_for(FSM_COMMAND)

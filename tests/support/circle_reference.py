@@ -40,7 +40,7 @@ def near_the_circle(rng: np.random.Generator) -> Matrices:
     A = rng.normal(size=(n, n))
     A *= (1 - gap) / np.abs(scipy.linalg.eigvals(A)).max()
     if side:
-        A = scipy.linalg.block_diag(A, [[side * (1 - gap)]])
+        A = scipy.linalg.block_diag(A, np.array([[side * (1 - gap)]]))
     n = len(A)
     T = rng.normal(size=(n, n)) + 2 * np.eye(n)
     shapes = (n, inputs), (outputs, n), (outputs, inputs)

@@ -1,6 +1,7 @@
 """Runs with a fault in the middle, and what the nodes said about it."""
 
 import threading
+from typing import Any
 
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
@@ -11,7 +12,8 @@ def run_with_fault(folder, at, fault, duration=None, after=500, **values):
 
     The run goes on for `duration`; without one it is ended `after` ticks after the fault returned.
     """
-    state, errors = {}, []
+    state: dict[str, Any] = {}
+    errors: list[BaseException] = []
 
     def act():
         try:

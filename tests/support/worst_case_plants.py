@@ -62,7 +62,8 @@ class Recorder:
     """A build function that keeps the parameters it was asked for."""
 
     def __init__(self, build: Callable[[Mapping[str, float]], System]) -> None:
-        self.build, self.asked = build, []
+        self.build = build
+        self.asked: list[dict[str, float]] = []
 
     def __call__(self, p: Mapping[str, float]) -> System:
         self.asked.append(dict(p))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +28,10 @@ NAMES = ("p", "q")
 def peak(name: str, gamma: float, omega: float) -> WorstPoint:
     parameters = {"p": omega / 1e3, "q": 0.5}
     return WorstPoint("fsm+pma", name, gamma, 1.0, omega, parameters, np.ones(1, complex), np.ones(1, complex))
+
+
+def no_controllers(x: np.ndarray) -> Any:
+    """In place of the controllers of a parameter vector: descent and search are stand-ins."""
 
 
 class FewSamples:
@@ -87,7 +93,7 @@ class Bench:
     def design(self, count: int = 5, kept=None, points: int = 0, known=()):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
-        task = Task(self.samples, (BOTH,), (0, 1), lambda x: None, known=known)
+        task = Task(self.samples, (BOTH,), (0, 1), no_controllers, known=known)
         return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
 
 
@@ -202,7 +208,8 @@ def test_an_interrupted_design_goes_on_after_its_last_descent(bench, tmp_path) -
 
 def test_the_result_names_every_source_that_it_was_made_with(bench, tmp_path, monkeypatch) -> None:
     """The commit is that of the beginning, not of the end; a design that goes on with another names both."""
-    kept, commits = (tmp_path / "rounds.json", {}), iter(["one", "two", "two"])
+    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
+    commits = iter(["one", "two", "two"])
     monkeypatch.setattr(rounds, "commit", lambda: next(commits))
     for _ in range(2):
         with pytest.raises(StopIteration):
@@ -237,7 +244,7 @@ def test_an_interrupted_descent_begins_after_the_last_whole_round(bench, tmp_pat
 
 def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> None:
     """Interrupted after the second look, with a point that is watched: both are there again."""
-    kept = tmp_path / "rounds.json", {}
+    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
     made, looks = bench([[], []], lost=[0.5]), []
     whole = made.descend
 
@@ -269,7 +276,7 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
 
 
 def test_a_descent_that_the_wall_limit_cut_short_goes_on(bench, tmp_path) -> None:
-    kept = tmp_path / "rounds.json", {}
+    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
     assert bench([[]], status="out_of_time").design(kept=kept).status == "converged"
     again = bench([[], []])
     found = again.design(kept=kept)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_loop import small_controllers, small_plant
 
+from lftkit.arrays import FloatArray
 from los_loop.margins import GAINS, Margins, change_names, changed_loops, delayed, doubtful, scaled, unstable_changes
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from titop_plant.interface import COMMANDS
@@ -24,7 +25,7 @@ def simulated(loop: SampledLoop, gains: np.ndarray, late: int) -> np.ndarray:
     n = loop.plant_order
     V = slice(n, n + COMMANDS)
     rng = np.random.default_rng(0)
-    state = np.zeros(loop.hold.shape[0])
+    state: FloatArray = np.zeros(loop.hold.shape[0])
     state[:n] = rng.standard_normal(n)
     queue = [np.zeros(COMMANDS)] * (late + 1)
     los = []

@@ -9,6 +9,7 @@ import pytest
 from small_loop import DT, small_controllers, small_plant
 
 from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
 from los_estimator.runtime import LosEstimator
 from los_loop.sampled_loop import sampled_loop
 from titop_plant.simulation.disturbances import no_tones
@@ -41,7 +42,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame
         ),
     )
     loop = sampled_loop(data, k_fsm, k_pma, loop=stage, frame_ticks=frame_ticks, los_sensitivity=0.2)
-    z = np.zeros(len(loop.hold))
+    z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, command, los = np.zeros(22), np.zeros(2), np.zeros(8), np.zeros(2)
     for k in range(60):

@@ -107,7 +107,8 @@ def test_a_few_bytes_do_not_stand_for_millions_of_records(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, op: int
 ) -> None:
     """Two kilobytes held seven million records, each of which was looked at, and a damaged one was told."""
-    record, read = chunk(RECORD.pack(op, 0) * 1_000_000), []
+    record = chunk(RECORD.pack(op, 0) * 1_000_000)
+    read: list[Any] = []
     assert len(record) < 3000
     side_record = mcap_chunks.read_side_record
     monkeypatch.setattr(mcap_chunks, "read_side_record", noting(read, side_record))
@@ -124,7 +125,8 @@ def test_many_chunks_do_not_unpack_to_more_than_a_multiple_of_the_file(
     monkeypatch.setattr(mcap_walk, "MAX_SPARE", 30_000_000)
     monkeypatch.setattr(mcap_walk, "MAX_RATIO", 10)
     file = with_chunks(made, tmp_path / "many.mcap", *[chunk(bytes(20_000_000))] * 10)
-    size, unpacked = file.stat().st_size, []
+    size = file.stat().st_size
+    unpacked: list[Any] = []
     expand = mcap_chunks._expand
     monkeypatch.setattr(mcap_chunks, "_expand", noting(unpacked, expand))
     run = Run.open(file)
@@ -144,7 +146,8 @@ def test_trials_to_undo_damage_are_limited(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.undo()
     runs = [(0, 1, 90_000, 0, 0, 0), (0, 1, 60_000_000, 0, 0, 0)]
     content = bytes(60_090_000)
-    manifest, made = decode_manifest(encode_manifest(content, runs)), []
+    manifest = decode_manifest(encode_manifest(content, runs))
+    made: list[Any] = []
     monkeypatch.setattr(chunk_manifest, "content_digest", noting(made, lambda _: b""))
     assert manifest is not None
     assert salvage(b"\1" * 40_000 + content[40_000:], manifest)[1].tolist() == [False, True]

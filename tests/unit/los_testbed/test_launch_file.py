@@ -4,6 +4,7 @@ import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 import yaml
@@ -25,7 +26,7 @@ class Kept(SimpleNamespace):
 @pytest.fixture
 def launched(monkeypatch):
     """The launch file's functions, with stand-ins for the packages that it imports."""
-    names = {
+    names: dict[str, dict[str, Any]] = {
         "ament_index_python.packages": {"get_package_share_directory": lambda name: str(PACKAGE)},
         "launch": {"LaunchDescription": Kept},
         "launch.actions": dict.fromkeys(
@@ -39,7 +40,7 @@ def launched(monkeypatch):
     for name, content in names.items():
         for part in (name.split(".")[0], name):
             module = ModuleType(part)
-            module.__dict__.update(content if part == name else {}, __path__=[])
+            module.__dict__.update({**(content if part == name else {}), "__path__": []})
             if part == name or part not in sys.modules:
                 monkeypatch.setitem(sys.modules, part, module)
     return SimpleNamespace(**runpy.run_path(str(PACKAGE / "launch" / "testbed.launch.py")))

@@ -208,6 +208,7 @@ def pem(tmp_path_factory):
 def test_with_a_certificate_both_servers_are_encrypted(pem, make, headers):
     async def once():
         tls = certificate(*pem)
+        server: PageServer | FoxgloveServer
         if make is PageServer:
             server = PageServer("127.0.0.1", 0, lambda seen: {}, lambda name, value: None, tls)
         else:

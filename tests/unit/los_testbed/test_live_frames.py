@@ -1,6 +1,7 @@
 """What a viewer gets: recent samples, decimated where it is behind, indices as the report computes them, settings."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def frames(**values):
 
 
 def test_a_viewer_that_keeps_up_gets_every_tick_once():
-    view, seen = frames(), {}
+    view = frames()
+    seen: dict[str, Any] = {}
     got = []
     for begin in range(0, 300, 50):
         feed(view.history, range(begin, begin + 50))
@@ -93,7 +95,8 @@ def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report(
 
 
 def test_reports_and_figures_are_sent_once_and_again_after_a_reset():
-    view, seen = frames(), {}
+    view = frames()
+    seen: dict[str, Any] = {}
     feed(view.history, range(2000))
     view.note("plant", Status(0, "telescope: plant", "running", {}))
     first = view.next(seen)

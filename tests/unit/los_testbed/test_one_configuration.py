@@ -5,6 +5,7 @@ import inspect
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -125,7 +126,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
 @pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in (*OPTIONS, "output")])
 def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
     """From the words on the command line to the configuration."""
-    seen = {}
+    seen: dict[str, Any] = {}
     monkeypatch.setattr("los_testbed.cli.run.execute", lambda config, *_: seen.update(config=config) or 1 / 0)
     own, value = RunConfig.SETTINGS[name], OTHER[name]
     flag = "--" + name.replace("_", "-")

@@ -220,9 +220,9 @@ def test_a_sqlite3_bag_is_refused_with_the_command_that_converts_it(
     for path in (bag, file):
         for command in (["analyse", path, "--los=/los", "--unit=mas"], ["analyse", path], ["bag", "topics", path]):
             assert "got sqlite3; to convert it: pip install rosbags; rosbags-convert" in refused(capsys, *command)
-    command = refused(capsys, "analyse", bag).split("rosbags; ")[1].split()
-    tool = Path(sys.executable).parent / command[0]
-    words = [{"BAG": str(bag), "NEW": str(tmp_path / "new")}.get(word, word) for word in command[1:]]
+    convert = refused(capsys, "analyse", bag).split("rosbags; ")[1].split()
+    tool = Path(sys.executable).parent / convert[0]
+    words = [{"BAG": str(bag), "NEW": str(tmp_path / "new")}.get(word, word) for word in convert[1:]]
     subprocess.run([sys.executable, tool, *words], check=True, capture_output=True, timeout=120)
     assert (
         open_los(tmp_path / "new", los="/los", unit="arcsec")["truth/los"].values.tolist()

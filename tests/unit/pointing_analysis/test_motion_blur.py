@@ -87,8 +87,8 @@ def test_gaussian_motion_statistically() -> None:
 
 def test_against_averages_by_brute_force() -> None:
     """Gauss points on every segment, hundreds of times as many as needed for the accuracy asked for."""
-    node, weight = np.polynomial.legendre.leggauss(40)
-    s, weight = (node + 1) / 2, weight / 2
+    node, twice = np.polynomial.legendre.leggauss(40)
+    s, weight = (node + 1) / 2, twice / 2
     for size in (1e-9, 1e-7, 2e-6):
         paths = random_paths(5, 20, size, 3)
         between = paths[:, :-1, None, :] * (1 - s[:, None]) + paths[:, 1:, None, :] * s[:, None]

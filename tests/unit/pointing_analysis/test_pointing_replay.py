@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.errors import knowledge_error_of
 from pointing_analysis.indices.metrics import radial
 from pointing_analysis.indices.synthetic import write_bag
@@ -25,7 +26,8 @@ class Observer:
         self.reset()
 
     def reset(self) -> None:
-        self.x, self.camera = np.zeros(2), np.zeros(2)
+        self.x: FloatArray = np.zeros(2)
+        self.camera: FloatArray = np.zeros(2)
 
     def step(self, measurement: np.ndarray, out: np.ndarray) -> None:
         frame = measurement[18:20]
@@ -43,7 +45,7 @@ class Law:
         self.reset()
 
     def reset(self) -> None:
-        self.f = np.zeros(6)
+        self.f: FloatArray = np.zeros(6)
 
     def step(self, los_estimate: np.ndarray, accel_Ip: np.ndarray, out: np.ndarray) -> None:
         self.f = 0.9 * self.f + accel_Ip / 3
@@ -142,9 +144,8 @@ def test_bag_that_lacks_a_sensor_sample_is_not_identical(tmp_path: Path) -> None
     whole = Run.open(bag)
     signals = {name: np.array(whole[name].values) for name in whole.topics}
     stamps = {name: np.array(whole[name].stamp) for name in whole.topics}
-    signals["m1/accel"], stamps["m1/accel"] = (
-        np.delete(x, 800, axis=0) for x in (signals["m1/accel"], stamps["m1/accel"])
-    )
+    signals["m1/accel"] = np.delete(signals["m1/accel"], 800, axis=0)
+    stamps["m1/accel"] = np.delete(stamps["m1/accel"], 800)
     run = Run.open(write_bag(tmp_path / "less", signals, stamps=stamps))
     comparison = replay.compare(run, replay.replay(run, Observer(), Law()))
     assert not comparison.identical

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from lftkit.arrays import FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.disturbances import given_tones
@@ -67,7 +68,7 @@ def test_it_is_the_simulation_of_the_continuous_plant_in_tenths_of_a_tick() -> N
     data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).at(parameter_values(QUIET, parameters))
     step = linalg.expm(data.A * DT / 10)
     n = data.A.shape[0]
-    x = np.zeros(n)
+    x: FloatArray = np.zeros(n)
     augmented = np.zeros((n + 1, n + 1))
     for k in range(ticks):
         u = np.r_[commands[k], rows[k]]

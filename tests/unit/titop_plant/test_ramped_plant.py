@@ -63,6 +63,7 @@ def test_a_wheel_crosses_the_mode_near_400_as_with_ten_times_finer_integration()
 @pytest.mark.slow
 def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> None:
     """The linear time-varying equations by an explicit Runge-Kutta method of order 8, with step control."""
+    assert CROSSING.wheel_speed is not None
     crossing = replace(CROSSING, wheel_speed=(398.0, *CROSSING.wheel_speed[1:]), ramp_duration=0.5)
     family, plant = PlantFamily.of(crossing), build_plant(crossing)
     assert isinstance(plant, RampedPlant)

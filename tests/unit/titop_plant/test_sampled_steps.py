@@ -27,13 +27,18 @@ def system(A: np.ndarray) -> System:
     return System(A, 100.0 * B, C, D, (Port("u", 30),), (Port("y", 24),))
 
 
-MODES = linalg.block_diag([[-1.0, 300.0], [-300.0, -1.0]], [[-0.5, 40.0], [-40.0, -0.5]], [[-30.0]], [[-7.0]])
+def pair(decay: float, frequency: float) -> np.ndarray:
+    return np.array([[-decay, frequency], [-frequency, -decay]])
+
+
+MODES = linalg.block_diag(pair(1.0, 300.0), pair(0.5, 40.0), np.diag([-30.0, -7.0]))
+FREE_MASS = np.array([[0.0, 1.0], [0.0, 0.0]])
 COORDINATES = np.random.default_rng(9).standard_normal((6, 6))
 PLANTS = {
     "pairs and real poles": COORDINATES @ MODES @ np.linalg.inv(COORDINATES),
-    "a free mass beside a mode": linalg.block_diag([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [-900.0, -0.1]]),
+    "a free mass beside a mode": linalg.block_diag(FREE_MASS, np.array([[0.0, 1.0], [-900.0, -0.1]])),
     "one real pole": np.array([[-50.0]]),
-    "three free masses": np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(3)),
+    "three free masses": np.kron(FREE_MASS, np.eye(3)),
     "an undamped mode": np.array([[0.0, 1.0, 0.0], [-900.0, 0.0, 0.0], [1.0, 2.0, -5.0]]),
     "no states": np.zeros((0, 0)),
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.parameters import load_parameters
 from titop_plant.telescope.sensors import constant_error, noise_of_samples, noise_of_ticks, sensors
 
-TABLE = {
+TABLE: dict[str, Any] = {
     "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
     "accelerometer_bias": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
     "camera_noise": 2e-3,

@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import eigvalsh
 from scipy.spatial.transform import Rotation
 
+from lftkit.arrays import FloatArray
 from titop_plant.structures import (
     Beam,
     BeamFrame,
@@ -56,7 +57,8 @@ def test_rigid_mass_matrix_is_that_of_rods_and_blocks() -> None:
     """Mass, first moment and inertia summed by hand from thin rods and the block."""
     frame = crane()
     data = to_modal_data(frame, "a", ["e"])
-    mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
+    mass, inertia = 0.0, np.zeros((3, 3))
+    moment: FloatArray = np.zeros(3)
 
     def add(m: float, center: np.ndarray, own: np.ndarray) -> None:
         nonlocal mass, moment, inertia

@@ -103,7 +103,7 @@ def test_cancelling_modes_keep_their_digits() -> None:
 
 def test_real_poles_pairs_and_feedthrough_add_up() -> None:
     """1 / (s + 2) + 3 s / (s^2 + 0.2 s + 25) + 0.5, in mixed coordinates."""
-    A = scipy.linalg.block_diag([[-2.0]], [[0.0, 1.0], [-25.0, -0.2]])
+    A = scipy.linalg.block_diag(np.array([[-2.0]]), np.array([[0.0, 1.0], [-25.0, -0.2]]))
     T = np.array([[1.0, 0.2, -0.3], [0.1, 1.0, 0.4], [0.5, -0.2, 1.0]])
     inverse = np.linalg.inv(T)
     form = FrequencyResponse.of(T @ A @ inverse, T @ [[1.0], [0.0], [1.0]], [[1.0, 0.0, 3.0]] @ inverse, [[0.5]])

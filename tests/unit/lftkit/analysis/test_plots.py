@@ -50,7 +50,7 @@ def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass:
     upper, lower = bode_band(mass, values, output="x", input=("force", 1), omega=w).axes
     direct = [1.0 / (k - w**2 + 0.02j * w) for k in (2.0, 1.0, 1.7, 3.0)]  # the equation of motion
     np.testing.assert_allclose(upper.lines[0].get_ydata(), np.abs(direct[0]), rtol=1e-9)
-    corners = upper.collections[0].get_paths()[0].vertices
+    corners = np.asarray(upper.collections[0].get_paths()[0].vertices)
     for i in (5, 30, 55):
         here = corners[np.isclose(corners[:, 0], w[i]), 1]
         assert here.min() == pytest.approx(min(np.abs(g[i]) for g in direct), rel=1e-9)
@@ -60,7 +60,7 @@ def test_the_band_contains_every_member_and_the_line_is_the_nominal_system(mass:
 
 def test_the_default_grid_meets_the_resonances_of_the_members(mass: System) -> None:
     figure = bode_band(mass, [{"k": 1.0}], output="x", input="force")
-    corners = figure.axes[0].collections[0].get_paths()[0].vertices
+    corners = np.asarray(figure.axes[0].collections[0].get_paths()[0].vertices)
     assert corners[:, 1].max() == pytest.approx(1 / (0.02 * 1.0), rel=1e-3)  # peak of the soft member at 1 rad/s
 
 

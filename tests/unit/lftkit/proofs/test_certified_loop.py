@@ -194,7 +194,7 @@ def loop_eigenvalues(plant: System, law: SampledSystem) -> ComplexArray:
     whole[:n, :n], whole[:n, n + k] = step[:n, :n], step[:n, n]
     whole[n : n + k, :n], whole[n : n + k, n : n + k] = law.B @ data.C[:1], law.A
     whole[n + k, :n], whole[n + k, n : n + k] = law.D @ data.C[:1], law.C
-    return np.linalg.eigvals(whole)  # type: ignore[no-any-return]
+    return np.asarray(np.linalg.eigvals(whole), dtype=complex)
 
 
 @pytest.mark.parametrize("gain", [-30.0, -9.0, -1.0, -0.3, 0.05, 0.12, 1.0, 4.0, 20.0])

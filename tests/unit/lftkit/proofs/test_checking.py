@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def test_robust_performance_of_a_spring_by_hand() -> None:
     bounds = robust_performance(system, level=11.0, wall_limit=LONG)
     assert bounds.status == "closed" and bounds.upper == pytest.approx((1.0 - stiffness) / 0.2, rel=1e-4)
     assert bounds.lower <= bounds.upper <= 1.05 * bounds.lower
-    checked = check_proof(bounds.proof)
+    checked: Any = check_proof(bounds.proof)
     assert checked.level == 11.0 and checked.box["k0"][0] == pytest.approx(1.0 - 0.2 * bounds.lower)
     free = robust_performance(system, level=30.0, largest=1.5, wall_limit=LONG)
     assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf

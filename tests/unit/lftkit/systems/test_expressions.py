@@ -31,7 +31,7 @@ class Term:
 def leaf(name: str) -> Term:
     def value(v: dict[str, Any]) -> tuple[complex, float]:
         p = v["s"]
-        x = {"lag": 1 / (p + 2), "mode": p / (p * p + 0.4 * p + 3)}.get(name, v.get(name))
+        x: Any = {"lag": 1 / (p + 2), "mode": p / (p * p + 0.4 * p + 3)}.get(name, v.get(name))
         return x, abs(x)
 
     return Term(LEAVES[name], value)

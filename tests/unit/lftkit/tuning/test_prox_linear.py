@@ -130,7 +130,8 @@ def test_the_optimum_on_a_hard_requirement_is_reached_and_confirmed(start: float
 
 
 def test_looks_never_rise_and_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
-    (problem, x), seen, states = two_axes(0.0), [], []
+    (problem, x), seen = two_axes(0.0), []
+    states: list[DescentState] = []
     options = DescentOptions(120, 1e-4, patience=1, retries=2)
     whole = descend(GridSource(problem), x, options, lambda _, point: seen.append(point.merit), states.append)
     assert len(states) > 2 and all(after <= before for before, after in itertools.pairwise(seen))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from dataclasses import replace
+from typing import Any
 
 import control
 import numpy as np
@@ -56,7 +57,7 @@ def block(name: str, order: int, measured: slice, commands: slice, delay: float 
         order,
         measured,
         commands,
-        variable=lambda omega: 1j * omega,
+        variable=lambda omega: np.asarray(1j * omega, dtype=complex),
         before=lambda omega: np.ones((len(omega), measured.stop - measured.start), complex),
         after=lambda omega: np.exp(-1j * omega * delay),
         free=np.ones(shape, dtype=bool),
@@ -287,7 +288,8 @@ def test_a_descent_lowers_the_largest_value_and_keeps_what_is_hard() -> None:
     one = ResponseProblem(BLOCKS, samples(omega), gains)
     ends = []
     for seed in (1, 2, 3):
-        x, seen = controller(seed, 0.05), []
+        x = controller(seed, 0.05)
+        seen: list[Any] = []
         assert stable(x)
         options = DescentOptions(60, 1e-4)
         found = descend(ResponseSource(one, stable), x, options, lambda i, v, seen=seen: seen.append(v.merit[1]))
@@ -318,7 +320,8 @@ def test_a_descent_is_converged_only_where_nothing_near_is_lower() -> None:
 
 def test_an_interrupted_descent_goes_on_with_the_same_bits() -> None:
     """From looks at all pairs at the beginning and at the end of a `converged` descent, through JSON."""
-    one, states = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1]), []
+    one = ResponseProblem(BLOCKS, samples(np.geomspace(0.02, 50.0, 40)), GAINS[:1])
+    states: list[Any] = []
     options = DescentOptions(2000, 1e-3, confirm=True)
     whole = descend(ResponseSource(one, stable), controller(1, 0.05), options, keep=states.append)
     assert len(states) > 8
