@@ -17,13 +17,20 @@ IMAGINARY = 1e-7  # real part of an eigenvalue that counts as imaginary, relativ
 
 
 def band_gain(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, band: tuple[float, float], *, rtol: float = 1e-6
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike,
+    band: tuple[float, float],
+    *,
+    rtol: float = 1e-6,
+    stable: bool = True,
 ) -> HInfNorm:
     """Largest singular value of ``C (jw I - A)^-1 B + D`` for w in a band [rad/s].
 
     The frequencies at which a singular value equals a level are imaginary eigenvalues of a Hamiltonian matrix (Boyd,
     Balakrishnan and Kabamba 1989): between two of them the gain is on one side of the level, and a point in the middle
-    says on which.
+    says on which. Without `stable` it is taken of unstable systems, too, and infinite for poles on the axis only.
 
     Examples
     --------
@@ -40,7 +47,8 @@ def band_gain(
     a, b, c = balanced(a, b, c)
     poles = FrequencyResponse.of(a, b, c, D, check=False).poles
     worst = int(np.argmax(poles.real))
-    if poles[worst].real >= 0.0:
+    on_axis = float(np.abs(poles.real).min()) <= 1e-14 * float(np.abs(poles).max())
+    if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
         return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
     system, (low, high) = (a, b, c, D), band
     size = np.abs(poles)

@@ -10,12 +10,14 @@ from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.decentralised import Decentralised
 from lftkit.tuning.descent.minimax import Descent, DescentOptions, DescentState, descend
 from lftkit.tuning.goals import (
+    ConicSector,
     Goal,
     LoopShape,
     Margins,
     MaxLoopGain,
     MinLoopGain,
     Overshoot,
+    Passivity,
     Sensitivity,
     StepTracking,
     Tracking,
@@ -33,6 +35,7 @@ __all__ = [
     "Bounds",
     "Certificate",
     "ClosedLoopPoles",
+    "ConicSector",
     "ControllerPoles",
     "Decentralised",
     "Descent",
@@ -46,6 +49,7 @@ __all__ = [
     "MaxLoopGain",
     "MinLoopGain",
     "Overshoot",
+    "Passivity",
     "Requirement",
     "RobustResult",
     "Sensitivity",

@@ -21,6 +21,7 @@ from lftkit.systems.feedback import cascade, close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.sector_gain import SectorGain
 
 PADE_ORDER = 8
 
@@ -104,8 +105,25 @@ def _gain(model: System, controller: System, r: HinfGain | H2Gain, rtol: float) 
         D = np.where(np.abs(loop.D) <= 1e-12 * max(1.0, float(np.abs(loop.C).max(initial=0.0))), 0.0, loop.D)
         value = h2_norm(loop.A, loop.B, loop.C, D) / r.bound
         return value, value, 0.0
+    if isinstance(r, SectorGain):
+        return _index(loop, r, rtol)
     norm = band_gain(*loop.matrices, r.band, rtol=rtol) if r.banded else hinf_norm(*loop.matrices, rtol=rtol)
     return norm.value / r.bound, norm.upper / r.bound, norm.omega
+
+
+def _index(loop: System, r: SectorGain, rtol: float) -> tuple[float, float, float]:
+    """Value, upper bound and frequency of the index of a sector.
+
+    An index whose system is unstable exceeds 1; its value is the largest gain on the axis.
+    """
+    index = r.realised(loop)
+    if index is None:
+        return np.inf, np.inf, np.inf
+    if r.banded or (index.order and spectral_abscissa(index.A) >= 0.0):
+        norm = band_gain(*index.matrices, r.band, rtol=rtol, stable=False)
+    else:
+        norm = hinf_norm(*index.matrices, rtol=rtol)
+    return norm.value, norm.upper, norm.omega
 
 
 def _poles(r: ClosedLoopPoles | ControllerPoles, closed: FloatArray, own: FloatArray, loop_delay: float) -> float:

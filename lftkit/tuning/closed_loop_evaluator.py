@@ -22,6 +22,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.certificate import delayed_controller, weighted_loop
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, band_edges
+from lftkit.tuning.sector_gain import SectorGain
 
 
 class ClosedLoopEvaluator:
@@ -88,6 +89,8 @@ class ClosedLoopEvaluator:
             part = self._weight(r.weight_out).at(omega) @ part
         if r.weight_in is not None:
             part = part @ self._weight(r.weight_in).at(omega)
+        if isinstance(r, SectorGain):
+            return r.indexed(part / r.bound, omega) * r.bound
         return part * r.counts(omega)[:, None, None]
 
     def _weight(self, weight: System) -> FrequencyResponse:
@@ -153,4 +156,6 @@ def gain_at(model: System, controller: System, r: HinfGain, omega: float, K: Com
         T = direct_response(*r.weight_out.matrices, omega) @ T
     if r.weight_in is not None:
         T = T @ direct_response(*r.weight_in.matrices, omega)
+    if isinstance(r, SectorGain):
+        return float(largest_gains(r.indexed(T[None] / r.bound, np.array([omega])))[0])
     return float(largest_gains(T[None])[0]) / r.bound

@@ -21,6 +21,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
+from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.structures import AffineStructure
 
 MAX_ORDER = 40  # of the weighted plant
@@ -71,7 +72,11 @@ def _start(
 def _plants(problem: Problem) -> list[ExtendedPlant]:
     measured = tuple(p.name for p in problem.structure.inputs)
     commanded = tuple(p.name for p in problem.structure.outputs)
-    gains = [r for r in problem.requirements if isinstance(r, HinfGain | H2Gain) and not r.hard]
+    gains = [
+        r
+        for r in problem.requirements
+        if isinstance(r, HinfGain | H2Gain) and not (r.hard or isinstance(r, SectorGain))
+    ]
     plants = [
         extended_plant(
             problem.models[0],

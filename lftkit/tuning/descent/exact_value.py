@@ -18,6 +18,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.sector_gain import SectorGain
 
 MAX_ORDER = 40  # of the closed loop: above it the grid of the smooth phase is cheaper
 RIVAL, MAX_RIVALS = 0.9, 3  # peaks of the frequencies tried above this fraction of the largest gain are refined
@@ -62,7 +63,10 @@ class ExactValue:
     @staticmethod
     def suits(problem: Problem) -> bool:
         """Whether all requirements are soft H-infinity gains, there is no delay, and every loop is small."""
-        gains = all(isinstance(r, HinfGain) and not (r.hard or r.banded) for r in problem.requirements)
+        gains = all(
+            isinstance(r, HinfGain) and not (r.hard or r.banded or isinstance(r, SectorGain))
+            for r in problem.requirements
+        )
         if not gains or problem.loop_delay or len(problem.models) * len(problem.requirements) > 4:
             return False
         weights = [w for r in problem.requirements if isinstance(r, HinfGain) for w in (r.weight_in, r.weight_out) if w]

@@ -175,8 +175,9 @@ def singular_slopes(
     own = plant.controller(K, order, arrays.omega)
     responses, S, M = plant.closed(arrays, own, (i,))
     s, U, V = leading_pairs(responses[i])
-    row = solve(S.swapaxes(1, 2), (U.conj().swapaxes(1, 2) @ arrays.P12[i]).swapaxes(1, 2))
-    forward = arrays.P21[i] @ V
+    P12, P21 = plant.sides(arrays, i, responses[i])
+    row = solve(S.swapaxes(1, 2), (U.conj().swapaxes(1, 2) @ P12).swapaxes(1, 2))
+    forward = P21 @ V
     return s, own.rows(row.swapaxes(1, 2)), own.columns(forward + arrays.P22 @ (M @ forward))
 
 

@@ -111,10 +111,12 @@ class GridGains:
     def slopes(self, K: FloatArray, i: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
         """All singular values (m, r) at the frequencies `index` (m,) with their gradients (m, r, *shape of K)."""
         loop, arrays = self._closed(K, (i,)), self.arrays
-        s, U, V = leading_pairs(loop.responses[i][index])
-        into = U.conj().swapaxes(1, 2) @ arrays.P12[i][index]
+        T = loop.responses[i][index]
+        s, U, V = leading_pairs(T)
+        P12, P21 = self.plant.sides(arrays, i, T, index)
+        into = U.conj().swapaxes(1, 2) @ P12
         row = loop.own.rows(solve(loop.S[index].swapaxes(1, 2), into.swapaxes(1, 2)).swapaxes(1, 2), index)
-        forward = arrays.P21[i][index] @ V
+        forward = P21 @ V
         column = loop.own.columns(forward + arrays.P22[index] @ (loop.M[index] @ forward), index)
         return s, np.real(row[:, :, :, None] * column.swapaxes(1, 2)[:, :, None, :])
 
@@ -136,10 +138,12 @@ class GridGains:
         ``ds = Re(rows dK columns)``, shapes (m, order + u) and (m, order + y).
         """
         loop, arrays = self._closed(K, (i,)), self.arrays
-        s, U, V = leading_pairs(loop.responses[i][index])
-        into = U[:, None, :, 0].conj() @ arrays.P12[i][index]
+        T = loop.responses[i][index]
+        s, U, V = leading_pairs(T)
+        P12, P21 = self.plant.sides(arrays, i, T, index)
+        into = U[:, None, :, 0].conj() @ P12
         row = solve(loop.S[index].swapaxes(1, 2), into.swapaxes(1, 2)).swapaxes(1, 2)
-        forward = arrays.P21[i][index] @ V[:, :, :1]
+        forward = P21 @ V[:, :, :1]
         column = forward + arrays.P22[index] @ (loop.M[index] @ forward)
         return s, loop.own.rows(row, index)[:, 0], loop.own.columns(column, index)[:, :, 0]
 
@@ -179,7 +183,7 @@ class GridGains:
     def _factors(self, K: FloatArray, i: int, index: IntArray) -> tuple[ComplexArray, ComplexArray]:
         """Factors of ``dT = left dK right`` at the frequencies `index` (m,), (m, z, a) and (m, b, w)."""
         loop, arrays = self._closed(K, (i,)), self.arrays
-        P12, P21 = arrays.P12[i][index], arrays.P21[i][index]
+        P12, P21 = self.plant.sides(arrays, i, loop.responses[i][index], index)
         row = solve(loop.S[index].swapaxes(1, 2), P12.swapaxes(1, 2)).swapaxes(1, 2)
         column = P21 + arrays.P22[index] @ (loop.M[index] @ P21)
         return loop.own.rows(row, index), loop.own.columns(column, index)

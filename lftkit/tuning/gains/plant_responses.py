@@ -21,6 +21,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import ControllerFactors, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
 from lftkit.tuning.requirements import H2Gain, HinfGain, band_edges
+from lftkit.tuning.sector_gain import SectorGain
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50
@@ -182,7 +183,23 @@ class PlantResponses:
                 if group not in forward:
                     forward[group] = M @ arrays.P21[i]
                 out[i] = arrays.P11[i] + arrays.P12[i] @ forward[group]
+                r = self.requirements[i]
+                if isinstance(r, SectorGain):
+                    out[i] = r.indexed(out[i], arrays.omega)
         return out
+
+    def sides(
+        self, arrays: Arrays, i: int, T: ComplexArray, index: IntArray | slice = slice(None)
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """P12 and P21 of requirement i at some frequencies, as its values T (m, z, w) there depend on the loop.
+
+        ``dT = P12 S^-1 dK (I + P22 M) P21``; those of the index of a sector have the factors of its slope.
+        """
+        r, left, right = self.requirements[i], arrays.P12[i][index], arrays.P21[i][index]
+        if isinstance(r, SectorGain):
+            before, after = r.slopes(T)
+            return before @ left, right @ after
+        return left, right
 
 
 def _once(arrays: dict[int, ComplexArray], change: Callable[[int], ComplexArray]) -> dict[int, ComplexArray]:
