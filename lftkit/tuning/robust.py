@@ -86,6 +86,7 @@ def tune_robust(
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     slack: float = 0.01,
+    met: float = -np.inf,
     max_rounds: int = 12,
     options: TuningOptions | None = None,
     search: WorstCaseOptions | None = None,
@@ -105,6 +106,9 @@ def tune_robust(
         More parameters that are active from the beginning.
     slack : float
         A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
+    met : float
+        Soft worst cases up to this value do not count: with a lower target each round leaves room for the parameters
+        between the models.
     max_rounds : int
     options : TuningOptions, optional
         The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
@@ -121,7 +125,7 @@ def tune_robust(
     ready, needs = resolved_build(build, requirements, chosen[0])
     given = [start_checked(x, structure) for x in initial]
     with one_thread(), Progress("robust design", options.progress) as progress:
-        common = (loop_delay, options, search, start_time, slack, chosen, given, progress)
+        common = (loop_delay, options, search, start_time, slack, met, chosen, given, progress)
         design = _Design(ready, box, needs, structure, *common)
         found = in_rounds(design, max_rounds, deadline=design.deadline)
     advice = _advice(found.status, found.tuned)
@@ -141,6 +145,7 @@ class _Design:
     search: WorstCaseOptions
     start_time: float
     slack: float
+    met: float
     chosen: list[dict[str, float]]
     given: list[FloatArray]
     progress: Progress
@@ -206,9 +211,10 @@ class _Design:
     def _new(self, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> list[dict[str, float]]:
         new: list[dict[str, float]] = []
         for w, r in zip(worst, self.requirements):
-            level = max(1.0, tuning.hard) if r.hard else max(tuning.soft, self.options.target)
+            level = (max(1.0, tuning.hard) if r.hard else max(tuning.soft, self.options.target)) * (1.0 + self.slack)
+            level = level if r.hard else max(level, self.met)
             for value, parameters in ((w.value, w.parameters), *w.others):
-                if value > level * (1.0 + self.slack) and all(self._differs(parameters, c) for c in self.chosen + new):
+                if value > level and all(self._differs(parameters, c) for c in self.chosen + new):
                     new.append(dict(parameters))
         return new
 
