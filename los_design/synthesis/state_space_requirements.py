@@ -12,12 +12,12 @@ import numpy as np
 
 import fsm_pma_controller.problem
 import los_estimator.problem
-from lftkit import System
+from lftkit import Port, System, static_gain
 from lftkit.tuning import H2Gain, HinfGain, Requirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
-from titop_plant.interface import FORCE_STAGES
+from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.budget import band_error_weight
-from titop_plant.telescope.control_plant import DISTURBANCES
+from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
@@ -30,6 +30,20 @@ def paper_requirements(parameters: Parameters, stage: str) -> tuple[Requirement,
         requirement(row, parameters, stage, row.allowed * float(row.limit(parameters, stage)))
         for row in paper_figures(stage)
     )
+
+
+def observer_requirements(parameters: Parameters) -> tuple[Requirement, ...]:
+    """What the paper's problem asks of K_FSM, with the platform's noise that it asks of both controllers.
+
+    K_PMA cannot change what the observer makes of that noise: without the goal, designs of K_FSM with the same APE and
+    RPE differ in it by a factor of 50.
+    """
+    stage, row = MIRROR_STAGES[0], figure("noise -> APE")
+    allowed, every = row.allowed * float(row.limit(parameters, stage)), ACCELEROMETER_NOISE
+    own = sum(port.size for port in K_PMA_INPUTS)
+    platform = static_gain(np.eye(every.size, own), [Port("platform_noise", own)], [every])
+    noise = H2Gain((every.name,), (row.output,), allowed, weight_in=platform, hard=row.hard, name=row.name)
+    return (*paper_requirements(parameters, stage), noise)
 
 
 def implemented_requirements(parameters: Parameters, stage: str) -> tuple[Requirement, ...]:
