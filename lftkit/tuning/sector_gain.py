@@ -60,7 +60,7 @@ class SectorGain(HinfGain):
         return left, np.asarray(left / self._determinant)
 
     def realised(self, T: System) -> System | None:
-        """F of the weighted closed loop T, not yet divided by the bound; None where it is infinite at high frequency."""
+        """F of a weighted closed loop that is not yet divided by the bound; None where its feedthrough is infinite."""
         (a, b, c, d), one = self.fraction, np.eye(len(T.D))
         A, B, C, D = T.A, T.B, T.C / self.bound, T.D / self.bound
         inner = c * D + d * one

@@ -151,8 +151,9 @@ class ConicSector(_OfChannel):
 
     Notes
     -----
-    With an edge at 0 the same holds for channels without feedthrough as in :class:`Passivity`. With finite slopes the value is the largest gain of ``T - (low + high) / 2`` over ``(high - low) / 2`` (Zames 1966);
-    with an infinite one that of :class:`Passivity` for ``T - low`` or ``high - T``.
+    With finite slopes the value is the largest gain of ``T - (low + high) / 2`` over ``(high - low) / 2`` (Zames 1966);
+    with an infinite one that of :class:`Passivity` for ``T - low`` or ``high - T``. With an edge at 0 the same holds
+    for channels without feedthrough as in :class:`Passivity`.
 
     Examples
     --------

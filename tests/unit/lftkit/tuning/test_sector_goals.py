@@ -136,7 +136,7 @@ def test_gradients_are_differences(seed: int, size: int) -> None:
 
 
 def test_a_hard_sector_is_kept_where_it_costs_performance() -> None:
-    """T = 1/(s + 1 - k) for u = k y, largest at 0, where the mismatch T - 2.5 wants more than the sector's edge of 2."""
+    """T = 1/(s + 1 - k) for u = k y, largest at 0, where the mismatch T - 2.5 wants more than the edge of 2."""
     A, B = [[-1.0]], [[1.0, 1.0]]
     C, D = [[1.0], [1.0], [1.0]], [[0.0, 0.0], [-2.5, 0.0], [0.0, 0.0]]
     model = System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 1), ("mismatch", 1), ("y", 1)])
@@ -190,7 +190,7 @@ def test_a_channel_is_made_passive_by_the_least_feedback() -> None:
 
 def test_what_cannot_be_passive_is_infeasible() -> None:
     """The position under a force: Re T has the sign of k - w^2, negative above 3.2 rad/s for gains of at most 9."""
-    bounded = FEEDBACK.with_bounds({name: (-9.0, 9.0) for name in FEEDBACK.names})
+    bounded = FEEDBACK.with_bounds(dict.fromkeys(FEEDBACK.names, (-9.0, 9.0)))
     goals = [QUIET, Passivity("w", "z", hard=True, band=(0.0, 10.0))]
     result = tune([driven([1.0, 0.0])], goals, bounded, options=TuningOptions(starts=2, seed=0))
     assert str(result.status) == "infeasible"
