@@ -191,20 +191,21 @@ def serve(channel: socket.socket) -> int:
 def first_moments() -> None:
     """What every node does before its first tick and which is the same for all: once, before the copies are made.
 
-    Type supports of messages, the shipped parameter file, the search for libraries of linear algebra. The garbage
-    collector leaves what is there alone from now on, so that a copy does not write to the pages of all objects.
+    Type supports of messages, the shipped telescope, the search for libraries of linear algebra. The garbage collector
+    leaves what is there alone from now on, so that a copy does not write to the pages of all objects.
     """
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import RunParts
     from rclpy.type_support import check_for_type_support
 
     from lftkit.support.threads import one_thread
-    from titop_plant.telescope.parameters import load_parameters
 
     for module in [module for module in sys.modules.values() if hasattr(module, "__dict__")]:
         for kind in [value for value in vars(module).values() if isinstance(value, type)]:
             if hasattr(type(kind), "_TYPE_SUPPORT"):
                 check_for_type_support(kind)
-    load_parameters()
     one_thread()
+    RunParts(RunConfig()).plant()
     gc.collect()
     gc.freeze()
 
