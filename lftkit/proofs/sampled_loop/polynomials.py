@@ -79,7 +79,7 @@ class Polynomial:
 
     def _terms(self) -> list[int]:
         """Powers whose coefficients are not zero."""
-        return [k for k in range(ORDER + 1) if np.any(self.c[k])]
+        return np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1)).tolist()
 
     def rows(self, which: slice | Sequence[int]) -> Polynomial:
         """Some rows."""

@@ -54,8 +54,10 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
         if gap < tolerance and np.abs(residual).max() < 1e-12:
             break
         hessian = cast("Matrix", Q + np.diag(s / mu + 1e-14))
-        factor = linalg.cho_factor(hessian, lower=True, check_finite=False)
-        rest = (residual, factor, linalg.cho_solve(factor, e, check_finite=False), e, mu, s)
+        factor, failed = linalg.lapack.dpotrf(hessian, lower=1, clean=0)
+        if failed:
+            raise linalg.LinAlgError("the program is not convex")
+        rest = (residual, factor, linalg.lapack.dpotrs(factor, e, lower=1)[0], e, mu, s)
         dmu, ds, _ = _newton(-mu * s, *rest)
         step = min(_longest(mu, dmu), _longest(s, ds))
         centre = (float((mu + step * dmu) @ (s + step * ds)) / m / gap) ** 3 if gap > 0 else 0.0
@@ -95,14 +97,14 @@ def prox_direction(
 def _newton(
     complement: FloatArray,
     residual: FloatArray,
-    factor: Any,
+    factor: FloatArray,
     solved_e: FloatArray,
     e: FloatArray,
     mu: FloatArray,
     s: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Step of the perturbed optimality conditions for a requested change of the products mu s."""
-    u = linalg.cho_solve(factor, complement / mu - residual, check_finite=False)
+    u = linalg.lapack.dpotrs(factor, complement / mu - residual, lower=1)[0]
     dnu = float(e @ u - (1.0 - e @ mu)) / float(e @ solved_e)
     dmu = u - dnu * solved_e
     return dmu, (complement - s * dmu) / mu, dnu
