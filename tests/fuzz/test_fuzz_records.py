@@ -63,7 +63,7 @@ def changed(bags: Bags, changes: list[RecordMutation], trusted: bool) -> Path:
 
 
 @given(changes=st.lists(RECORD_MUTATIONS, min_size=1, max_size=3), trusted=st.booleans())
-@examples(12)
+@examples(8)
 def test_records_that_agree_with_their_checksums(bags: Bags, changes: list[RecordMutation], trusted: bool) -> None:
     bag, new = changed(bags, changes, trusted), bags.folder / "new"
     shutil.rmtree(new, ignore_errors=True)
