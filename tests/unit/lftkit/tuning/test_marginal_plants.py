@@ -40,7 +40,7 @@ def check_certified(result) -> None:
     [
         (0.0, 0),
         (1e-4, 0),
-        (0.3, 0),
+        pytest.param(0.3, 0, marks=pytest.mark.slow),
         pytest.param(0.0, 1, marks=pytest.mark.slow),
         pytest.param(1e-4, 1, marks=pytest.mark.slow),
         pytest.param(0.3, 1, marks=pytest.mark.slow),
@@ -68,7 +68,7 @@ def test_order_one_is_never_worse_than_static() -> None:
             [masses(0.3)],
             [HinfGain("w", "z")],
             state_space([("y", 2)], [("u", 1)], order),
-            options=TuningOptions(starts=1, iterations=8),
+            options=TuningOptions(starts=1, iterations=4),
         ).soft
         for order in (0, 1)
     ]

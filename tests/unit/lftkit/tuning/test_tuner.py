@@ -59,7 +59,7 @@ def test_hard_requirement_is_active_at_the_optimum() -> None:
     assert result.soft == pytest.approx(0.2, rel=1e-4)
 
 
-@pytest.mark.parametrize("ground", [0.0, 1e-4])
+@pytest.mark.parametrize("ground", [0.0, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_undamped_open_loop_gives_the_certified_norm(ground: float) -> None:
     """Position and rate feedback damps both modes; the open loop has poles on the imaginary axis."""
     result = tune([masses(ground)], [HinfGain("w", "z")], gain([("y", 2)], [("u", 1)]), options=QUICK)
