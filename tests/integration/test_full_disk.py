@@ -53,7 +53,7 @@ def test_a_run_whose_first_second_does_not_fit_leaves_nothing(tmp_path: Path, sm
     assert not list(small.iterdir())
 
 
-@pytest.mark.parametrize("small", [100], indirect=True)
+@pytest.mark.parametrize("small", [12], indirect=True)
 @pytest.mark.parametrize("command", ["analyse {} --report={}", "report {} --output={}", "replay {} --output={}"])
 def test_an_output_that_does_not_fit_is_named_and_not_left(
     tmp_path: Path, small: Path, command: str, capsys: pytest.CaptureFixture[str]
