@@ -14,7 +14,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -52,17 +52,22 @@ lint: $(READY)
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target types types-of-tests style
 
 style: $(READY)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports --no-logo
+	$(BESIDE) $(BIN)/ruff check .
+	$(BESIDE) $(BIN)/ruff format --check .
+	$(BESIDE) $(BIN)/lint-imports --no-logo
 
 types: $(READY)
-	$(BIN)/mypy
+	$(BESIDE) $(BIN)/mypy
 
 types-of-tests: $(READY)
-	$(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests tests
+	$(BESIDE) $(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests tests
 
-test: lint
+# style and types take what the tests leave of the processors
+test: $(READY)
+	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 19" tests style types types-of-tests \
+	    || { echo "Something failed, see above; style and types alone: make lint"; exit 1; }
+
+tests: $(READY)
 	@rm -f $(SKIPPED)
 	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow" --doctest-modules tests $(PACKAGES)
 	@if [ -s $(SKIPPED) ]; then echo "Skipped tests and what was not judged, and how to run them:"; cat $(SKIPPED); \
