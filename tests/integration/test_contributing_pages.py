@@ -228,8 +228,13 @@ def test_a_sensor_is_sampled_designed_and_predicted(guided: tuple[PackageCopy, l
     ("right", "wrong", "message"),
     [
         ("rate=10.0", "rate=30.0", "rate of guide_los must divide 1000 Hz .* got 30 Hz"),
-        ("guide_noise = 3e-8 ", "guide_bias = 3e-8 ", "sensors.guide_noise of guide_los must be in the parameter file"),
-        ('measures="los_controlled"', 'measures="los_guided"', "los_guided"),
+        pytest.param(
+            "guide_noise = 3e-8 ",
+            "guide_bias = 3e-8 ",
+            "sensors.guide_noise of guide_los must be in the parameter file",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param('measures="los_controlled"', 'measures="los_guided"', "los_guided", marks=pytest.mark.slow),
     ],
 )
 def test_a_wrong_sensor_is_named(

@@ -62,9 +62,9 @@ def run_with(tmp_path, end, *options):
     ("end", "how"),
     [
         ("os._exit(0)", "exit code 0"),
-        ("os._exit(3)", "exit code 3"),
+        pytest.param("os._exit(3)", "exit code 3", marks=pytest.mark.slow),
         ("os.kill(os.getpid(), signal.SIGKILL)", "signal 9"),
-        ("ctypes.string_at(0)", f"signal {signal.SIGSEGV.value}"),
+        pytest.param("ctypes.string_at(0)", f"signal {signal.SIGSEGV.value}", marks=pytest.mark.slow),
     ],
 )
 def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(tmp_path, end, how):
