@@ -31,7 +31,7 @@ from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 SEEDS = {"/foo": 3, "/foo/bar": 4}
-TICKS = {"/foo": 1500, "/foo/bar": 2000}
+TICKS = {"/foo": 800, "/foo/bar": 1200}
 
 
 def run_both(tmp_path_factory, ticks):
@@ -151,6 +151,31 @@ def test_a_domain_whose_first_participant_has_ended_is_not_free():
             assert other != domain
 
 
+HOLDING = """
+import sys
+from los_testbed.run.domains import free_domain
+sys.stdin.readline()
+with free_domain("/telescope") as domain:
+    print(domain, flush=True)
+    sys.stdin.readline()
+"""
+"""Looks for a free domain when it is told to, and has it until it is told again."""
+
+
+def test_processes_that_look_for_a_free_domain_at_the_same_moment_get_two():
+    command = [sys.executable, "-c", HOLDING]
+    started = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    for process in started:
+        process.stdin.write("look\n")
+        process.stdin.flush()
+    domains = [process.stdout.readline() for process in started]
+    for process in started:
+        process.communicate("end\n", timeout=60)
+    assert [process.returncode for process in started] == [0, 0]
+    assert "" not in domains and len(set(domains)) == 2, domains
+
+
+@pytest.mark.slow
 def test_runs_that_look_for_a_free_domain_at_the_same_moment_get_two(tmp_path):
     """From the choice to the end of the run nobody else gets it."""
     options = ["--mode=lockstep", "--duration=1.2", "--no-report", "--start=rest", "--domain=free"]
