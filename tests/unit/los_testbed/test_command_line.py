@@ -1,9 +1,6 @@
 """The command line: a mistake is one line and exit code 2, and leaves nothing behind."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -178,17 +175,12 @@ def test_a_bag_that_is_none(run):
 
 
 @pytest.mark.parametrize("command", ["run", "analyse", "report", "replay", "stages"])
-def test_help_has_examples(command):
-    done = subprocess.run(
-        [sys.executable, "-m", "los_testbed.cli.app", command, "--help"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, "COLUMNS": "100"},
-    )
-    assert done.returncode == 0
-    assert "Examples" in done.stdout
-    assert f"los-testbed {command}" in done.stdout
+def test_help_has_examples(command, run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    code, out, _ = run(command, "--help")
+    assert code == 0
+    assert "Examples" in out
+    assert f"los-testbed {command}" in out
 
 
 def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):
