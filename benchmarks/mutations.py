@@ -69,9 +69,9 @@ TESTS: dict[str, tuple[str, ...]] = {
     "pointing_analysis": ("tests/unit/pointing_analysis",),
     "pointing_analysis/indices/confidence.py": (
         "tests/published/test_ecss_sample_sizes.py",
-        "tests/unit/pointing_analysis/test_verdict_laws.py",
         "tests/unit/pointing_analysis/test_mapped_arrays.py::test_autocorrelation_by_blocks",
         "tests/unit/pointing_analysis/test_confidence.py",
+        "tests/unit/pointing_analysis/test_verdict_laws.py",
     ),
     "pointing_analysis/requirements/verdict.py": ("tests/unit/pointing_analysis/test_verdict_laws.py",),
     "pointing_analysis/requirements/text.py": ("tests/unit/pointing_analysis/test_requirement_text.py",),

@@ -123,10 +123,11 @@ def autocorrelation_time(values: ArrayLike) -> float:
         total = float(tau[-1])
         found = np.flatnonzero(first + np.arange(tau.size) >= SOKAL_WINDOW * np.maximum(tau, 0.5))
         if found.size:
-            # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back.
+            # Taken about the sample mean every lag comes out too low; Wolff (2004), equation 49, puts that back. With
+            # the lag below n and the time at most a sixth of the lag the result is below n / 2.
             lag = first + int(found[0])
-            return float(min(max(tau[found[0]], 0.5) * (1 + (2 * lag + 1) / n), n / 2))
-    return n / 2
+            return float(max(tau[found[0]], 0.5) * (1 + (2 * lag + 1) / n))
+    return n / 2  # a sample is infinite: over all lags the sum of finite ones is zero, far below the last lag
 
 
 def _autocorrelation(x: FloatArray) -> Iterator[tuple[int, FloatArray]]:
@@ -173,8 +174,8 @@ class Quantile:
 
 def _binomial_quantile(q: float, n: int, p: float) -> int:
     """Smallest k with P(Binomial(n, p) <= k) >= q (scipy.stats has it too, at the cost of a slow, large import)."""
-    k = max(math.ceil(special.bdtrik(q, n, p)), 0)
-    return k - 1 if k > 0 and special.bdtr(k - 1, n, p) >= q else k
+    k = max(math.ceil(special.bdtrik(q, n, p)), 1)
+    return k - 1 if special.bdtr(k - 1, n, p) >= q else k
 
 
 def _upper_rank(n: int, p: float, confidence: float) -> int:

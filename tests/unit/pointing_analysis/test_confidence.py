@@ -42,13 +42,6 @@ def test_order_statistic_bounds_against_the_binomial() -> None:
     assert stats.binom.sf(rank - 1, 2000, 0.99) >= 0.95 > stats.binom.sf(rank, 2000, 0.99)
 
 
-@pytest.mark.parametrize("pole", [0.0, 0.5, 0.9, 0.98])
-def test_autocorrelation_time_of_a_first_order_process(pole: float) -> None:
-    rng = np.random.default_rng(int(100 * pole))
-    x = lfilter([1], [1, -pole], rng.standard_normal(400_000))
-    assert confidence.autocorrelation_time(x) == pytest.approx((1 + pole) / (2 * (1 - pole)), rel=0.06)
-
-
 def test_autocorrelation_time_leaves_out_what_is_missing() -> None:
     x = np.random.default_rng(0).standard_normal(1000)
     assert confidence.effective_number(np.append(x, np.nan)) == confidence.effective_number(x)
@@ -58,23 +51,6 @@ def test_autocorrelation_time_leaves_out_what_is_missing() -> None:
 def test_a_constant_or_a_drift_is_hardly_any_information() -> None:
     assert confidence.effective_number(np.full(1000, 0.1)) == pytest.approx(1)
     assert confidence.effective_number(np.linspace(0, 1, 1000)) < 5
-
-
-@pytest.mark.parametrize("pole", [0.0, 0.8, 0.97])
-@pytest.mark.parametrize("p", [0.95, 0.99])
-def test_bounds_cover_on_500_runs(pole: float, p: float) -> None:
-    """Each one-sided 95 % bound covers the true quantile in at least 93 % of 500 runs, correlated or not."""
-    rng = np.random.default_rng(7)
-    n, runs = 4000, 500
-    white = rng.standard_normal((runs, 2, n + 400))
-    e = lfilter([math.sqrt(1 - pole**2)], [1, -pole], white, axis=2)[:, :, 400:]
-    true = math.sqrt(-2 * math.log(1 - p))  # radius that holds the share p of two equal Gaussian axes
-    bounds = [confidence.quantile(np.hypot(*one), p, 0.95) for one in e]
-    assert np.mean([b.upper >= true for b in bounds]) >= 0.93
-    assert np.mean([b.lower <= true for b in bounds]) >= 0.93
-    if pole < 0.9:  # they cover by being right, not by being infinite
-        assert np.median([b.upper for b in bounds]) < 1.2 * true
-        assert np.median([b.lower for b in bounds]) > 0.8 * true
 
 
 def test_quantile_of_nothing_and_bad_probabilities() -> None:
@@ -111,12 +87,27 @@ def test_autocorrelation_time_is_the_windowed_sum(n: int, pole: float) -> None:
     assert confidence.effective_number(x) == pytest.approx(max(1.0, n / (2.0 * reference_time(x))), rel=1e-9)
 
 
+@pytest.mark.parametrize("lags", [2, 7, 40])
+def test_autocorrelation_time_does_not_depend_on_how_many_lags_are_formed_at_a_time(
+    monkeypatch: pytest.MonkeyPatch, lags: int
+) -> None:
+    x = lfilter([1], [1, -0.8], np.random.default_rng(0).standard_normal(300))
+    monkeypatch.setattr(confidence, "LAGS", lags)
+    assert confidence.autocorrelation_time(x) == pytest.approx(reference_time(x), rel=1e-9)
+
+
 def test_autocorrelation_time_of_hardly_any_samples() -> None:
     assert [confidence.autocorrelation_time(np.arange(k, dtype=float)) for k in (0, 1, 3)] == [0.5] * 3
     assert confidence.effective_number([1.0, 5.0, 2.0]) == 3.0
     assert confidence.autocorrelation_time(np.full(10, 7.0)) == 5.0
     noise = 1e-3 * np.random.default_rng(0).standard_normal(500)
     assert confidence.effective_number(1.0 + noise) > 300  # small, and no rounding noise
+
+
+def test_an_infinite_sample_leaves_the_weight_of_one() -> None:
+    x = np.append(np.random.default_rng(0).standard_normal(50), np.inf)
+    with np.errstate(invalid="ignore"):
+        assert confidence.autocorrelation_time(x) == 25.5 and confidence.effective_number(x) == 1.0
 
 
 @pytest.mark.parametrize("p", [0.0, 1.0, -0.1, 1.1, float("nan")])
@@ -218,3 +209,27 @@ def test_binomial_quantile_at_every_step_of_the_distribution(p: float) -> None:
         for k in np.flatnonzero((np.diff(steps, prepend=0.0) > 1e-9) & (steps < 1.0 - 1e-9)):
             assert confidence._binomial_quantile(steps[k], n, p) == k
             assert confidence._binomial_quantile(0.5 * (steps[k] + steps[k + 1]), n, p) == k + 1
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.5, 0.9, 0.98])
+def test_autocorrelation_time_of_a_first_order_process(pole: float) -> None:
+    rng = np.random.default_rng(int(100 * pole))
+    x = lfilter([1], [1, -pole], rng.standard_normal(400_000))
+    assert confidence.autocorrelation_time(x) == pytest.approx((1 + pole) / (2 * (1 - pole)), rel=0.06)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.8, 0.97])
+@pytest.mark.parametrize("p", [0.95, 0.99])
+def test_bounds_cover_on_500_runs(pole: float, p: float) -> None:
+    """Each one-sided 95 % bound covers the true quantile in at least 93 % of 500 runs, correlated or not."""
+    rng = np.random.default_rng(7)
+    n, runs = 4000, 500
+    white = rng.standard_normal((runs, 2, n + 400))
+    e = lfilter([math.sqrt(1 - pole**2)], [1, -pole], white, axis=2)[:, :, 400:]
+    true = math.sqrt(-2 * math.log(1 - p))  # radius that holds the share p of two equal Gaussian axes
+    bounds = [confidence.quantile(np.hypot(*one), p, 0.95) for one in e]
+    assert np.mean([b.upper >= true for b in bounds]) >= 0.93
+    assert np.mean([b.lower <= true for b in bounds]) >= 0.93
+    if pole < 0.9:  # they cover by being right, not by being infinite
+        assert np.median([b.upper for b in bounds]) < 1.2 * true
+        assert np.median([b.lower for b in bounds]) > 0.8 * true

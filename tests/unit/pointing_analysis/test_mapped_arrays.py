@@ -97,7 +97,7 @@ def test_common_rows_and_present_values() -> None:
 
 @pytest.mark.parametrize("lags", [1, 7, 64, 5000])
 def test_autocorrelation_by_blocks(monkeypatch: pytest.MonkeyPatch, lags: int) -> None:
-    x = np.random.default_rng(4).standard_normal(500).cumsum()
+    x = np.random.default_rng(4).standard_normal(100).cumsum()
     monkeypatch.setattr(confidence, "LAGS", lags)
     found = np.concatenate([products for _, products in confidence._autocorrelation(x)])
     assert np.allclose(found, np.correlate(x, x, "full")[len(x) - 1 :], rtol=0, atol=1e-9 * (x @ x))
