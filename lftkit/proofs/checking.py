@@ -14,6 +14,8 @@ from lftkit.proofs.axis.checker import check_axis_proof
 from lftkit.proofs.axis.proof import FORMAT as AXIS
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
+from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE
+from lftkit.proofs.sampled_loop.noise import CheckedNoise, NoiseProof, check_noise_proof
 from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.state_space.checker import DISCRETE
@@ -21,23 +23,26 @@ from lftkit.proofs.state_space.checker import FORMAT as CELLS
 from lftkit.proofs.state_space.checker import check_proof as check_cells
 from lftkit.proofs.verdict import CheckedProof, ProofError
 
-FORMATS = (CELLS, DISCRETE, LOOP, AXIS)
+FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)
 
 
-def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> CheckedProof | CheckedLoop:
+Checked = CheckedProof | CheckedLoop | CheckedNoise
+
+
+def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> Checked:
     """Verify a proof of any kind; a ProofError says why it is refused.
 
     Parameters
     ----------
-    proof : Path, str, dict, Proof, AxisProof or LoopProof
+    proof : Path, str, dict, Proof, AxisProof, LoopProof or NoiseProof
         A file, the content of one, or the `proof` of bounds.
     each : callable
         Maps a function over the strips of a proof, which may be checked in several processes.
 
     Returns
     -------
-    CheckedProof or CheckedLoop
-        What it guarantees; CheckedLoop for a proof of a sampled loop.
+    CheckedProof, CheckedLoop or CheckedNoise
+        What it guarantees; the latter two for a proof of a sampled loop, or of noise in one.
 
     Raises
     ------
@@ -52,12 +57,16 @@ def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> C
         return check_axis_proof(proof, each)
     if isinstance(proof, LoopProof):
         return check_loop_proof(proof, each)
+    if isinstance(proof, NoiseProof):
+        return check_noise_proof(proof, each)
     if isinstance(proof, Mapping) or hasattr(proof, "content"):
         return check_cells(proof)
     raise ProofError(f"proof must be a file or the proof of bounds, got {type(proof).__name__}")
 
 
-def _check_strips(path: Path, name: str, each: Callable[..., Iterable[int | str]]) -> CheckedProof | CheckedLoop:
+def _check_strips(path: Path, name: str, each: Callable[..., Iterable[int | str]]) -> Checked:
+    if name == NOISE:
+        return check_noise_proof(NoiseProof.from_file(path), each)
     return check_loop_proof(path, each) if name == LOOP else check_axis_proof(path, each)
 
 

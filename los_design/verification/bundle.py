@@ -11,6 +11,7 @@ member                      content
 ``k_fsm.json``              sampled controllers, as :class:`lftkit.SampledSystem` stores them
 ``k_pma.json``
 ``proofs/STAGE-FIGURE.npz`` of :class:`lftkit.proofs.sampled_loop.LoopProof`
+``proofs/STAGE-noise.npz``  of :class:`lftkit.proofs.sampled_loop.noise.NoiseProof`, where there is one
 ==========================  ========================================================================================
 
 The hashes find damage; they are no defence against somebody who makes new ones. What counts is what
@@ -29,7 +30,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
@@ -40,19 +41,20 @@ import scipy
 
 from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
+from lftkit.proofs.sampled_loop.noise import NoiseProof, check_noise_proof
 from lftkit.proofs.sampled_loop.nominal import whole_axis
 from lftkit.proofs.verdict import ProofError
 from los_design.synthesis.provenance import commit
-from los_design.verification.certify import figures_of
+from los_design.verification.error_sums import ErrorSum, error_sums
+from los_design.verification.figure_texts import bound_text
+from los_design.verification.loop_models import provable
+from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
 from los_design.verification.subject import Subject
-from los_loop.figures_of_merit import FIGURES
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import LINE_OF_SIGHT
 from pointing_analysis.files.atomic_output import atomic_file
-from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
+from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash, without_image_optics
@@ -112,6 +114,10 @@ class CheckedBundle:
         Of the telescope in the bundle.
     name : str
         :attr:`Bundle.name`.
+    noise : mapping of str to (float, float)
+        Of stages with a proof of noise the root mean square of the absolute and the relative error [rad].
+    sums : mapping of str to tuple of ErrorSum
+        Of each stage what the proven bounds make together.
     """
 
     subject: Subject
@@ -120,6 +126,8 @@ class CheckedBundle:
     box: Mapping[str, tuple[float, float]]
     requirements: tuple[str, ...]
     name: str
+    noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sums: Mapping[str, tuple[ErrorSum, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -155,7 +163,7 @@ class Bundle:
         However the files are compressed, and with whatever versions they were written.
         """
         key = hashlib.sha256(json.dumps(asdict(self.subject)).encode())
-        for stage, figure in self.figures:
+        for stage, figure in (*self.figures, *((stage, NOISE) for stage in self.noise)):
             key.update(f"{stage} {figure}".encode())
             with np.load(self.folder / member_of(stage, figure), allow_pickle=False) as archive:
                 for name in sorted(archive.files):
@@ -167,11 +175,17 @@ class Bundle:
     def figures(self) -> tuple[tuple[str, str], ...]:
         """Stage and figure of each proof, in the order of stages and figures."""
         names = {name for name in self.names if name.startswith(PROOFS + "/")}
-        known = [(stage, figure) for stage in MIRROR_STAGES for figure in figures_of(self.parameters, stage)]
+        names -= {member_of(stage, NOISE) for stage in MIRROR_STAGES}
+        known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.parameters, stage)]
         found = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
         if len(found) != len(names) or not names:
             raise ProofError(f"a bundle must hold proofs of figures of {', '.join(MIRROR_STAGES)}, got {sorted(names)}")
         return found
+
+    @property
+    def noise(self) -> tuple[str, ...]:
+        """Stages with a proof of noise."""
+        return tuple(stage for stage in MIRROR_STAGES if member_of(stage, NOISE) in self.names)
 
     def proof(self, stage: str, figure: str) -> LoopProof:
         """The proof of a figure as its file has it."""
@@ -306,7 +320,7 @@ def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
 
 def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     """Each figure of a stage with its bound and its limit, as a bundle says without a check."""
-    limits = figures_of(bundle.parameters, stage)
+    limits = provable(bundle.parameters, stage)
     return tuple(
         bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
         for where, figure in bundle.figures
@@ -316,31 +330,12 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
 
 def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
     """Bound of each figure of a stage in its own unit, as a bundle says without a check."""
-    limits = figures_of(bundle.parameters, stage)
+    limits = provable(bundle.parameters, stage)
     return {
         figure: bundle.proof(stage, figure).level * limits[figure].limit
         for where, figure in bundle.figures
         if where == stage
     }
-
-
-def bound_text(figure: str, level: float, limit: float) -> str:
-    """A figure of merit with its bound and its limit in the unit that people use for it.
-
-    Examples
-    --------
-    >>> bound_text("slow", 0.4991, 1.4544410e-7)
-    'slow 14.97 of 30 mas'
-    >>> bound_text("APE", 0.9958, 2.4240684e-5), bound_text("force", 0.2097, 0.1)
-    ('APE 4.979 of 5 arcsec', 'force 0.02097 of 0.1 N')
-    """
-    row = next(row for row in FIGURES if row.name == figure)
-    unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"
-    if row.output == COMMANDED[-1]:
-        unit, name = 1.0, "N"
-    elif row.relative:
-        unit, name = RAD_PER_MAS, "mas"
-    return f"{figure} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
 
 
 def check_bundle(
@@ -366,7 +361,8 @@ def check_bundle(
     try:
         parameters = bundle.parameters
         open_loop = OpenLoop(control_loop_plant(build_telescope(parameters), parameters), parameters)
-        loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s, _ in bundle.figures}
+        stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
+        loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
         found, stable, box = [], dict.fromkeys(loops, 0.0), {}
         for number, (stage, figure) in enumerate(bundle.figures):
             report(number, len(bundle.figures))
@@ -375,14 +371,36 @@ def check_bundle(
             checked = _checked(proof, each, first)
             stable[stage] = max(stable[stage], checked.stable_below)
             box = dict(zip(proof.names, proof.box))
-            limit = figures_of(parameters, stage)[figure].limit
+            limit = provable(parameters, stage)[figure].limit
             found.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
             )
+        noise = {s: checked_noise(bundle, loops[s], each, stable) for s in bundle.noise}
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
     requirements = tuple(str(entry["text"]) for entry in bundle.parameters["requirement"])
-    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name)
+    sums = {
+        s: error_sums(parameters, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
+        for s in loops
+    }
+    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums)
+
+
+def checked_noise(
+    bundle: Bundle, loop: ImplementedLoop, each: Callable[..., Iterable[int | str]], stable: dict[str, float]
+) -> tuple[float, float]:
+    """Bounds of a stage's noise; of unstable members there are none."""
+    stage = loop.stage
+    proof = noise_of_loop(NoiseProof.from_file(bundle.folder / member_of(stage, NOISE)), loop)
+    window = float(loop.parameters["weights"]["rpe_window"])
+    try:
+        checked = check_noise_proof(proof, each, not math.isinf(stable[stage]), window)
+    except ProofError as error:
+        raise ProofError(f"{stage}, {NOISE}: {error}") from None
+    stable[stage] = max(stable[stage], checked.stable_below)
+    if not math.isinf(stable[stage]):
+        raise ProofError(f"{stage}, {NOISE}: noise needs that every member is stable, which was not proven")
+    return checked.rms, checked.relative
 
 
 def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:
@@ -394,10 +412,11 @@ def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stabili
 
 def as_mapping(checked: CheckedBundle) -> dict[str, Any]:
     """For JSON; an infinite frequency is null."""
-    content = asdict(replace(checked, stable={}))
+    content = asdict(replace(checked, stable={}, sums={}))
     del content["stable"]
     return {
         **content,
         "figures": [{**asdict(figure), "text": figure.text} for figure in checked.figures],
+        "sums": {s: [{**asdict(x), "text": x.text, "kept": x.kept} for x in rows] for s, rows in checked.sums.items()},
         "stable_below": {stage: at if math.isfinite(at) else None for stage, at in checked.stable.items()},
     }

@@ -12,7 +12,7 @@ import itertools
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,28 +21,20 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.above import windows_above
-from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.strips import Interval, Strip, packed, unpacked
 from lftkit.proofs.verdict import ProofError
-from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
+from los_design.verification.loop_models import ANGLE, Box, box_of, figures_of, provable, telescope_model
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import COLUMNS, COMMANDS, DT, MEASUREMENTS, sample_ticks
-from titop_plant.simulation.disturbances import CHANNELS
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.interface import DT
 
-Box = tuple[Interval, ...]
-ANGLE = "solar_array.tau"
 LOWEST = 1e-2
 """Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""
-NYQUIST = math.pi / DT
 PART = 0.04
 """Length of a part of a band, of log frequency."""
 SLOWEST_PARTS = (0.01, 0.3)
@@ -102,92 +94,6 @@ class FigureBounds:
         return {**vars(self), "upper": self.upper if math.isfinite(self.upper) else None}
 
 
-def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
-    """The implemented loop with one figure, in the form of the proofs.
-
-    The rotation by theta is the square of a Cayley map in tan(theta / 4); the first of the two factors, in tan(theta /
-    2), is the whole rotation: 16 of the 32 occurrences are left.
-    """
-    system = loop.system
-    names, q = system.channels, len(system.channels)
-    angles = [k for k, name in enumerate(names) if name == ANGLE]
-    dropped = {channel for number, channel in enumerate(angles) if number % 4 >= 2}
-    kept = [channel for channel in range(q) if channel not in dropped]
-    if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
-        raise ValueError(f"the nominal value of {ANGLE} must be 0")
-    rows = [*kept, *range(q, system.C.shape[0])]
-    columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
-    poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
-    K_poles, K_B, K_C, K_D = _controllers(loop)
-    frame = np.ones(MEASUREMENTS, dtype=np.int64)
-    for name, ticks in sample_ticks().items():
-        frame[COLUMNS[name]] = ticks
-    weights = loop.parameters["weights"]
-    wheels = [
-        [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
-        for a in np.tile(weights["wheel_imbalance"], 4)
-    ]
-    drives = [[loop.parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
-    los = OUTPUTS[LINE_OF_SIGHT]
-    commands = metric.rows != los
-    first = metric.rows.start - (los.stop if commands else 0)
-    order = [names[channel] for channel in kept]
-    return LoopModel(
-        DT,
-        poles,
-        C,
-        B,
-        system.D[np.ix_(rows, columns)],
-        K_poles,
-        K_C,
-        K_B,
-        K_D,
-        frame,
-        tuple(tuple(i for i, name in enumerate(order) if name == p.name) for p in system.parameters),
-        tuple(p.name == ANGLE for p in system.parameters),
-        np.array([*wheels, *drives], dtype=float),
-        float(weights["rpe_window"]) if metric.relative else 0.0,
-        tuple(range(first, first + metric.rows.stop - metric.rows.start)),
-        metric.limit,
-        commands,
-    )
-
-
-def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
-    """Poles, B, C, D of both controllers as one, from measurements to commands, for the loops that are closed."""
-    D = np.zeros((COMMANDS, MEASUREMENTS))
-    poles: list[ComplexArray] = [np.zeros(0, complex)]
-    into, out = [], []
-    for law in loop.laws:
-        if not law.gain:
-            continue
-        K, gain = law.system, law.gain
-        p, b, c = modal(K.A, K.B, K.C) if K.order else (np.zeros(0, complex), K.B, K.C)
-        B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
-        B[:, law.measured], C[law.command], D[law.command, law.measured] = b, gain * c, gain * K.D
-        poles.append(p)
-        into.append(B)
-        out.append(C)
-    empty = np.zeros((0, MEASUREMENTS), complex), np.zeros((COMMANDS, 0), complex)
-    return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
-
-
-def box_of(loop: ImplementedLoop) -> Box:
-    """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
-    return tuple(
-        (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
-        if p.name == ANGLE
-        else (p.lower - p.nominal, p.upper - p.nominal)
-        for p in loop.system.parameters
-    )
-
-
-def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
-    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
-    return {name: metric for name, metric in found.items() if metric.disturbed}
-
-
 def parts_of(band: Interval) -> list[Interval]:
     """A band cut into parts."""
     low, high = band
@@ -226,32 +132,84 @@ class PartResult:
     finished: bool
 
 
+@dataclass(frozen=True)
+class PartTask:
+    """A part without files, for a process on any machine.
+
+    Parameters
+    ----------
+    model, box, band, level
+        As of :class:`ProofPart`.
+    seconds : float
+        After which it stops.
+    others : tuple of tuple of Strip
+        The same part of other proofs, the best one first.
+    """
+
+    model: LoopModel
+    box: Box
+    band: Interval
+    level: float
+    seconds: float
+    others: tuple[tuple[Strip, ...], ...] = ()
+
+
+Prover = Callable[[Sequence[ProofPart]], Iterable[PartResult]]
+"""Proves parts and keeps them, in their order; ``functools.partial(workers.each, prove_part)`` on this machine."""
+
+
 def prove_part(part: ProofPart) -> PartResult:
     """Prove a part, or read what was proven before."""
-    parameters = len(part.box)
+    kept = kept_part(part)
+    if kept is not None:
+        return kept
+    result = prove_task(task_of(part))
+    keep_part(part, result)
+    return result
+
+
+def kept_part(part: ProofPart) -> PartResult | None:
+    """What was proven before, or that there is no time; None where the part is to be proven."""
     if part.file.exists():
         with np.load(part.file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        return PartResult(unpacked(arrays, parameters), **json.loads(bytes(arrays["summary"]).decode()))
+        return PartResult(unpacked(arrays, len(part.box)), **json.loads(bytes(arrays["summary"]).decode()))
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
-    known = next((strips for strips in map(_strips, part.others) if _useful(part, strips)), ())
-    found = prove_level(part.model, part.box, part.band, part.level, until=part.until, known=known)
-    summary: dict[str, Any] = {
-        "uncovered": sorted({band for _, band in found.uncovered}),
-        "lower": found.lower,
-        "point": [] if found.point is None else found.point.tolist(),
-        "omega": found.omega,
-        "windows": found.windows,
-        "seconds": found.seconds,
-        "finished": time.monotonic() <= part.until,
-    }
-    result = PartResult(tuple(found.strips), **summary)
+    return None
+
+
+def task_of(part: ProofPart) -> PartTask:
+    """What has to be known to prove a part now."""
+    others = tuple(map(_strips, part.others))
+    return PartTask(part.model, part.box, part.band, part.level, part.until - time.monotonic(), others)
+
+
+def prove_task(task: PartTask) -> PartResult:
+    """Prove a part; no file is read or written."""
+    until = time.monotonic() + task.seconds
+    known = next((strips for strips in task.others if _useful(task, strips)), ())
+    found = prove_level(task.model, task.box, task.band, task.level, until=until, known=known)
+    return PartResult(
+        tuple(found.strips),
+        sorted({band for _, band in found.uncovered}),
+        found.lower,
+        [] if found.point is None else found.point.tolist(),
+        found.omega,
+        found.windows,
+        found.seconds,
+        time.monotonic() <= until,
+    )
+
+
+def keep_part(part: ProofPart, result: PartResult) -> None:
+    """Write a part that is finished to its file."""
     if result.finished:
-        arrays = {**packed(found.strips, parameters), "summary": np.frombuffer(json.dumps(summary).encode(), np.uint8)}
+        summary = {name: value for name, value in vars(result).items() if name != "strips"}
+        text = np.frombuffer(json.dumps(summary).encode(), np.uint8)
+        arrays = {**packed(result.strips, len(part.box)), "summary": text}
         with atomic_file(part.file) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
-    return result
 
 
 def _strips(file: Path) -> tuple[Strip, ...]:
@@ -263,7 +221,7 @@ def _strips(file: Path) -> tuple[Strip, ...]:
     return unpacked(arrays, arrays["boxes"].shape[1])
 
 
-def _useful(part: ProofPart, strips: tuple[Strip, ...]) -> bool:
+def _useful(part: PartTask, strips: tuple[Strip, ...]) -> bool:
     """Whether strips of another proof cover a part, and most of some windows hold for it."""
     try:
         names = ("",) * len(part.box)
@@ -283,7 +241,7 @@ def certify_figure(
     gap: float,
     known: Sequence[WorstPoint],
     folder: Path,
-    workers: Workers,
+    prove: Prover,
     until: float,
     report: Callable[[int, int], None],
 ) -> FigureBounds:
@@ -300,13 +258,14 @@ def certify_figure(
     known : sequence of WorstPoint
         Of a search; the lower bound.
     folder : Path
-    workers : Workers
+    prove : callable
+        What proves the parts, a :data:`Prover`.
     until : float
         ``time.monotonic()`` after which it stops.
     report : callable
         Told how many parts are done, and of how many.
     """
-    metric = figures_of(loop.parameters, loop.stage)[name]
+    metric = provable(loop.parameters, loop.stage)[name]
     model, box = telescope_model(loop, metric), box_of(loop)
     lower, omega, values = 0.0, 0.0, {p.name: p.nominal for p in loop.system.parameters}
     for point in known:
@@ -323,7 +282,7 @@ def certify_figure(
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
     parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)
     found: list[PartResult] = []
-    for result in workers.each(prove_part, parts):
+    for result in prove(parts):
         found.append(result)
         report(len(found), len(parts))
         if result.lower > lower:
@@ -359,7 +318,7 @@ def _parts(
     model: LoopModel, box: Box, level: float, until: float, folder: Path, stage: str, metric: LoopMetric
 ) -> list[ProofPart]:
     """Parts of a band; their files are in a folder ``STAGE-FIGURE-DIGEST-LEVEL``."""
-    start = f"{stage}-{metric.name}-{_digest(model, box)}-"
+    start = f"{stage}-{metric.name}-{model_digest(model, box)}-"
     kept = folder / f"{start}{level!r}"
     kept.mkdir(parents=True, exist_ok=True)
     others: list[tuple[bool, float, Path]] = []
@@ -389,9 +348,10 @@ def stable_above(loop: ImplementedLoop) -> bool:
     return windows_above(telescope_model(loop, metric), box_of(loop)) > 0
 
 
-def _digest(model: LoopModel, box: Box) -> str:
+def model_digest(model: LoopModel, box: Box) -> str:
     """Of all that a proof is about but its band and level."""
-    key = hashlib.sha256(repr((box, model.window, model.rows, model.scale, model.commands)).encode())
+    claim: tuple[Any, ...] = (box, model.window, model.rows, model.scale, model.commands)
+    key = hashlib.sha256(repr((*claim, model.added, model.returned) if model.added else claim).encode())
     for array in (
         model.poles,
         model.C,

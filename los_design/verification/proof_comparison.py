@@ -16,14 +16,16 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
+from lftkit.proofs.sampled_loop.noise import NoiseProof
 from lftkit.proofs.strips import Interval
 from lftkit.proofs.verdict import ProofError
-from los_design.verification.certify import box_of, figures_of, telescope_model
+from los_design.verification.loop_models import NYQUIST, box_of, provable, telescope_model
+from los_design.verification.noise_certificate import noise_of_loop
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 
 SAME = 1e-6
 """Largest difference of responses, of the largest entry at their frequency, and of poles, of their modulus."""
-EXACT = ("dt", "frame", "groups", "angle", "weights", "window", "rows", "scale", "commands")
+EXACT = ("dt", "frame", "groups", "angle", "weights", "window", "rows", "scale", "commands", "added", "returned")
 """Fields of a model that are the same on every machine."""
 POLES = {"poles": "telescope", "K_poles": "controllers"}
 LOWEST, BETWEEN = 1e-3, 50
@@ -63,21 +65,34 @@ def compare_proof(proof: LoopProof, loop: ImplementedLoop, figure: str) -> Proof
     loop : ImplementedLoop
         Controllers, telescope and stage.
     figure : str
-        One of :func:`los_design.verification.certify.figures_of`.
+        One of :func:`los_design.verification.loop_models.provable`.
     """
-    metric = figures_of(loop.parameters, loop.stage).get(figure)
+    metric = provable(loop.parameters, loop.stage).get(figure)
     if metric is None:
         return ProofComparison((f"stage {loop.stage} has no figure {figure}",))
-    model = telescope_model(loop, metric)
-    found = [name for name in EXACT if not _equal(getattr(model, name), getattr(proof.model, name))]
-    found += _claim_mismatches(proof, loop, metric)
+    found, model = _claim_mismatches(proof, loop, metric), telescope_model(loop, metric)
+    return _compared(proof.model, model, metric.band, found)
+
+
+def same_noise(proof: NoiseProof, loop: ImplementedLoop) -> bool:
+    """Whether a proof of noise is of a loop."""
+    try:
+        anew = noise_of_loop(proof, loop)
+    except ProofError:
+        return False
+    return _compared(proof.model, anew.model, (0.0, NYQUIST), []).same
+
+
+def _compared(one: LoopModel, model: LoopModel, band: Interval, found: list[str]) -> ProofComparison:
+    """Compare the model of a file with that of a loop; `found` is what else is another one."""
+    found = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + found
     for name, where in POLES.items():
-        if not _same_poles(getattr(proof.model, name), getattr(model, name)):
+        if not _same_poles(getattr(one, name), getattr(model, name)):
             found.append(f"poles of the {where}")
-    if found or _shapes(proof.model) != _shapes(model):
+    if found or _shapes(one) != _shapes(model):
         return ProofComparison(tuple(found) or ("sizes of telescope or controllers",))
-    omega = _frequencies(model, metric.band)
-    differences = np.array([_difference(proof.model, model, at) for at in omega])
+    omega = _frequencies(model, band)
+    differences = np.array([_difference(one, model, at) for at in omega])
     worst = int(np.argmax(differences))
     wrong = () if differences[worst] <= SAME else ("responses of telescope or controllers",)
     return ProofComparison(wrong, float(differences[worst]), float(omega[worst]))
@@ -97,7 +112,7 @@ def proof_of_loop(proof: LoopProof, loop: ImplementedLoop, figure: str) -> LoopP
     ProofError
         The loop has no such figure, or the file claims less than its whole box and band.
     """
-    metric = figures_of(loop.parameters, loop.stage).get(figure)
+    metric = provable(loop.parameters, loop.stage).get(figure)
     if metric is None:
         raise ProofError(f"stage {loop.stage} has no figure {figure}")
     missing = _claim_mismatches(proof, loop, metric)

@@ -111,6 +111,11 @@ class ImplementedCheck:
         tone, noise = max(self.tone(stage, "slow"), self.tone(stage, "fast")), self.noise[stage][1] / MAS
         return _level(tone, noise, window_probability(telescope_requirements(self.parameters)))
 
+    def total_together(self, stage: str) -> float:
+        """The same beside a slow and a fast tone at once, of norm 1 in all [mas]: at most, whatever their shares."""
+        tone, noise = math.hypot(self.tone(stage, "slow"), self.tone(stage, "fast")), self.noise[stage][1] / MAS
+        return _level(tone, noise, window_probability(telescope_requirements(self.parameters)))
+
     def total_ape(self, stage: str) -> float:
         """Line of sight that the required part of the instants keeps beside the tone that is worst for it [arcsec]."""
         limit = figure("APE").limit(self.parameters, stage) / ARCSEC
@@ -196,6 +201,7 @@ class ImplementedCheck:
                 for short, stage in names.items()
             },
             "total_mas": {short: rounded(self.total(stage)) for short, stage in names.items()},
+            "total_together_mas": {short: rounded(self.total_together(stage)) for short, stage in names.items()},
             "total_ape_arcsec": {short: rounded(self.total_ape(stage)) for short, stage in names.items()},
             "fast_tones_reduction_db": rounded(self.reduction),
             "largest_amplification_db": {"db": rounded(db), "rad_s": rounded(at)},

@@ -28,7 +28,7 @@ FIGURE = """
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import BOTH, limits
 from los_design.synthesis.store import load_designs
-from los_design.verification.certify import figures_of
+from los_design.verification.loop_models import figures_of
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from los_testbed.campaign.member import metric_columns

@@ -29,7 +29,7 @@ from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
-from los_design.verification.certify import figures_of, telescope_model
+from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.runtime import LosEstimator
 from los_loop import implemented_loop
 from los_loop.figures_of_merit import figure

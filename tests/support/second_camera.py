@@ -13,7 +13,7 @@ from lftkit.support.threads import one_thread
 from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
-from los_design.verification.certify import figures_of, telescope_model
+from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.kalman import sampled_observer
 from los_estimator.runtime import LosEstimator
 from los_loop import sampled_loop_norms

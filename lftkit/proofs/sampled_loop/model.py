@@ -25,6 +25,9 @@ from lftkit.proofs.sampled_loop.polynomials import (
     reciprocal,
 )
 
+TICK = 2
+"""Of :attr:`LoopModel.returned`: the change within a tick."""
+
 
 @dataclass(frozen=True)
 class LoopModel:
@@ -57,6 +60,11 @@ class LoopModel:
         Divisor of them: the limit.
     commands : bool
         Whether commands are bounded in place of errors.
+    added : tuple of int
+        For each disturbance the command to which it is added; empty where none is, else `commands` are bounded.
+    returned : int
+        What is bounded with such signals: 0 the commands applied (the sensitivity), 1 those of the controller (the
+        complementary sensitivity), 2 the change of these within a tick (what one more tick of delay adds).
     """
 
     dt: float
@@ -76,12 +84,22 @@ class LoopModel:
     rows: tuple[int, ...]
     scale: float
     commands: bool
+    added: tuple[int, ...] = ()
+    returned: int = 0
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int, int]:
         """Channels, measurements, errors, disturbances, commands."""
         q, y, u = sum(len(g) for g in self.groups), len(self.frame), len(self.K_C)
         return q, y, len(self.C) - q - y, len(self.weights), u
+
+    @cached_property
+    def entry(self) -> FloatArray:
+        """Signals added to the commands by (w, d), shape (u, q + d)."""
+        q, _, _, d, u = self.sizes
+        found = np.zeros((u, q + d))
+        found[list(self.added), [q + k for k in range(len(self.added))]] = 1.0
+        return found
 
     @property
     def slowest(self) -> float:
@@ -123,9 +141,14 @@ class LoopModel:
         felt = ((constant(self.C[:q]) * phi) @ constant(into) + constant(self.D[:q, q + d :])) * hold
         K = self.controller(z, middle, half)
         loop = inverse(constant(np.eye(len(self.K_C))) - K @ seen.rows(slice(0, y)))
-        u = loop @ (K @ own.rows(slice(q, q + y)))
+        command = K @ own.rows(slice(q, q + y))
+        u = loop @ (command + constant(self.entry @ V) if self.added else command)
         channels = own.rows(slice(0, q)) + felt @ u
         outputs = own.rows(slice(q + y, None)) + seen.rows(slice(y, None)) @ u
+        if self.returned:
+            u = u - constant(self.entry @ V)
+        if self.returned == TICK:
+            u = u * (constant(np.ones(1)) - exponential(np.array([-middle * self.dt]), np.array([-half * self.dt])))
         return channels, (u if self.commands else outputs).rows(list(self.rows))
 
     def return_difference(self, middle: float, half: float) -> Polynomial:
@@ -155,10 +178,13 @@ class LoopModel:
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
         returned = np.eye(len(K)) - K @ seen[:y]
         scale = 1.0 / np.abs(returned).max(axis=1)[:, None]  # angles beside forces: else the angles lose six digits
-        u = linalg.solve(scale * returned, scale * (K @ own[q : q + y]))
+        u = linalg.solve(scale * returned, scale * (K @ own[q : q + y] + self.entry))
         hold = (1.0 - 1.0 / z) / (s * self.dt)
+        channels = own[:q] + hold * felt @ u
+        if self.returned:
+            u = (u - self.entry) * (1.0 - 1.0 / z if self.returned == TICK else 1.0)
         outputs = u if self.commands else own[q + y :] + seen[y:] @ u
-        return own[:q] + hold * felt @ u, np.asarray(outputs[list(self.rows)])
+        return channels, np.asarray(outputs[list(self.rows)])
 
     def amplitudes(self, omega: float) -> tuple[float, FloatArray]:
         """Weight of the bounded output (over the limit) and amplitudes of the disturbances, without bounds."""

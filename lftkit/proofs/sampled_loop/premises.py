@@ -68,6 +68,9 @@ def require_sizes(model: LoopModel) -> None:
             raise ProofError(f"{name} must have shape {shape}, got {getattr(model, name).shape}")
     if y and not u:
         raise ProofError("measurements need a controller, got none")
+    whole = len(model.added) == d and model.commands and all(isinstance(k, int) and k in range(u) for k in model.added)
+    if (model.added and not whole) or model.returned not in ((0, 1, 2) if model.added else (0,)):
+        raise ProofError(f"each disturbance or none must be added to a command, got {model.added}, {model.returned}")
     possible = range(u if model.commands else e)
     if not model.rows or not all(isinstance(row, int) and row in possible for row in model.rows):
         raise ProofError(f"bounded rows must be some of {len(possible)}, got {model.rows}")

@@ -13,7 +13,8 @@ from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.strips import Interval, Strip, packed, read_archive, unpacked, write_archive
 
 FORMAT = "los-testbed loop proof 1"
-MODEL = tuple(f.name for f in fields(LoopModel) if f.name not in ("groups", "angle", "rows", "commands"))
+HEADER = ("groups", "angle", "rows", "commands", "added", "returned")
+MODEL = tuple(f.name for f in fields(LoopModel) if f.name not in HEADER)
 
 
 @dataclass(frozen=True)
@@ -46,20 +47,16 @@ class LoopProof:
 
     def to_file(self, path: Path) -> None:
         """Write the proof as a compressed ``.npz``."""
-        model = self.model
+        of_model, arrays = model_entries(self.model)
         header = {
             "format": FORMAT,
             "names": self.names,
             "box": self.box,
             "band": self.band,
             "level": self.level,
-            "groups": model.groups,
-            "angle": model.angle,
-            "rows": model.rows,
-            "commands": model.commands,
+            **of_model,
             "about": dict(self.about),
         }
-        arrays: dict[str, Any] = {name: np.asarray(getattr(model, name)) for name in MODEL}
         write_archive(path, header, arrays | packed(self.strips, len(self.names)))
 
     @classmethod
@@ -72,16 +69,31 @@ class LoopProof:
             No such file, or not a proof.
         """
         with read_archive(path, FORMAT, "a proof of a loop") as (header, arrays):
-            parts = {name: arrays[name][()] for name in MODEL}
-            parts |= {name: float(parts[name]) for name in ("dt", "window", "scale")}
-            model = LoopModel(
-                **parts,
-                groups=tuple(map(tuple, header["groups"])),
-                angle=tuple(map(bool, header["angle"])),
-                rows=tuple(header["rows"]),
-                commands=bool(header["commands"]),
-            )
+            model = model_of(header, arrays)
             box = tuple((float(a), float(b)) for a, b in header["box"])
             band = (float(header["band"][0]), float(header["band"][1]))
             strips = unpacked(arrays, len(header["names"]))
             return cls(model, tuple(header["names"]), box, band, float(header["level"]), strips, header["about"])
+
+
+def model_entries(model: LoopModel) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Header and arrays of a model in a file."""
+    header = {"groups": model.groups, "angle": model.angle, "rows": model.rows, "commands": model.commands}
+    if model.added:
+        header |= {"added": model.added, "returned": model.returned}
+    return header, {name: np.asarray(getattr(model, name)) for name in MODEL}
+
+
+def model_of(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> LoopModel:
+    """The model of :func:`model_entries`."""
+    parts = {name: arrays[name][()] for name in MODEL}
+    parts |= {name: float(parts[name]) for name in ("dt", "window", "scale")}
+    return LoopModel(
+        **parts,
+        groups=tuple(map(tuple, header["groups"])),
+        angle=tuple(map(bool, header["angle"])),
+        rows=tuple(header["rows"]),
+        commands=bool(header["commands"]),
+        added=tuple(header.get("added", ())),
+        returned=header.get("returned", 0),
+    )

@@ -6,30 +6,34 @@ import dataclasses
 import itertools
 import math
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.bounds import member_gains
+from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof
 from lftkit.proofs.state_space import ProofError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs
-from los_design.verification.certify import (
+from los_design.verification.certify import ProofPart, certify_figure, parts_of, prove_part
+from los_design.verification.loop_models import (
     NYQUIST,
-    ProofPart,
     box_of,
-    certify_figure,
     figures_of,
-    parts_of,
-    prove_part,
+    margins_of,
+    noise_model,
     telescope_model,
 )
+from los_design.verification.noise_certificate import ABOVE, seen_gain
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop_norms import noise_metrics
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 212.0)
@@ -68,6 +72,22 @@ def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, par
             np.testing.assert_allclose(member_gains(model, float(omega), deviations(loop, points)), expected, rtol=1e-5)
 
 
+def test_the_models_of_margins_have_the_sensitivities_of_the_implemented_loop(loop: ImplementedLoop) -> None:
+    """S, T = S - I, and what T is for one more tick, at random members and frequencies."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(size=(5, 7))
+    for name, metric in margins_of(loop.parameters, loop.stage).items():
+        model, channels = telescope_model(loop, metric), slice(metric.rows.start - 2, metric.rows.stop - 2)
+        for omega in (0.3, 7.4, 198.0, 2500.0):
+            S = loop.sensitivities(loop.at(omega), points)[:, channels, channels]
+            T = S - np.eye(S.shape[1])
+            change = 2.0 * abs(math.sin(0.5 * omega * model.dt))
+            kind = S if name.startswith("sensitivity") else T if name.startswith("gain") else change * T
+            expected = np.linalg.norm(kind, ord=2, axis=(1, 2)) / metric.limit
+            found = member_gains(model, omega, deviations(loop, points))
+            np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9)
+
+
 def test_bands_and_parts_leave_no_frequency_out(parameters) -> None:
     figures = figures_of(parameters, "fsm+pma")
     assert set(figures) == {"APE", "slow", "fast", "mirror", "force"}
@@ -91,6 +111,49 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: Im
         check_loop_proof(dataclasses.replace(proof, model=louder))
     with pytest.raises(ProofError, match="hole"):
         check_loop_proof(dataclasses.replace(proof, band=(199.0, 212.0)))
+
+
+@pytest.mark.parametrize("name", ["sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror"])
+def test_a_part_of_a_margin_is_proven_over_the_box(name: str, loop: ImplementedLoop, tmp_path: Path) -> None:
+    """Where the mirror's loop acts, below its limit; not far below what members have."""
+    model, box, band = telescope_model(loop, margins_of(loop.parameters, loop.stage)[name]), box_of(loop), (7.4, 7.5)
+    found = prove_part(ProofPart(model, box, band, 1.0, math.inf, tmp_path / "part.npz"))
+    assert found.finished and not found.uncovered
+    names = tuple(p.name for p in loop.system.parameters)
+    proof = LoopProof(model, names, box, band, 1.0, found.strips)
+    assert check_loop_proof(proof, stability=False).windows > 0
+    reached = float(member_gains(model, 7.45, np.zeros((1, 7)))[0])
+    with pytest.raises(ProofError):
+        check_loop_proof(dataclasses.replace(proof, level=0.99 * reached), stability=False)
+
+
+def test_a_part_of_the_noise_is_proven_near_what_members_have(loop: ImplementedLoop, tmp_path: Path) -> None:
+    whole, box, band = noise_model(loop), box_of(loop), (20.0, 20.8)
+    model = dataclasses.replace(whole, rows=(0,))
+    level = ABOVE * seen_gain(model, box, band)
+    found = prove_part(ProofPart(model, box, band, level, math.inf, tmp_path / "part.npz"))
+    assert found.finished and not found.uncovered and found.lower < level
+    part = NoisePart(0, band, level, found.strips)
+    proof = NoiseProof(whole, tuple(p.name for p in loop.system.parameters), box, (part,))
+    assert check_loop_proof(proof.of_part(part), stability=False).windows > 0
+    with pytest.raises(ProofError, match="parts"):
+        check_noise_proof(proof, stability=False)
+
+
+@pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
+def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, parameters) -> None:
+    """The integral of both axes' gains at the nominal member against the Lyapunov equation of the periodic loop."""
+    pair = load_designs("implemented")
+    own = ImplementedLoop(OpenLoop(system, parameters), *pair, stage)
+    model, zero = noise_model(own), np.zeros((1, 7))
+    omega = np.unique(np.concatenate([np.geomspace(1e-3, NYQUIST, 250), np.linspace(1.0, NYQUIST, 150)]))
+    power = np.zeros(len(omega))
+    for row in model.rows:
+        axis = dataclasses.replace(model, rows=(row,))
+        power += [float(member_gains(axis, float(w), zero)[0]) ** 2 for w in omega]
+    found = model.scale * math.sqrt(model.dt / math.pi * trapezoid(power, omega))
+    exact = noise_metrics(own.system.at({}), *pair, parameters, loop=stage)[0]
+    assert found == pytest.approx(exact, rel=0.01)
 
 
 def test_a_part_of_another_level_is_used(part: ProofPart, tmp_path: Path) -> None:
@@ -119,7 +182,15 @@ def test_the_level_of_a_known_worst_point_is_violated(system, parameters, tmp_pa
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
     with Workers() as workers:
         found = certify_figure(
-            loop, "fast", 1.0, 0.0, known, tmp_path, workers, time.monotonic() + 600.0, lambda done, total: None
+            loop,
+            "fast",
+            1.0,
+            0.0,
+            known,
+            tmp_path,
+            partial(workers.each, prove_part),
+            time.monotonic() + 600.0,
+            lambda done, total: None,
         )
     assert found.status == "violated" and found.lower > 1.47 and math.isinf(found.upper)
     assert not list(tmp_path.glob("*.npz"))

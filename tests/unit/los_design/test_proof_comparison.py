@@ -12,7 +12,7 @@ from los_testbed.cli.app import main
 
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
 from los_design.synthesis.store import load_designs
-from los_design.verification.certify import box_of, figures_of, telescope_model
+from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import compare_proof
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop

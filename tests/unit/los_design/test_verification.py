@@ -170,6 +170,10 @@ def test_noise_is_that_of_the_nominal_point(three, parameters) -> None:
     tone = max(found.tone("fsm", "slow"), found.tone("fsm", "fast"))
     ape, noise = 10.0 * found.gamma("fsm", "APE"), found.noise["fsm"][0] / ARCSEC
     assert found.total_ape("fsm") == pytest.approx(combined_level(ape, noise, 0.997))
+    both = np.hypot(found.tone("fsm", "slow"), found.tone("fsm", "fast"))
+    assert shown["total_together_mas"]["fsm"] == pytest.approx(
+        combined_level(float(both), found.noise["fsm"][1] / ARCSEC * 1e3, 0.997), rel=1e-4
+    )
     assert shown["total_ape_arcsec"]["fsm"] == pytest.approx(found.total_ape("fsm"), rel=1e-4)
     assert found.total("fsm") == pytest.approx(combined_level(tone, found.noise["fsm"][1] / ARCSEC * 1e3, 0.997))
 

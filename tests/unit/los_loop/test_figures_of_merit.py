@@ -14,7 +14,7 @@ from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, limits, pair_problem
 from los_design.synthesis.state_space_requirements import implemented_requirements, paper_requirements, requirement
 from los_design.synthesis.store import load_designs
-from los_design.verification.certify import figures_of
+from los_design.verification.loop_models import figures_of
 from los_design.verification.verification import broken_requirements, check_implemented
 from los_loop import figures_of_merit
 from los_loop.figures_of_merit import FIGURES, FigureOfMerit, figure, figures, paper_figures

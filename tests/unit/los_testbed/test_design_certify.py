@@ -65,6 +65,7 @@ def test_it_goes_on_after_any_end(tmp_path: Path) -> None:
         assert process.returncode == code, errors
         if code == 130:
             assert errors.strip().splitlines()[-1].startswith("los-testbed: interrupted")
+            assert "this goes on with them: los-testbed design certify" in errors
             assert "Traceback" not in errors and not [p for p in output.rglob("*") if p.name.startswith(".")]
         now = parts(output)
         assert kept.items() <= now.items() and len(now) >= count  # none was made again
@@ -140,9 +141,12 @@ def refused(capsys: pytest.CaptureFixture[str], *options: str) -> str:
 def test_unknown_stages_and_figures_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = f"--output={tmp_path / 'new'}"
     assert "--stage" in refused(capsys, out, "--stage=isolator")
-    assert "--figure" in refused(capsys, out, "--figure=noise")
+    assert "--figure" in refused(capsys, out, "--figure=heat")
     assert "--figure" in refused(capsys, out, "--stage=fsm", "--figure=force")
     assert "--level" in refused(capsys, out, "--level=0")
+    assert "tls_ca_file" in refused(capsys, out, "--scheduler=tcp://127.0.0.1:1", "--tls-ca-file=ca.pem").replace(
+        "-", "_"
+    )
     assert "--gap" in refused(capsys, out, "--gap=nan")
     assert "--wall-limit" in refused(capsys, out, "--wall-limit=-1")
     assert not (tmp_path / "new").exists()

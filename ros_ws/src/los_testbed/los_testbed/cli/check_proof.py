@@ -13,6 +13,7 @@ from los_testbed.cli.options import Json
 from los_testbed.cli.output import print_json
 from los_testbed.cli.proofs import loops_of
 from los_testbed.cli.redesign import WorkersOption, processes
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def check_proof(
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
     from lftkit.proofs.checking import proof_format
+    from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
     from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
     from lftkit.proofs.verdict import ProofError
 
@@ -61,6 +63,8 @@ def check_proof(
             _check_bundle(file, count, json_)
         elif proof_format(file) == LOOP:
             _check_loop(file, count, of, json_)
+        elif proof_format(file) == NOISE_FORMAT:
+            raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
             _check_system(file, json_)
     except ProofError as error:
@@ -162,9 +166,17 @@ def _sentences(checked: CheckedBundle) -> list[str]:
             f"proven: {figure.stage}, {figure.text}, {figure.level:.4g} of the limit, from {low:g} to {high:.6g} rad/s"
         )
     lines += [f"{stage}: {_stability(below)}" for stage, below in checked.stable.items()]
+    for stage, (absolute, relative) in checked.noise.items():
+        lines.append(
+            f"proven: {stage}, noise of the sensors, rms of both axes: {absolute / RAD_PER_ARCSEC:.4g} arcsec, "
+            f"relative error {relative / RAD_PER_MAS:.4g} mas"
+        )
+    lines += [f"from these bounds: {stage}, {row.text}" for stage, rows in checked.sums.items() for row in rows]
+    missing = [stage for stage in checked.stable if stage not in checked.noise]
+    noise = f"noise of {', '.join(missing)} and its sum with tones, " if missing else ""
     lines.append(
-        "not proven: noise, saturation, several channels at their own weights at once, tones above half of the "
-        "sampling rate, sidebands of sampling, parameters that vary in time"
+        f"not proven: {noise}saturation, tones above half of the sampling rate, sidebands of sampling, "
+        "parameters that vary in time"
     )
     return lines
 

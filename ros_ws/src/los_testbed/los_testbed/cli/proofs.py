@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,7 +35,7 @@ from titop_plant.interface import (
 
 if TYPE_CHECKING:
     from los_design.search.worst_points import WorstPoint
-    from los_design.verification.certify import FigureBounds
+    from los_design.verification.certify import FigureBounds, Prover
     from los_loop.implemented_loop import ImplementedLoop
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
@@ -50,10 +52,17 @@ figure is violated or not proven to its end.
     los-testbed design certify designs/soft --output soft-proofs
 
     los-testbed design certify --output proofs --stage fsm+pma --figure slow --gap 0.05
+
+    los-testbed design certify --output proofs --stage fsm+pma --figure "sensitivity, mirror"   # a disk margin
+
+    los-testbed design certify --output proofs --scheduler tcp://host:8786    # its workers prove the parts
 """
 
 SUMMARY = "bounds.json"
 FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
+AT_MIRROR = ("sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror", "noise")
+BY_NAME = {"fsm": AT_MIRROR, "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces")}
+"""Margins, and the noise of the sensors: proven where they are asked for by name."""
 
 
 def certify(
@@ -64,14 +73,29 @@ def certify(
         float | None, typer.Option(help="Prove this much above the largest value known instead, e.g. 0.05.")
     ] = None,
     stage: Annotated[str | None, typer.Option(help="fsm or fsm+pma. Default: both.")] = None,
-    figure: Annotated[str | None, typer.Option(help="APE, slow, fast, mirror or force. Default: all.")] = None,
+    figure: Annotated[
+        str | None,
+        typer.Option(
+            help="APE, slow, fast, mirror or force (default: all), a margin as `sensitivity, mirror`, or noise."
+        ),
+    ] = None,
     wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
     workers: WorkersOption = 0,
+    scheduler: Annotated[
+        str, typer.Option(metavar="tls://HOST:PORT", help="A running Dask scheduler, whose workers prove the parts.")
+    ] = "",
+    tls_ca_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="For tls://: whom you trust, as PEM.")
+    ] = None,
+    tls_cert: Annotated[Path | None, typer.Option(metavar="FILE", help="For tls://: your certificate.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key; default: in --tls-cert.")] = None,
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
     from lftkit.support.workers import Workers
-    from los_design.verification.certify import certify_figure
+    from los_design.verification.certify import certify_figure, prove_part
+    from los_design.verification.noise_certificate import NOISE, certify_noise
+    from los_testbed.campaign.tls_files import TlsFiles
 
     number("--level", level, 1e-6, 1e6)
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
@@ -79,12 +103,8 @@ def certify(
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
-    possible = [(s, name) for s in (FIGURES if stage is None else [stage]) for name in FIGURES[s]]
-    names = dict.fromkeys(name for _, name in possible)
-    if figure not in (None, *names):
-        raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
-    chosen = [(s, name) for s, name in possible if figure in (None, name)]
-    count = processes(workers)
+    chosen = _chosen(stage, figure)
+    count, tls = processes(workers), TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
@@ -94,14 +114,22 @@ def certify(
     found: list[FigureBounds] = []
     with ExitStack() as stack:
         pool = stack.enter_context(Workers(count))
+        prove: Prover = partial(pool.each, prove_part)
+        if scheduler:
+            from los_testbed.campaign.proof_parts import prover_on
+
+            prove = stack.enter_context(prover_on(scheduler, tls))
+        stack.enter_context(_said_how_to_go_on())
         for s, name in chosen:
             with Progress(f"{s}, {name}") as bar:
-                points = known or _searched(loops[s], name, pool)
-                found.append(
-                    certify_figure(
-                        loops[s], name, None if gap else level, gap or 0.0, points, output, pool, until, bar.report
+                if name == NOISE:
+                    found.append(certify_noise(loops[s], output, prove, until, bar.report))
+                else:
+                    points = known or _searched(loops[s], name, pool)
+                    wanted = None if gap else level
+                    found.append(
+                        certify_figure(loops[s], name, wanted, gap or 0.0, points, output, prove, until, bar.report)
                     )
-                )
             _keep(output / SUMMARY, found)
             sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     if any(bounds.status == "proven" for bounds in found):
@@ -109,6 +137,30 @@ def certify(
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
         raise typer.Exit(1)
+
+
+@contextmanager
+def _said_how_to_go_on() -> Iterator[None]:
+    """After an interrupt: the command that goes on with the parts that are kept."""
+    try:
+        yield
+    except BaseException as error:
+        if not isinstance(error, Exception):
+            command = shlex.join(["los-testbed", *sys.argv[1:]])
+            sys.stderr.write(f"parts that are proven are kept; this goes on with them: {command}\n")
+        raise
+
+
+def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
+    """Stages and figures of the options: one figure, or all but those by name."""
+    stages = list(FIGURES) if stage is None else [stage]
+    if figure is None:
+        return [(s, name) for s in stages for name in FIGURES[s]]
+    found = [(s, name) for s in stages for name in FIGURES[s] + BY_NAME[s] if name == figure]
+    if not found:
+        names = dict.fromkeys(repr(name) for s in stages for name in FIGURES[s] + BY_NAME[s])
+        raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
+    return found
 
 
 def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
@@ -141,7 +193,8 @@ def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint
     """Worst points by a search, where none are stored."""
     from los_design.search.worst_case_search import Search
 
-    return Search(loop).run([name], workers=workers)[name]
+    search = Search(loop)
+    return search.run([name], workers=workers)[name] if name in search.metrics else []  # of some margins no search
 
 
 def _bounds_of(path: Path) -> list[dict[str, Any]]:
@@ -174,14 +227,22 @@ def _keep(path: Path, found: list[FigureBounds]) -> None:
 def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     """Put all proofs of the folder that are of these loops into one file, with controllers and telescope."""
     from lftkit.proofs.sampled_loop import LoopProof
+    from lftkit.proofs.sampled_loop.noise import NoiseProof
     from los_design.verification.bundle import write_bundle
-    from los_design.verification.proof_comparison import compare_proof
+    from los_design.verification.noise_certificate import NOISE
+    from los_design.verification.proof_comparison import compare_proof, same_noise
     from los_design.verification.subject import BUNDLE
 
     proofs = {}
     for entry in _bounds_of(output / SUMMARY):
         stage, figure, file = entry["stage"], entry["figure"], output / str(entry.get("proof"))
-        if stage in loops and file.is_file() and compare_proof(LoopProof.from_file(file), loops[stage], figure).same:
+        if stage not in loops or not file.is_file():
+            continue
+        if figure == NOISE:
+            same = same_noise(NoiseProof.from_file(file), loops[stage])
+        else:
+            same = compare_proof(LoopProof.from_file(file), loops[stage], figure).same
+        if same:
             proofs[stage, figure] = file
     loop = next(iter(loops.values()))
     write_bundle(output / BUNDLE, loop.parameters, loop.pair, proofs)

@@ -1,0 +1,67 @@
+"""Figures, bounds and margins in the units and words that people use for them."""
+
+from __future__ import annotations
+
+import math
+
+from los_design.verification.loop_models import LATER, RETURNED
+from los_loop.figures_of_merit import FIGURES
+from los_loop.spec import LINE_OF_SIGHT
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
+from titop_plant.interface import COMMANDED
+
+SENSITIVITY = "sensitivity"
+
+
+def bound_text(figure: str, level: float, limit: float) -> str:
+    """A figure of merit with its bound and its limit in the unit that people use for it.
+
+    Examples
+    --------
+    >>> bound_text("slow", 0.4991, 1.4544410e-7)
+    'slow 14.97 of 30 mas'
+    >>> bound_text("APE", 0.9958, 2.4240684e-5), bound_text("force", 0.2097, 0.1)
+    ('APE 4.979 of 5 arcsec', 'force 0.02097 of 0.1 N')
+    """
+    kind = figure.split(", ")[0]
+    if kind in RETURNED or kind == SENSITIVITY:
+        return f"{figure} {level * limit:.4g} of {limit:.4g} ({margin_text(kind, level * limit)})"
+    row = next(row for row in FIGURES if row.name == figure)
+    unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"
+    if row.output == COMMANDED[-1]:
+        unit, name = 1.0, "N"
+    elif row.relative:
+        unit, name = RAD_PER_MAS, "mas"
+    return f"{figure} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
+
+
+def margin_text(kind: str, peak: float) -> str:
+    """What a bound of a margin's gain guarantees of the commands of one port, up to half of the sampling rate.
+
+    With the sensitivity S below Ms, factors ``1 / (1 - d)`` with complex ``|d| <= alpha = 1 / Ms`` keep every pole from
+    the axis; with the complementary sensitivity below Mt, factors ``1 + d`` with ``|d| <= 1 / Mt``. Each command of the
+    port may have its own.
+
+    Examples
+    --------
+    >>> margin_text("sensitivity", 2.0)
+    'disk margin 0.5: gains x0.667 to x2, phase 28.9 deg'
+    >>> margin_text("gain x0.5", 1.0), margin_text("one more tick", 0.4)
+    ('gains x0 to x2, phase 60 deg', 'kept')
+    """
+    if kind == LATER:
+        return "kept" if peak <= 1.0 else "not shown"
+    alpha = 1.0 / peak
+    phase = f"phase {_down(math.degrees(2.0 * math.asin(min(1.0, 0.5 * alpha))), 1):g} deg"
+    if kind != SENSITIVITY:
+        return f"gains x{max(0.0, _up(1.0 - alpha, 3)):g} to x{_down(1.0 + alpha, 3):g}, {phase}"
+    high = f"x{_down(1.0 / (1.0 - alpha), 3):g}" if alpha < 1.0 else "any"
+    return f"disk margin {_down(alpha, 3):g}: gains x{_up(1.0 / (1.0 + alpha), 3):g} to {high}, {phase}"
+
+
+def _down(value: float, digits: int) -> float:
+    return math.floor(value * 10.0**digits * (1.0 + 1e-12)) / 10.0**digits
+
+
+def _up(value: float, digits: int) -> float:
+    return math.ceil(value * 10.0**digits * (1.0 - 1e-12)) / 10.0**digits

@@ -1,0 +1,182 @@
+"""The implemented loop in the form of the proofs: its figures, its margins and its noise as models, its box.
+
+See :mod:`los_design.verification.certify`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.proofs.sampled_loop import LoopModel
+from lftkit.proofs.sampled_loop.build import modal
+from lftkit.proofs.strips import Interval
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.spec import ADDED, LINE_OF_SIGHT, OUTPUTS
+from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, MEASUREMENTS, sample_ticks
+from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import noise_of_ticks
+
+Box = tuple[Interval, ...]
+ANGLE = "solar_array.tau"
+NYQUIST = math.pi / DT
+HALVED, LATER = "gain x0.5", "one more tick"
+RETURNED, LIMITS = {HALVED: 1, LATER: 2}, {HALVED: 2.0, LATER: 1.0}
+"""Of margins that are no sensitivity: what is bounded (:class:`lftkit.proofs.sampled_loop.LoopModel`), and by what."""
+
+
+def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
+    """The implemented loop with one figure, in the form of the proofs.
+
+    Inputs are the normalised disturbances, or signals added to the commands of one port (a sensitivity).
+    """
+    los = OUTPUTS[LINE_OF_SIGHT]
+    commands = metric.rows != los
+    first = metric.rows.start - (los.stop if commands else 0)
+    rows = tuple(range(first, first + metric.rows.stop - metric.rows.start))
+    window = float(loop.parameters["weights"]["rpe_window"]) if metric.relative else 0.0
+    if metric.disturbed:
+        inputs = _disturbances(loop.parameters)
+        return _model(loop, inputs, None, window=window, rows=rows, scale=metric.limit, commands=commands)
+    added = tuple(range(COMMANDS))[metric.columns.start - ADDED.start : metric.columns.stop - ADDED.start]
+    kind = RETURNED.get(metric.name.split(",")[0], 0)
+    outcome = {"window": window, "rows": rows, "scale": metric.limit, "commands": commands}
+    return _model(loop, np.ones((len(added), 3)), None, added=added, returned=kind, **outcome)
+
+
+def noise_model(loop: ImplementedLoop) -> LoopModel:
+    """The implemented loop from noise of the sensors at the ticks to the line of sight, over the limit of the APE.
+
+    The samples of a sensor with frames count as if each tick had one
+    (:func:`titop_plant.telescope.sensors.noise_of_ticks`): held, they have the same mean spectrum.
+    """
+    sigma = noise_of_ticks(loop.parameters)
+    noisy = np.flatnonzero(sigma)
+    inputs = np.column_stack([sigma[noisy], np.ones((len(noisy), 2))])
+    limit = float(loop.parameters["weights"]["ape_limit"])
+    rows = tuple(range(OUTPUTS[LINE_OF_SIGHT].stop))
+    return _model(loop, inputs, noisy, window=0.0, rows=rows, scale=limit, commands=False)
+
+
+def _disturbances(parameters: Parameters) -> FloatArray:
+    weights = parameters["weights"]
+    wheels = [
+        [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
+        for a in np.tile(weights["wheel_imbalance"], 4)
+    ]
+    drives = [[parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
+    return np.array([*wheels, *drives], dtype=float)
+
+
+def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, **outcome: Any) -> LoopModel:
+    """The loop from disturbances, from noise of the measurements `noisy`, or from signals added to commands.
+
+    The rotation by theta is the square of a Cayley map in tan(theta / 4); the first of the two factors, in tan(theta /
+    2), is the whole rotation: 16 of the 32 occurrences are left.
+    """
+    system = loop.system
+    names, q = system.channels, len(system.channels)
+    angles = [k for k, name in enumerate(names) if name == ANGLE]
+    dropped = {channel for number, channel in enumerate(angles) if number % 4 >= 2}
+    kept = [channel for channel in range(q) if channel not in dropped]
+    if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
+        raise ValueError(f"the nominal value of {ANGLE} must be 0")
+    rows = [*kept, *range(q, system.C.shape[0])]
+    columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
+    poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
+    K_poles, K_B, K_C, K_D = _controllers(loop)
+    frame = np.ones(MEASUREMENTS, dtype=np.int64)
+    for name, ticks in sample_ticks().items():
+        frame[COLUMNS[name]] = ticks
+    order = [names[channel] for channel in kept]
+    D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(kept) + CHANNELS)
+    if outcome.get("added") or noisy is not None:
+        B = np.hstack([B[:, :first], np.zeros((len(B), len(weights))), B[:, last:]])
+        D = np.hstack([D[:, :first], np.zeros((len(D), len(weights))), D[:, last:]])
+    if noisy is not None:
+        D[first + noisy, first + np.arange(len(noisy))] = 1.0
+    return LoopModel(
+        DT,
+        poles,
+        C,
+        B,
+        D,
+        K_poles,
+        K_C,
+        K_B,
+        K_D,
+        frame,
+        tuple(tuple(i for i, name in enumerate(order) if name == p.name) for p in system.parameters),
+        tuple(p.name == ANGLE for p in system.parameters),
+        weights,
+        **outcome,
+    )
+
+
+def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
+    """Poles, B, C, D of both controllers as one, from measurements to commands, for the loops that are closed."""
+    D = np.zeros((COMMANDS, MEASUREMENTS))
+    poles: list[ComplexArray] = [np.zeros(0, complex)]
+    into, out = [], []
+    for law in loop.laws:
+        if not law.gain:
+            continue
+        K, gain = law.system, law.gain
+        p, b, c = modal(K.A, K.B, K.C) if K.order else (np.zeros(0, complex), K.B, K.C)
+        B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
+        B[:, law.measured], C[law.command], D[law.command, law.measured] = b, gain * c, gain * K.D
+        poles.append(p)
+        into.append(B)
+        out.append(C)
+    empty = np.zeros((0, MEASUREMENTS), complex), np.zeros((COMMANDS, 0), complex)
+    return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
+
+
+def box_of(loop: ImplementedLoop) -> Box:
+    """Deviations of the parameters from their nominal values; the angle of the arrays [rad]."""
+    return tuple(
+        (4.0 * math.atan(p.lower), 4.0 * math.atan(p.upper))
+        if p.name == ANGLE
+        else (p.lower - p.nominal, p.upper - p.nominal)
+        for p in loop.system.parameters
+    )
+
+
+def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
+    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
+    return {name: metric for name, metric in found.items() if metric.disturbed}
+
+
+def margins_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Margins of a stage that can be proven, each at the commands of one port, up to half of the sampling rate.
+
+    ==========================  =====================================================================================
+    name                        a gain below its limit means
+    ==========================  =====================================================================================
+    ``sensitivity, PORT``       disk margin one over its peak: the row of :mod:`los_loop.figures_of_merit`
+    ``gain x0.5, PORT``         factors 0.5 to 1.5 of all commands of the port: the complementary sensitivity is below 2
+    ``one more tick, mirror``   one more tick of delay: ``|1 - exp(-j w dt)|`` times the complementary one below 1
+    ==========================  =====================================================================================
+
+    At the forces one more tick breaks the last bound (near 2600 rad/s), though the loop bears it: the norm does not
+    see the phase.
+    """
+    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
+    margins = {name: metric for name, metric in found.items() if not metric.disturbed}
+    for metric in list(margins.values()):
+        port = metric.name.split(", ")[1]
+        for kind in (HALVED, LATER) if metric.rows == OUTPUTS[COMMANDED[0]] else (HALVED,):
+            name = f"{kind}, {port}"
+            margins[name] = replace(metric, name=name, limit=LIMITS[kind], band=(0.0, NYQUIST))
+    return margins
+
+
+def provable(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """All gains of a stage that can be proven: figures and margins."""
+    return figures_of(parameters, stage) | margins_of(parameters, stage)
