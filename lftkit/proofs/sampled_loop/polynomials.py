@@ -38,10 +38,16 @@ class Polynomial:
         self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
         self.c[: len(given)] = given
         self.rad: FloatArray = np.zeros(self.c.shape[1:]) if rad is None else rad
+        self._sizes: FloatArray | None = None
+        self._powers: list[int] | None = None
 
     def sizes(self) -> FloatArray:
-        """Magnitudes of the coefficients, shape (ORDER + 1, ...)."""
-        return np.asarray(np.abs(self.c))
+        """Magnitudes of the coefficients, shape (ORDER + 1, ...); computed once, as nothing changes them."""
+        if self._sizes is None:
+            self._sizes = np.zeros(self.c.shape)
+            for k in self._terms():
+                self._sizes[k] = np.abs(self.c[k])
+        return self._sizes
 
     def bound(self) -> FloatArray:
         """Elementwise bound of the magnitude."""
@@ -79,7 +85,9 @@ class Polynomial:
 
     def _terms(self) -> list[int]:
         """Powers whose coefficients are not zero."""
-        return np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1)).tolist()
+        if self._powers is None:
+            self._powers = np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1)).tolist()
+        return self._powers
 
     def rows(self, which: slice | Sequence[int]) -> Polynomial:
         """Some rows."""
