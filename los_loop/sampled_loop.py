@@ -31,7 +31,8 @@ from titop_plant.interface import (
     sample_ticks,
 )
 from titop_plant.simulation.disturbances import no_tones
-from titop_plant.simulation.plant_step import step_matrix
+from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant_step import held_step, step_matrix
 
 Made = TypeVar("Made")
 
@@ -193,7 +194,7 @@ def _slow(poles: ComplexArray, highest: float, damping: float) -> FloatArray:
 
 
 def sampled_loop(
-    plant: System,
+    plant: System | ModalPlant,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     *,
@@ -205,9 +206,10 @@ def sampled_loop(
 
     Parameters
     ----------
-    plant : System
+    plant : System or ModalPlant
         Continuous; inputs start with the 8 commands, outputs are the 22 measurements and the
-        controlled line of sight (2), as in :func:`titop_plant.simulation.build.build_plant`.
+        controlled line of sight (2), as in :func:`titop_plant.simulation.build.build_plant`. In modal coordinates, the
+        plant's part of the state is in these.
     k_fsm, k_pma : SampledSystem
     loop : {"isolator", "fsm", "fsm+pma"}
     frame_ticks : int
@@ -221,8 +223,8 @@ def sampled_loop(
     ValueError
         The mirror's loop is closed and nothing says a sensitivity.
     """
-    n = plant.A.shape[0]
-    step = step_matrix(plant, no_tones())
+    step = held_step(plant) if isinstance(plant, ModalPlant) else step_matrix(plant, no_tones())
+    n = step.shape[1] - COMMANDS
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)
     size = H.stop

@@ -10,7 +10,7 @@ infinite.**
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +18,9 @@ from scipy import linalg
 
 from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.eigenvectors import eigenpairs
 from lftkit.analysis.frequency_grid import frequency_grid
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, periodic_covariances, sampled_loop
@@ -36,6 +36,7 @@ from titop_plant.interface import (
     PLATFORM,
 )
 from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
@@ -162,11 +163,15 @@ def weighted_gains(
 
 
 def loop_grid(
-    plant: System, A: FloatArray, low: float = 1e-2, high: float = 3e3, modes: ToneModes | None = None
+    plant: System | ModalPlant, A: FloatArray, low: float = 1e-2, high: float = 3e3, modes: ToneModes | None = None
 ) -> FloatArray:
     """Frequencies refined at the modes of the plant and of the closed loop [rad/s]; `modes` if they are known."""
-    poles, multipliers = (modes.plant[0], modes.loop[0]) if modes else (linalg.eigvals(plant.A), linalg.eigvals(A))
-    closed = np.log(multipliers.astype(complex) + 1e-300) / DT
+    if modes:
+        poles, multipliers = modes.plant.poles, modes.loop.poles
+    else:
+        alone = plant.response.poles if isinstance(plant, ModalPlant) else linalg.eigvals(plant.A)
+        poles, multipliers = (np.asarray(found, dtype=complex) for found in (alone, linalg.eigvals(A)))
+    closed = np.log(multipliers + 1e-300) / DT
     return frequency_grid(np.concatenate([poles, closed]), low, high, points=150, offsets=(0.0, 3.0))
 
 
@@ -207,37 +212,58 @@ def disturbance_response(loop: SampledLoop, plant: System, omega: FloatArray) ->
 
 @dataclass(frozen=True)
 class ToneModes:
-    """Eigenvalues and eigenvectors for :func:`tone_response`, for several calls with one loop.
+    """Loop and plant in forms in which their responses are cheap, for several calls of :func:`tone_response`.
 
     Parameters
     ----------
-    loop, plant : tuple of ndarray
-        Of the loop at a tick without held values, and of the continuous plant.
+    plant : FrequencyResponse
+        Of the continuous plant alone: disturbances (22) to measurements (22) and line of sight (2).
+    loop : FrequencyResponse
+        Of the loop at a tick without held values: from what is added to the measurement (22), and the held values, to
+        line of sight (2), commands (8) and the held values at their samples.
     """
 
-    loop: tuple[ComplexArray, ComplexArray]
-    plant: tuple[ComplexArray, ComplexArray]
+    plant: FrequencyResponse
+    loop: FrequencyResponse
 
     @classmethod
-    def of(cls, loop: SampledLoop, plant: System) -> ToneModes:
-        """Of a loop and its continuous plant."""
-        size = loop.hold.shape[0] - HELD.size
-        return cls(eigenpairs(loop.at(1)[0][:size, :size]), eigenpairs(plant.A))
+    def of(cls, loop: SampledLoop, plant: System | ModalPlant) -> ToneModes:
+        """Of a loop and its continuous plant, each in its own coordinates."""
+        n, size = loop.plant_order, loop.hold.shape[0] - HELD.size
+        A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
+        kept = size + _kept(loop)
+        outputs = np.zeros((APPLIED.stop, size))
+        outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+        C, B = np.vstack([outputs, loop.frame[kept, :size]]), np.hstack([N, A[:, kept]])
+        D = np.zeros((len(C), B.shape[1]))
+        D[APPLIED.stop :, :MEASUREMENTS] = loop.noise_frame[kept]
+        if isinstance(plant, ModalPlant):
+            alone = plant.response
+        else:
+            B_d, D_d = plant.B[:, COMMANDS:], plant.D[:, COMMANDS:]
+            alone = FrequencyResponse.of(plant.A, B_d, plant.C, D_d, check=False)
+        return cls(alone, FrequencyResponse.of_sampled(A[:, :size], B, C, D))
 
     @cached_property
-    def inverse(self) -> ComplexArray:
-        """Inverse of the loop's eigenvectors."""
-        return np.asarray(linalg.inv(self.loop[1]), dtype=np.complex128)
+    def without_commands(self) -> ToneModes:
+        """The same with the line of sight as the only output."""
+        rows = [*range(*LOS.indices(APPLIED.stop)), *range(APPLIED.stop, len(self.loop.D))]
+        return replace(self, loop=self.loop.part(rows, slice(None)))
 
     @cached_property
-    def across(self) -> ComplexArray:
-        """Coordinates of the loop from those of the plant."""
-        vectors = self.plant[1]
-        return np.asarray(self.inverse[:, : len(vectors)] @ vectors)
+    def sides(self) -> FrequencyResponse:
+        """Of the loop, from the held values to line of sight (2) and the held values at their samples."""
+        first = len(self.loop.D) - (self.loop.D.shape[1] - MEASUREMENTS)
+        rows = [*range(*LOS.indices(APPLIED.stop)), *range(first, len(self.loop.D))]
+        return self.loop.part(rows, slice(MEASUREMENTS, None))
 
 
 def tone_response(
-    loop: SampledLoop, plant: System, omega: FloatArray, modes: ToneModes | None = None, commands: bool = True
+    loop: SampledLoop,
+    plant: System | ModalPlant,
+    omega: FloatArray,
+    modes: ToneModes | None = None,
+    commands: bool = True,
 ) -> ToneResponse:
     """Response at the ticks, the zero-order-hold values closed around the rest of the loop; `modes` if they are known.
 
@@ -250,38 +276,31 @@ def tone_response(
     Sidebands of a component beyond the :data:`SIDEBANDS`-th on each side are omitted; the hold attenuates them. With at
     most ``2 SIDEBANDS + 1`` ticks from sample to sample all of them are included and the response is exact.
     """
-    n, size, period = loop.plant_order, loop.hold.shape[0] - HELD.size, loop.frame_ticks
-    A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
-    held = _components(loop)
-    kept = np.concatenate([size + np.arange(HELD.size)[part] for part, _, _ in held]) if held else np.arange(0)
-    outputs = np.zeros((APPLIED.stop, size))
-    outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
-    whole = slice(0, APPLIED.stop if commands else LOS.stop)
-    outputs = outputs[whole]
+    period, held = loop.frame_ticks, _components(loop)
     modes = modes or ToneModes.of(loop, plant)
-    mu, W = modes.loop
-    right, left = modes.inverse, np.vstack([outputs, loop.frame[kept, :size]]) @ W
+    if not commands:
+        modes = modes.without_commands
     z = np.exp(1j * omega * DT)
-    rows = left[None] / (z[:, None, None] - mu)  # (k, 10 + held, size), to be followed by `right`
-    # The sensors measure the disturbance of the tick itself through the plant's feedthrough.
-    through = plant.D[:MEASUREMENTS, COMMANDS:]
-    forced = _forced(plant, modes, omega, rows) + rows @ (right @ (N @ through))
+    alone, closed = modes.plant.at(omega), modes.loop.at_points(z)
+    # the loop answers what the tone does to the measurement as it answers noise
+    forced = closed[:, :, :MEASUREMENTS] @ alone[:, :MEASUREMENTS]
+    forced[:, LOS] += alone[:, MEASUREMENTS:]
+    whole = slice(0, APPLIED.stop if commands else LOS.stop)
     if not held:
         return ToneResponse(forced, None, [])
-    forced[:, whole.stop :] += loop.noise_frame[kept] @ through
-    entry, ends = right @ A[:, kept], np.vstack([left[LOS], left[whole.stop :]])
     places, own = _places(held), np.cumsum([0, *(part.stop - part.start for part, _, _ in held)])
     total = sum(place.stop - place.start for place in places.values())
     loop_gain = np.zeros((omega.size, total, total), complex)
     sidebands: dict[int, ComplexArray] = {}
     for (s, m), place in places.items():
         ticks, classes = held[s][1:]
+        sides = modes.sides.part(slice(None), slice(own[s], own[s + 1]))
         count = min(2 * SIDEBANDS + 1, ticks)  # a signal of the tick rate has no more than `ticks` different sidebands
         for k in range(-(count // 2), count - count // 2):
             side = (m + classes * k + period // 2) % period - period // 2
             zk = np.exp(1j * (omega + 2.0 * np.pi * side / (period * DT)) * DT)
             hold = held_response(zk, ticks)[:, None, None]
-            gain = (ends[None] / (zk[:, None, None] - mu)) @ entry[:, own[s] : own[s + 1]] * hold
+            gain = sides.at_points(zk) * hold
             for r, (_, _, others) in enumerate(held):
                 loop_gain[:, places[r, side % others], place] += gain[:, 2 + own[r] : 2 + own[r + 1]]
             if side:
@@ -291,7 +310,7 @@ def tone_response(
         seen[:, places[s, 0]] = forced[:, whole.stop + own[s] : whole.stop + own[s + 1]]
     camera: ComplexArray = np.asarray(np.linalg.solve(np.eye(total) - loop_gain, seen), dtype=np.complex128)
     holds = [held_response(z, ticks)[:, None, None] * camera[:, places[s, 0]] for s, (_, ticks, _) in enumerate(held)]
-    fundamental = forced[:, whole] + rows[:, whole] @ entry @ np.concatenate(holds, axis=1)
+    fundamental = forced[:, whole] + closed[:, whole, MEASUREMENTS:] @ np.concatenate(holds, axis=1)
     return ToneResponse(
         fundamental, camera, [(2.0 * np.pi * side / (period * DT), gain) for side, gain in sidebands.items()]
     )
@@ -303,6 +322,12 @@ def _components(loop: SampledLoop) -> list[tuple[slice, int, int]]:
     return [(HELD_PARTS[name], n, loop.frame_ticks // n) for name, n in every.items() if n > 1]
 
 
+def _kept(loop: SampledLoop) -> IntArray:
+    """Places of the values that are held beyond a tick among all held values."""
+    parts = [np.arange(HELD.size)[part] for part, _, _ in _components(loop)]
+    return np.concatenate(parts) if parts else np.arange(0)
+
+
 def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
     """Place of each component (number of the port, number of its component) in the vector of all of them."""
     places, start = {}, 0
@@ -310,22 +335,6 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
         for m in range(classes):
             places[s, m] = slice(start, start := start + part.stop - part.start)
     return places
-
-
-def _forced(
-    plant: System,
-    modes: ToneModes,
-    omega: FloatArray,
-    rows: ComplexArray,
-) -> ComplexArray:
-    """Forcing of the plant's state by a tone over a tick, times `rows` (k, p, size) of the loop's coordinates."""
-    values, vectors = modes.plant
-    drive = linalg.solve(vectors, plant.B[:, COMMANDS:])
-    z, s, flow = np.exp(1j * omega * DT)[:, None], 1j * omega[:, None], np.exp(values * DT)
-    near = np.abs(s - values) < 1e-9
-    factor = np.where(near, DT * flow, (z - flow) / np.where(near, 1.0, s - values))
-    seen = (rows.reshape(-1, rows.shape[2]) @ modes.across).reshape(*rows.shape[:2], -1)
-    return np.asarray((seen * factor[:, None, :]) @ drive)
 
 
 def noise_metrics(

@@ -86,13 +86,15 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
         raise ValueError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
         )
-    n = model.plant.A.shape[0]
+    n = model.plant.order
     by_bias = bias_state(model.loop, bias)
     if not any(model.loop.at(k)[0][n : n + COMMANDS].any() for k in range(model.loop.frame_ticks)):
         by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
     state = model.phasors().imag.sum(axis=1) + by_bias
     x, v, f, p, c = (state[part] for part in state_parts(n, *orders))
-    return LoopStart(plant=x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c)
+    return LoopStart(
+        plant=model.plant.form.basis @ x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c
+    )
 
 
 def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:

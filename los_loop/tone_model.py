@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
@@ -38,6 +37,7 @@ from pointing_analysis.spectra.spectra import background, lines
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import tone_step
 
 WINDOW = 0.02
@@ -83,8 +83,8 @@ class ToneModel:
     Parameters
     ----------
     loop : SampledLoop
-    plant : System
-        Continuous, inputs: commands, disturbances.
+        Of this plant, in its coordinates.
+    plant : ModalPlant
     omega : ndarray, shape (K,)
         Frequencies [rad/s], rising.
     amplitude : ndarray, shape (22, K), complex
@@ -96,7 +96,7 @@ class ToneModel:
     """
 
     loop: SampledLoop
-    plant: System
+    plant: ModalPlant
     omega: FloatArray
     amplitude: ComplexArray
     limits: FloatArray
@@ -135,7 +135,8 @@ class ToneModel:
         ValueError
             A telescope outside its family.
         """
-        plant, tones = family.plant_and_tones(physical)
+        data, tones = family.plant_and_tones(physical)
+        plant = ModalPlant.of(data)
         closed = sampled_loop(
             plant,
             controllers["k_fsm"],
@@ -162,7 +163,7 @@ class ToneModel:
 
     def _entries(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """What unit phasors add to the plant's part of the next state (n, K), to measurement and line of sight."""
-        n, size = self.plant.A.shape[0], self.loop.hold.shape[0]
+        n, size = self.plant.order, self.loop.hold.shape[0]
         zeros = np.zeros(self.omega.size)
         tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
         moved, seen = tone_step(self.plant, tones)
@@ -203,7 +204,7 @@ class ToneModel:
 
     def record(self, ticks: int) -> FloatArray:
         """Line of sight [rad], shape (ticks, 2), from the start of a run, commands limited."""
-        n, loop = self.plant.A.shape[0], self.loop
+        n, loop = self.plant.order, self.loop
         each, through = self._ticks()
         los = np.empty((ticks, 2))
         state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])

@@ -30,6 +30,7 @@ from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -38,6 +39,9 @@ INDICES = error_names()
 
 PEAKS, ZOOMS, ZOOM_POINTS = 6, 3, 25
 """The highest peaks of the grid are refined, then the highest of them so often, with so many points each."""
+
+SAME = 1e-9
+"""Relative difference of two frequencies, or of two entries of a vector, that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -137,15 +141,21 @@ class WorstTone:
 
 
 def worst_tone(
-    loop: SampledLoop, plant: System, parameters: Parameters, *, index: str, stage: str, closed: bool = True
+    loop: SampledLoop,
+    plant: System | ModalPlant,
+    parameters: Parameters,
+    *,
+    index: str,
+    stage: str,
+    closed: bool = True,
 ) -> WorstTone:
     """Worst tone of unit norm of a stable loop.
 
     Parameters
     ----------
     loop : SampledLoop
-    plant : System
-        The continuous plant of the loop.
+    plant : System or ModalPlant
+        The continuous plant of the loop, in any coordinates.
     parameters : mapping
         Tables ``weights`` and ``sadm``.
     index : str
@@ -197,14 +207,16 @@ def _leading(matrix: ComplexArray) -> tuple[float, ComplexArray]:
     """Largest singular value and its right singular vector; the phase makes the largest entry real."""
     _, values, right = linalg.svd(matrix)
     vector = right[0].conj()
-    largest = vector[np.argmax(np.abs(vector))]
+    size = np.abs(vector)
+    largest = vector[np.flatnonzero(size > (1.0 - SAME) * size.max())[0]]  # of equal ones the first, however rounded
     return float(values[0]), np.asarray(vector * (np.abs(largest) / largest))
 
 
 def _band(omega: FloatArray, row: FigureOfMerit) -> FloatArray:
-    """Frequencies in the band of a figure, with its edges."""
+    """Frequencies in the band of a figure, with its edges; of those that differ by rounding alone the lowest."""
     edges = [edge for edge in row.band if 0.0 < edge < np.inf]
-    return np.asarray(np.unique(np.append(omega[(omega > row.band[0]) & (omega < row.band[1])], edges)))
+    found = np.unique(np.append(omega[(omega > row.band[0]) & (omega < row.band[1])], edges))
+    return np.asarray(found[np.diff(found, prepend=-np.inf) > SAME * found])
 
 
 def _gains(matrix: ComplexArray) -> FloatArray:

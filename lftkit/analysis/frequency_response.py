@@ -19,12 +19,14 @@ from lftkit.analysis.compensated import halves, matrix_product, two_sum
 from lftkit.analysis.eigenvectors import (
     EPS,
     NEWTON_CONVERGED,
+    Modes,
     balanced,
     complex_columns,
     complex_rows,
     corrected_modes,
     modes,
 )
+from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
@@ -32,6 +34,7 @@ from lftkit.systems.system import System
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
 MAX_REFINEMENTS, REFINED = 8, 1e-9  # of a direct solution; relative correction at which the next would be rounding
+SAMPLED_CONVERGED = 1e-7  # relative change of a sampled system's eigenvectors by the last correction
 MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
 BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
 FEW, LARGE = 3, 600_000  # frequencies, entries of the numerators: for fewer, or more, the factors are multiplied anew
@@ -93,11 +96,53 @@ class FrequencyResponse:
         found = modes(a)
         if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
             found = corrected_modes(a, found, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
-        if found.reciprocal_condition * MAX_CONDITION >= 1.0:
-            left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
-            form = cls(found.poles, left, right, d, None)
-            if not check or _reproduces(form, a, b, c, d):
-                return form
+        form = cls._with_modes(found, a, b, c, d)
+        if form.modal and check and not _reproduces(form, a, b, c, d):
+            return cls._with_schur(a, b, c, d)
+        return form
+
+    @classmethod
+    def of_sampled(cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> FrequencyResponse:
+        """As :meth:`of`, for a sampled system, whose poles are near the unit circle: for :meth:`at_points` alone."""
+        a, b, c, d = (np.asarray(x, dtype=float) for x in (A, B, C, D))
+        a, b, c = balanced(a, b, c)
+        return cls._with_modes(corrected_modes(a, modes(a), SAMPLED_CONVERGED), a, b, c, d)
+
+    @classmethod
+    def of_modal_form(
+        cls, form: ModalForm, excited: FloatArray, observed: FloatArray, D: FloatArray
+    ) -> FrequencyResponse:
+        """Of a system that is known in modal coordinates: nothing is computed twice.
+
+        Parameters
+        ----------
+        form : ModalForm
+        excited, observed : ndarray, shapes (n, m) and (p, n)
+            Inputs and outputs in these coordinates.
+        D : ndarray, shape (p, m)
+        """
+        if len(form.block):
+            return cls.of(form.matrix, excited, observed, D, check=False)
+        m, r = len(form.pairs), len(form.real)
+        poles = np.empty(2 * m + r, dtype=complex)
+        left, right = np.empty((len(observed), poles.size), complex), np.empty((poles.size, excited.shape[1]), complex)
+        poles[: 2 * m : 2], poles[1 : 2 * m : 2], poles[2 * m :] = form.pairs, form.pairs.conj(), form.real
+        left[:, : 2 * m : 2] = observed[:, :m] + 1j * observed[:, m : 2 * m]
+        right[: 2 * m : 2] = 0.5 * (excited[:m] - 1j * excited[m : 2 * m])
+        left[:, 1 : 2 * m : 2], right[1 : 2 * m : 2] = left[:, : 2 * m : 2].conj(), right[: 2 * m : 2].conj()
+        left[:, 2 * m :], right[2 * m :] = observed[:, 2 * m :], excited[2 * m :]
+        return cls(poles, left, right, D, None)
+
+    @classmethod
+    def _with_modes(cls, found: Modes, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
+        """Modal form where the eigenvectors are a good basis, else Schur form."""
+        if not found.reciprocal_condition * MAX_CONDITION >= 1.0:
+            return cls._with_schur(a, b, c, d)
+        left, right = complex_columns(found.poles, found.observed(c)), complex_rows(found.poles, found.excited(b))
+        return cls(found.poles, left, right, d, None)
+
+    @classmethod
+    def _with_schur(cls, a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FrequencyResponse:
         T, Q = linalg.schur(a.astype(complex), output="complex")
         return cls(np.diag(T).copy(), c @ Q, Q.conj().T @ b, d, T)
 
@@ -148,6 +193,26 @@ class FrequencyResponse:
             shifted = 1j * x * identity - self.triangular
             out[i] += self.left @ linalg.solve_triangular(shifted, self.right, check_finite=False)
         return out
+
+    def at_points(self, s: ComplexArray) -> ComplexArray:
+        """``C (s I - A)^-1 B + D`` at complex points `s` (N,), none of them a pole: shape (N, p, m)."""
+        out = np.empty((s.size, *self.D.shape), dtype=complex)
+        out[:] = self.D
+        if self.triangular is None:
+            flat, step = out.reshape(s.size, -1), max(1, BLOCK // max(len(self.poles), 1))
+            for start in range(0, s.size, step):
+                part = slice(start, start + step)
+                flat[part] += (1.0 / (s[part, None] - self.poles)) @ self.residues
+            return out
+        for i, x in enumerate(s):
+            shifted = x * np.eye(len(self.poles)) - self.triangular
+            out[i] += self.left @ linalg.solve_triangular(shifted, self.right, check_finite=False)
+        return out
+
+    def part(self, outputs: slice | list[int], inputs: slice | list[int]) -> FrequencyResponse:
+        """The same for some of the outputs and inputs."""
+        D = self.D[outputs][:, inputs]
+        return FrequencyResponse(self.poles, self.left[outputs], self.right[:, inputs], D, self.triangular)
 
     def between(self, omega: FloatArray, row: ComplexArray, columns: ComplexArray) -> ComplexArray:
         """``row G(w) column`` at N finite frequencies [rad/s] without the responses G: shape (N,).

@@ -19,6 +19,9 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 PARALLEL = 1e5
 """Condition number of a pole, of its left and right eigenvectors, above which it is kept in the block."""
 
+CONVERGED = 1e-7
+"""Relative change of the eigenvectors by the last Newton step; the error that is left is its square."""
+
 MAX_CONDITION = 1e8
 """Of all coordinates together, in balanced units; above it, the block holds the whole matrix."""
 
@@ -71,19 +74,27 @@ class ModalForm:
         a, _, _ = balanced(A, np.zeros((len(A), 0)), np.zeros((0, len(A))))
         if not len(A):
             return cls._whole(a, units)
-        found = corrected_modes(a, modes(a))
-        found = _sorted(found)
+        found = corrected_modes(a, modes(a), CONVERGED)
         parallel = _parallel(found)
         if parallel.any():
             return cls._with_block(a, units, found, parallel)
         if found.reciprocal_condition * MAX_CONDITION < 1.0:
             return cls._whole(a, units)
-        heads = np.flatnonzero(found.poles.imag > 0)
-        real = np.flatnonzero(found.poles.imag == 0)
-        order = np.concatenate([heads, heads + 1, real])
-        return cls(
-            found.poles[heads], found.poles[real].real, np.zeros((0, 0)), units, _columns(found, order, np.zeros(0))
-        )
+        return cls._of_vectors(units, found, ~parallel, np.zeros((0, 0)), np.zeros((len(a), 0)))
+
+    @classmethod
+    def _of_vectors(
+        cls, units: FloatArray, found: Modes, kept: BoolArray, block: FloatArray, added: FloatArray
+    ) -> ModalForm:
+        """Coordinates of the poles that are `kept`, by their size, and of `block` in the basis `added` (n, d)."""
+
+        def rising(which: BoolArray) -> IntArray:
+            place = np.flatnonzero(which & kept)
+            return np.asarray(place[np.lexsort((place, np.abs(found.poles[place])))])
+
+        heads, real = rising(found.poles.imag > 0), rising(found.poles.imag == 0)
+        basis = _columns(found, np.concatenate([heads, heads + 1, real]), added)
+        return cls(found.poles[heads], found.poles[real].real, block, units, basis)
 
     @classmethod
     def whole(cls, A: FloatArray) -> ModalForm:
@@ -108,12 +119,10 @@ class ModalForm:
         T, Q, count = linalg.schur(a, output="real", sort=chosen)
         if count != parallel.sum():
             return cls._whole(a, units)
-        heads = np.flatnonzero((found.poles.imag > 0) & ~parallel)
-        real = np.flatnonzero((found.poles.imag == 0) & ~parallel)
-        basis = _columns(found, np.concatenate([heads, heads + 1, real]), Q[:, :count])
-        if not basis.reciprocal_condition * MAX_CONDITION >= 1.0:
+        form = cls._of_vectors(units, found, ~parallel, T[:count, :count], Q[:, :count])
+        if not form.vectors.reciprocal_condition * MAX_CONDITION >= 1.0:
             return cls._whole(a, units)
-        return cls(found.poles[heads], found.poles[real].real, T[:count, :count], units, basis)
+        return form
 
     @property
     def order(self) -> int:
@@ -124,6 +133,18 @@ class ModalForm:
     def plain(self) -> int:
         """Number of coordinates before the block."""
         return 2 * len(self.pairs) + len(self.real)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """``q' = matrix q``, shape (n, n)."""
+        m, plain = len(self.pairs), self.plain
+        out = np.zeros((self.order, self.order))
+        first, real = np.arange(m), np.arange(2 * m, plain)
+        out[first, first] = out[m + first, m + first] = self.pairs.real
+        out[first, m + first], out[m + first, first] = self.pairs.imag, -self.pairs.imag
+        out[real, real] = self.real
+        out[plain:, plain:] = self.block
+        return out
 
     @property
     def basis(self) -> FloatArray:
@@ -162,21 +183,10 @@ class ModalForm:
         return np.asarray(np.abs(np.asarray(s) - poles[:, None]).min(axis=0, initial=np.inf))
 
 
-def _sorted(found: Modes) -> Modes:
-    """By the size of the poles, so that the order does not depend on the library."""
-    heads = np.flatnonzero(found.poles.imag >= 0)
-    size = np.abs(found.poles[heads])
-    order = np.concatenate(
-        [[k] if found.poles[k].imag == 0 else [k, k + 1] for k in heads[np.lexsort((heads, size))]]
-    ).astype(int)
-    return _columns(found, order, np.zeros(0))
-
-
 def _columns(found: Modes, order: IntArray, added: FloatArray) -> Modes:
     """Some of the columns, and further ones behind them (n, d)."""
-    vectors, low = found.vectors[:, order], found.low[:, order]
-    if added.size:
-        vectors, low = np.hstack([vectors, added]), np.hstack([low, np.zeros_like(added)])
+    vectors = np.hstack([found.vectors[:, order], added])
+    low = np.hstack([found.low[:, order], np.zeros_like(added)])
     poles = np.concatenate([found.poles[order], np.zeros(vectors.shape[1] - len(order))])
     return Modes(poles, vectors, low, linalg.lapack.dgetrf(vectors)[:2])
 

@@ -42,6 +42,7 @@ from los_loop.tone_model import ToneModel
 from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -95,8 +96,9 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     plant = system.at(system.sample_values(rng, 1)[0])
     (omega, amplitude), bias = tones(rng, parameters), 1e-5 * rng.standard_normal(22)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
-    loop = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS)
-    model = ToneModel(loop, plant, omega, 1e-2 * amplitude, limits)
+    modal = ModalPlant.of(plant)
+    loop = sampled_loop(modal, *pair, loop=stage, frame_ticks=FRAME_TICKS)
+    model = ToneModel(loop, modal, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))
     predicted = model.record(TICKS)
     found = {}

@@ -14,6 +14,7 @@ from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.telescope.parameters import load_parameters
@@ -51,7 +52,7 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
 
 
 def loop_at(config: RunConfig):
-    plant, _ = plant_and_tones(RunParts(config).physical)
+    plant = ModalPlant.of(plant_and_tones(RunParts(config).physical)[0])
     chosen = RunParts(config).models
     return sampled_loop(plant, chosen["k_fsm"], chosen["k_pma"], loop=config.loop, frame_ticks=20), plant
 

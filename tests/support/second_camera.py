@@ -38,6 +38,7 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant, telescope
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -86,7 +87,8 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     plant = SYSTEM.at(SYSTEM.sample_values(rng, 1)[0])
     omega, amplitude = tones(rng)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
-    model = ToneModel(sampled_loop(plant, k_fsm, K_PMA, loop=STAGE), plant, omega, 1e-2 * amplitude, limits)
+    modal = ModalPlant.of(plant)
+    model = ToneModel(sampled_loop(modal, k_fsm, K_PMA, loop=STAGE), modal, omega, 1e-2 * amplitude, limits)
     bias = np.zeros(MEASUREMENTS)
     start = steady_start(model, bias, (k_fsm.order, K_PMA.order))
     predicted = model.record(TICKS)
@@ -110,7 +112,8 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     sampled_loop_norms.SIDEBANDS = 50
     for ticks in (1, 4, FRAME_TICKS):
         loop = sampled_loop(plant, k_fsm, K_PMA, loop=STAGE, frame_ticks=ticks)
-        settled = ToneModel(loop, plant, omega, amplitude, limits).settled()
+        same = sampled_loop(modal, k_fsm, K_PMA, loop=STAGE, frame_ticks=ticks)
+        settled = ToneModel(same, modal, omega, amplitude, limits).settled()
         response = sampled_loop_norms.disturbance_response(loop, plant, omega)[:, :2]
         shown = np.stack([response[k] @ amplitude[:, k] for k in range(4)], axis=1)
         found[f"response, {ticks}"] = float(np.abs(shown - settled).max() / np.abs(settled).max())

@@ -14,8 +14,9 @@ from scipy import linalg
 
 from lftkit import System
 from lftkit.arrays import FloatArray
-from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MIRROR, frame_ticks
+from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
+from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import PROFILES
@@ -239,10 +240,16 @@ def _circumstances(
 
 
 @lru_cache(maxsize=2)
+def _isolated_loop(path: str | None) -> System:
+    return control_loop_plant(telescope(path, True), load_parameters(path or REFERENCE))
+
+
+@lru_cache(maxsize=2)
 def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
     """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
-    isolated = telescope(path, True).system["los_controlled", DISTURBANCES]
-    tones = design_tones(json.loads(tables), isolated.at(dict(values)), _phases(seed))
+    plant = ModalPlant.of(_isolated_loop(path).at(dict(values)))  # that of the run, unless the run has no isolator
+    los = plant.response.part(slice(MEASUREMENTS, None), slice(None))
+    tones = design_tones(json.loads(tables), los, _phases(seed))
     for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
         array.flags.writeable = False
     return tones

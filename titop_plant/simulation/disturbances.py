@@ -27,7 +27,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
-from lftkit.analysis.frequency_response import frequency_response
+from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
@@ -162,14 +162,14 @@ def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
     return np.hstack([wheels, np.full((w.size, 2), parameters["sadm"]["torque_bound"])])
 
 
-def design_tones(parameters: Parameters, plant: System, rng: np.random.Generator) -> Tones:
+def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.random.Generator) -> Tones:
     """Tones of unit norm where the telescope on its isolator alone is worst.
 
     Parameters
     ----------
     parameters : mapping
         Tables ``design_scenario`` and ``weights``.
-    plant : System
+    plant : FrequencyResponse
         From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
     rng : numpy.random.Generator
         Phase of each tone as a whole.
@@ -180,9 +180,9 @@ def design_tones(parameters: Parameters, plant: System, rng: np.random.Generator
     frequencies the wheels have amplitudes along the right singular vector; so have the drives where they are worst.
     """
     low, high = parameters["design_scenario"]["band"]
-    omega = frequency_grid(linalg.eigvals(plant.A), low, high)
+    omega = frequency_grid(plant.poles, low, high)
     size = weight_amplitudes(parameters, omega)
-    response = frequency_response(plant, omega) * size[:, None, :]
+    response = plant.at(omega) * size[:, None, :]
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
     wheels, drives = slice(0, 20), slice(20, 22)
     peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), parameters["design_scenario"]["tones"])

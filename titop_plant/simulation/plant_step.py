@@ -23,7 +23,6 @@ with its partner j; that of a real pole has 0.0 in the place of the second produ
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -33,6 +32,7 @@ from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.modal_plant import ModalPlant
 
 NEAREST = 1e-5
 """Distance of a tone from the poles [rad/s] below which the tones drive the modes."""
@@ -94,12 +94,10 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     ArithmeticError
         The eigenvalues of the plant did not converge.
     """
-    form, m = modal_form(data), COMMANDS
+    plant, m = ModalPlant.of(data), COMMANDS
+    form, observed = plant.form, plant.observed
     s = np.asarray(1j * tones.frequency, dtype=complex)
-    shapes = data.B[:, m:] @ tones.amplitude
-    forcing = form.excited(np.hstack([data.B[:, :m], shapes.real, shapes.imag]))
-    held, tone = forcing[:, :m], forcing[:, m : m + s.size] + 1j * forcing[:, m + s.size :]
-    observed = form.observed(data.C)
+    held, tone = plant.excited[:, :m], np.asarray(plant.excited[:, m:] @ tones.amplitude, dtype=complex)
     through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
     if form.distances(s).min(initial=np.inf) < NEAREST:
         inputs, steady = np.hstack([held, in_turn(tone)]), np.zeros_like(tone)
@@ -125,36 +123,39 @@ def plant_step(data: System, tones: Tones, dt: float = DT) -> PlantStep:
     )
 
 
-def modal_form(data: System) -> ModalForm:
-    """Modal form of the A of a system; the last ones are kept, since a run needs it for start and plant."""
-    return _modal_form(data.A.tobytes(), len(data.A))
+def held_step(plant: ModalPlant, dt: float = DT) -> FloatArray:
+    """Next coordinates (n), measurement (22) and truth (2) from coordinates and command (8): shape (n + 24, n + 8)."""
+    form, m = plant.form, len(plant.form.pairs)
+    held = plant.excited[:, :COMMANDS]
+    own, cross, driven = _modal(form, held, np.zeros((form.order, 0), complex), dt)
+    out = np.zeros((form.order + len(plant.observed), form.order + COMMANDS))
+    diagonal, first = np.arange(form.plain), np.arange(m)
+    out[diagonal, diagonal] = own
+    out[first, m + first], out[m + first, first] = cross[:m], cross[m : 2 * m]
+    out[: form.plain, form.order :] = driven[: form.plain]
+    out[form.plain : form.order, form.plain :] = _block(form.block, held[form.plain :], np.zeros(0), dt)
+    out[form.order :] = np.hstack([plant.observed, plant.D[:, :COMMANDS]])
+    return out
 
 
-@lru_cache(maxsize=4)
-def _modal_form(content: bytes, n: int) -> ModalForm:
-    return ModalForm.of(np.frombuffer(content).reshape(n, n))
-
-
-def tone_step(data: System, tones: Tones, dt: float = DT) -> tuple[ComplexArray, ComplexArray]:
-    """What unit phasors add to the next state (n, K), and to measurement and truth (24, K).
+def tone_step(plant: ModalPlant, tones: Tones, dt: float = DT) -> tuple[ComplexArray, ComplexArray]:
+    """What unit phasors add to the next coordinates (n, K), and to measurement and truth (24, K).
 
     Parameters
     ----------
-    data, tones, dt
+    plant : ModalPlant
+    tones, dt
         As in :func:`plant_step`.
     """
-    form, m = modal_form(data), COMMANDS
+    form, m = plant.form, COMMANDS
     s = np.asarray(1j * tones.frequency, dtype=complex)
-    shapes = data.B[:, m:] @ tones.amplitude
-    forcing = form.excited(np.hstack([shapes.real, shapes.imag]))
-    tone = forcing[:, : s.size] + 1j * forcing[:, s.size :]
+    tone = np.asarray(plant.excited[:, m:] @ tones.amplitude, dtype=complex)
     moved = _tone_integral(form, s, tone, dt)
     block = _block(form.block, np.hstack([np.zeros((len(form.block), m)), in_turn(tone[form.plain :])]), s.imag, dt)
     if len(form.block):
         driven = block[:, len(form.block) + m :]
         moved[form.plain :] = driven[:, 1::2] + 1j * driven[:, 0::2]
-    through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
-    return np.asarray(form.basis @ moved), through
+    return moved, np.asarray(plant.D[:, m:] @ tones.amplitude, dtype=complex)
 
 
 def whole_step(matrix: FloatArray, turn: ComplexArray) -> PlantStep:
@@ -252,4 +253,4 @@ def _block(A: FloatArray, inputs: FloatArray, frequency: FloatArray, dt: float) 
     return np.asarray(linalg.expm(whole * dt)[:n])
 
 
-__all__ = ["PlantStep", "in_turn", "modal_form", "plant_step", "step_matrix", "tone_step", "whole_step"]
+__all__ = ["PlantStep", "held_step", "in_turn", "plant_step", "step_matrix", "tone_step", "whole_step"]

@@ -12,7 +12,8 @@ from lftkit import Port, System
 from titop_plant.interface import CAMERA, DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones, joined, no_tones
-from titop_plant.simulation.plant_step import plant_step
+from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant_step import held_step, in_turn, plant_step, step_matrix, tone_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 K = 3
@@ -193,3 +194,23 @@ def test_joined_sets_keep_their_tones_in_order() -> None:
     whole = joined([tones(), no_tones(), tones().at_speed(np.zeros(4), np.ones(4))])
     assert whole.frequency.tolist() == [200.0, 500.0, 150.0, 7.0, 0.0, 0.0, 0.0, 7.0]
     assert whole.amplitude.shape == (22, 8) and whole.wheel.tolist() == [1, 1, 3, -1] * 2
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_step_in_modal_coordinates_is_the_matrix_exponential(name: str) -> None:
+    """Commands held and tones integrated, both from one large matrix exponential; also the response in steady state."""
+    data = system(PLANTS[name])
+    modal, n, tones = ModalPlant.of(data), len(data.A), tones_at(FREQUENCIES)
+    whole, basis = step_matrix(data, tones), modal.form.basis
+    held = held_step(modal)
+    moved, seen = tone_step(modal, tones)
+    scale = np.abs(whole).max()
+    np.testing.assert_allclose(basis @ held[:n, :n], whole[:n, :n] @ basis, atol=1e-11 * scale)
+    np.testing.assert_allclose(basis @ held[:n, n:], whole[:n, n : n + 8], atol=1e-11 * scale)
+    np.testing.assert_allclose(held[n:, :n], whole[n:, :n] @ basis, atol=1e-11 * scale)
+    np.testing.assert_array_equal(held[n:, n:], whole[n:, n : n + 8])
+    np.testing.assert_allclose(in_turn(basis @ moved), whole[:n, n + 8 :], atol=1e-11 * scale)
+    np.testing.assert_allclose(in_turn(seen), whole[n:, n + 8 :], atol=1e-11 * scale)
+    for w, found in zip(FREQUENCIES, modal.response.at(FREQUENCIES)):
+        resolvent = np.linalg.solve(1j * w * np.eye(n) - data.A, data.B[:, 8:])
+        np.testing.assert_allclose(found, data.C @ resolvent + data.D[:, 8:], atol=1e-10 * scale)

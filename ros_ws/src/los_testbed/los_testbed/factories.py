@@ -75,17 +75,22 @@ class RunParts:
         ``k_fsm`` and ``k_pma`` of a record; default: those that the configuration names.
     recorded_start : RunStart, optional
         Start of a recorded run; default: computed.
+    known_family : PlantFamily, optional
+        The telescopes with these parameters on this mounting; default: assembled.
     """
 
     config: RunConfig
     recorded: Mapping[str, SampledSystem] | None = None
     recorded_start: RunStart | None = None
+    known_family: PlantFamily | None = None
 
     @cached_property
     def parameters(self) -> Parameters:
         """Values of the telescope; ValueError: the parameter file cannot be read."""
         from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
+        if self.known_family is not None:
+            return self.known_family.parameters
         return load_parameters(self.config.parameters or REFERENCE)
 
     @cached_property
@@ -201,6 +206,8 @@ class RunParts:
         """The telescopes with these parameters on this mounting."""
         from titop_plant.simulation.build import PlantFamily
 
+        if self.known_family is not None:
+            return self.known_family
         with one_thread():
             return PlantFamily.of(self.settings)
 

@@ -198,7 +198,7 @@ class MemberEvaluator:
         ValueError
             No start, or a run that is over before its start-up.
         """
-        parts = RunParts(config, self.controllers)
+        parts = RunParts(config, self.controllers, known_family=self.family)
         start = parts.start
         first = round((default_transient(config.duration) if start.states is None else 0.0) / DT)
         if first >= config.ticks:
