@@ -22,7 +22,6 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, plant_notes
-from los_testbed.loop.compiled_loop import CompiledLoop
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
@@ -109,6 +108,8 @@ def simulate(
     RunFailedError
         Plant, observer or controller raised an exception; what was computed until then is in the sink.
     """
+    from los_testbed.loop.compiled_loop import CompiledLoop
+
     block = SampleBlock(BLOCK)
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
