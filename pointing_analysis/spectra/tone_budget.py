@@ -1,5 +1,8 @@
 """The budget of the relative error: noise, slow tones, fast tones and their total, of one run beside its allowances.
 
+Tones are those that the recording names and those that stand out of its noise
+(:mod:`pointing_analysis.spectra.line_search`), whatever they come from.
+
 A limit of the relative error is asked of 99.7 % of the windows, noise and tones together. A tone of amplitude a along
 one axis with noise of r rms (norm of both axes) keeps a limit L for about ``a + 1.7 r <= L``. Slow tones are
 those on which the proof-mass actuators have no effect.
@@ -16,12 +19,14 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.indices import metrics
+from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra import spectra
+from pointing_analysis.spectra.line_search import FoundLine
+from pointing_analysis.spectra.record_lines import unnamed_lines
 
 BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
@@ -53,6 +58,7 @@ class ToneBudget:
     total : 99.7 % quantile of the rms in each window, both axes
     allowances : the same parts as they are allowed; empty where nothing is said
     noise_error : standard error of the noise, by the scatter and the correlation of its windows; NaN where unknown
+    found : lines among the tones that the recording does not name
     """
 
     noise: float
@@ -61,6 +67,7 @@ class ToneBudget:
     total: float
     allowances: Mapping[str, float]
     noise_error: float = math.nan
+    found: tuple[FoundLine, ...] = ()
 
     def __str__(self) -> str:
         texts = []
@@ -74,11 +81,11 @@ class ToneBudget:
         values = {part: float(getattr(self, part)) for part in PARTS}
         values["noise_error"] = self.noise_error
         shown = {part: float(f"{x:.6g}") if math.isfinite(x) else None for part, x in values.items()}
-        return {**shown, "allowances": dict(self.allowances)}
+        return {**shown, "allowances": dict(self.allowances), "lines_found": [_as_row(line) for line in self.found]}
 
 
 def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
-    """Budget of a run whose bag names its tones; without tones all of the error is noise.
+    """Budget of a run; without tones all of the error is noise.
 
     Parameters
     ----------
@@ -95,16 +102,34 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
-    found = spectra.lines(series.values, series.dt, omegas, window)
-    rest = spectra.without_lines(series.values, series.dt, omegas)
+    named = spectra.lines(series.values, series.dt, omegas, window)
+    found, rest = unnamed_lines(series.values, series.dt, omegas)
     power = metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2
     noise, noise_error = _rms(power)
+    samples = max(round(window / series.dt), 1)
+    factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
+    powers = [(line.omega, line.rpe**2) for line in named]
+    powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
     slow, fast = (
-        math.sqrt(2.0 * sum(line.rpe**2 for line in found if (line.omega > edge) == above)) / RAD_PER_MAS
+        math.sqrt(2.0 * sum(one for omega, one in powers if (omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
     allowed = {part: allowances[part] for part in PARTS if part in allowances}
-    return ToneBudget(noise, slow, fast, total, allowed, noise_error)
+    return ToneBudget(noise, slow, fast, total, allowed, noise_error, found)
+
+
+def _as_row(line: FoundLine) -> dict[str, Any]:
+    """A found line for JSON."""
+    mas = {
+        name: [float(f"{x / RAD_PER_MAS:.6g}") for x in values]
+        for name, values in (("amplitude", line.amplitude), ("lower", line.lower), ("upper", line.upper))
+    }
+    return {
+        "hz": float(f"{line.omega / (2.0 * math.pi):.9g}"),
+        **{f"{name}_mas": values for name, values in mas.items()},
+        "above_noise_db": float(f"{line.level:.3g}"),
+        "sideband_of_hz": float(f"{line.carrier / (2.0 * math.pi):.9g}") if line.is_sideband else None,
+    }
 
 
 def _rms(power: FloatArray) -> tuple[float, float]:

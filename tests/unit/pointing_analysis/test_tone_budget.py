@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.indices.weights import rpe_discrete
+from pointing_analysis.spectra import record_lines
 from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
 
 T = 1e-3 * np.arange(60_000)
@@ -76,3 +77,33 @@ def test_the_error_of_what_cannot_be_known_is_not_a_number() -> None:
     assert tone_budget(run_with(), series(np.ones((30, 2))), 0.02, 1.0).noise_error == 0.0
     one = series(np.random.default_rng(1).standard_normal((30, 2)))
     assert math.isnan(tone_budget(run_with(), one, 0.02, 1.0).noise_error), "one window"
+
+
+def test_tones_that_nobody_has_named_are_tones_and_no_noise() -> None:
+    rng = np.random.default_rng(3)
+    cooler = 2.0 * np.pi * 45.0
+    tones = np.column_stack([100.0 * np.sin(20.0 * T) + 30.0 * np.sin(cooler * T), 12.0 * np.cos(2.0 * cooler * T)])
+    values = series(tones + 5.0 * rng.standard_normal(tones.shape))
+    found = tone_budget(run_with(tones_rad_s=[20.0]), values, 0.02, 40.0)
+    weights = rpe_discrete(np.array([20.0, cooler, 2.0 * cooler]), 20, 1e-3)
+    assert found.slow == pytest.approx(100.0 * weights[0], rel=0.01)
+    assert found.fast == pytest.approx(math.hypot(30.0 * weights[1], 12.0 * weights[2]), rel=0.02)
+    assert found.noise == pytest.approx(5.0 * math.sqrt(2.0 * 19 / 20), rel=0.02)
+    rows = found.as_dict()["lines_found"]
+    assert [row["hz"] for row in rows] == pytest.approx([45.0, 90.0], abs=1e-3)
+    for row, amplitude in zip(rows, ([30.0, 0.0], [0.0, 12.0])):
+        assert all(a <= x <= b for a, x, b in zip(row["lower_mas"], amplitude, row["upper_mas"]))
+
+
+def test_long_records_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tone that drifts over the record is a tone in each part; one that comes late counts for its time."""
+    monkeypatch.setattr(record_lines, "LONGEST", 15_000)
+    drift = 2.0 * np.pi * (45.0 * T + 0.5 * 5e-4 * T**2)
+    late = np.where(T > 30.0, 20.0 * np.sin(700.0 * T), 0.0)
+    values = np.column_stack([10.0 * np.sin(drift), late]) + np.random.default_rng(5).standard_normal((T.size, 2))
+    values[7] = np.nan
+    found, rest = record_lines.unnamed_lines(values, 1e-3, np.empty(0))
+    assert [line.omega for line in found] == pytest.approx([2.0 * np.pi * 45.015, 700.0], abs=0.03)
+    assert found[0].amplitude[0] == pytest.approx(10.0, rel=0.02)
+    assert found[1].amplitude[1] == pytest.approx(20.0 / math.sqrt(2.0), rel=0.02)
+    assert np.isnan(rest[7]).all() and np.nanstd(rest) == pytest.approx(1.0, abs=0.02)

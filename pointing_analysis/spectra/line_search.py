@@ -1,0 +1,416 @@
+r"""Lines and noise told apart: sinusoids in a record whose frequencies nobody has named.
+
+A line is a sinusoid that keeps its frequency, amplitude and phase through the whole record. At each frequency the power
+of the fitted sinusoid is compared with that of the noise beside it, both axes together: with the Fourier transforms
+:math:`X = (X_x, X_y)` of the tapered record and the covariance :math:`S` of d independent transforms beside it, the
+statistic :math:`t = X^* S^{-1} X` of noise alone has
+
+.. math:: P(t > t_0) = u^{d-1} (1 + (d - 1)(1 - u)), \quad u = 1 / (1 + t_0 / d)
+
+(Hotelling's :math:`T^2` of two complex variables, an F distribution of 4 and 2(d - 1) degrees of freedom; the harmonic
+F-test of Thomson, Proc. IEEE 70, 1982, section XIII, is the one of one axis with tapers in place of neighbours). This
+holds where the density of the noise changes little over the neighbours, whatever it is elsewhere.
+
+**What is a line.** Two sets of neighbours are asked. The wide one has many degrees of freedom and decides: among all
+frequencies of a record of noise the expected number of false lines is at most `FALSE_LINES`. The narrow one refuses
+noise of a narrow band, for instance of a resonance: noise whose band is wider than some 10 / T is not taken for a line
+in a record of length T; noise of a narrower band is coherent as long as the record is, and nothing tells it from one.
+Where the noise on both sides differs, the larger one counts (the noise of a drift falls with frequency).
+
+**What is found.** A line is L dB above the noise where its power, both axes, is 10^(L/10) times the power that the
+noise has in a band of :data:`BAND`, the resolution bandwidth of the report's spectrum (Hann, 4 s): there its peak is
+L dB above the noise. Strong lines are fitted and taken away, so that weaker ones beside them come out.
+
+**Sidebands.** A tone that moves (a wheel whose speed is not constant) is a carrier with sidebands. Lines in pairs at
+equal distances from a stronger one with equal amplitudes and the phases of a modulation, and what is left within
+:data:`CLOSE` / T of a line ten times stronger in power, name that carrier.
+
+Bounds of an amplitude are those of its noncentral distribution with the noise beside the line. Samples that are missing
+are left out of the fits and are zero in the transforms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft, special, stats
+
+from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from pointing_analysis.spectra.sinusoid_fit import Sinusoids, fit_sinusoids
+
+FALSE_LINES = 2e-3
+"""Expected number of false lines in a record of noise."""
+
+BAND = 1.5 / 4.0
+"""Resolution bandwidth [Hz] of the report's spectrum."""
+
+CORE, NARROW, WIDE = 1.5, 7.0, 32.0
+"""Neighbours are from `CORE` to `NARROW` or `WIDE` times 1 / T away."""
+
+NARROW_CHANCE = 1e-4
+"""Probability in noise of a statistic as large as one that passes the narrow neighbours."""
+
+LOOSE = 10.0
+"""Factor of both chances for candidates: between two frequencies of the spectrum a line is seen less than it is."""
+
+FEWEST_PERIODS = 7.0
+"""Of a line in the record: below, there are not enough neighbours."""
+
+STEEP = 1.5
+"""Ratio of the noise on both sides from which that on the larger side counts."""
+
+CAP = 4.0
+"""Neighbours count with at most so many times the level of the others: another line among them hides nothing."""
+
+EDGES = 0.25
+"""Part of the record over which the taper rises and falls (Tukey)."""
+
+CLOSE, TEN = 4.0, 10.0
+SAME, ALIKE, IN_PHASE, HARMONICS = 0.5, 1.4, 0.5, 20.0
+"""Of a pair of sidebands: largest error of the middle, in 1 / T; ratio of amplitudes to their mean; angle [rad] from
+that of a modulation; orders up to which lines at multiples of their distance are harmonics."""
+
+MOST_LINES, MOST_ASKED, PASSES = 60, 2000, 8
+BLOCK = 1 << 16
+"""Frequencies of the spectrum at a time."""
+
+MOST_MISSING = 0.25
+FEWEST_SAMPLES = 64
+
+EULER = 0.5772156649015329
+
+
+@dataclass(frozen=True)
+class FoundLine:
+    """A line that was found.
+
+    Attributes
+    ----------
+    omega : [rad/s]
+    phasor : (2,) complex, of each axis; the line is the real part of phasor times exp(i omega (t - t_middle))
+    lower, upper : (2,) bounds of the amplitude of each axis at the stated confidence
+    level : dB by which it is above the noise, see the module
+    chance : expected number of lines as strong as this one in noise alone
+    carrier : frequency [rad/s] of the line whose sideband this one is; NaN for none
+    """
+
+    omega: float
+    phasor: ComplexArray
+    lower: FloatArray
+    upper: FloatArray
+    level: float
+    chance: float
+    carrier: float = math.nan
+
+    @property
+    def amplitude(self) -> FloatArray:
+        """(2,) amplitude of each axis."""
+        return np.asarray(np.abs(self.phasor))
+
+    @property
+    def power(self) -> float:
+        """Mean square, both axes."""
+        return 0.5 * float(np.sum(self.amplitude**2))
+
+    @property
+    def is_sideband(self) -> bool:
+        """Whether it belongs to a stronger line."""
+        return not math.isnan(self.carrier)
+
+
+def find_lines(
+    error: ArrayLike, dt: float, false_lines: float = FALSE_LINES, confidence: float = 0.95
+) -> tuple[FoundLine, ...]:
+    """Lines of a record, the lowest frequency first.
+
+    Parameters
+    ----------
+    error : (n, 2), NaN where a sample is missing
+    dt : [s]
+    false_lines : expected number of false lines in a record of noise
+    confidence : of the bounds of the amplitudes
+
+    Returns
+    -------
+    Lines; none for a record with fewer than `FEWEST_SAMPLES` samples or more than `MOST_MISSING` of them missing
+
+    Examples
+    --------
+    >>> t = 1e-3 * np.arange(10_000)
+    >>> noise = np.random.default_rng(0).standard_normal((10_000, 2))
+    >>> tones = np.column_stack([0.3 * np.sin(280.0 * t), 0.2 * np.cos(565.0 * t)])
+    >>> [round(line.omega) for line in find_lines(noise + tones, 1e-3)], find_lines(noise, 1e-3)
+    ([280, 565], ())
+    """
+    e = np.asarray(error, dtype=float)
+    present = np.isfinite(e).all(axis=1)
+    n = len(e)
+    if n < FEWEST_SAMPLES or present.sum() < (1.0 - MOST_MISSING) * n:
+        return ()
+    fitted = fit_sinusoids(e, present, dt, np.empty(0))
+    scale = float(np.abs(fitted.rest).max())
+    if not scale > 0.0:
+        return ()
+    for _ in range(PASSES):
+        background = _Background.of(fitted.rest, dt)
+        more = background.candidates(fitted.omega, false_lines)[: MOST_LINES - fitted.omega.size]
+        if not more.size:
+            break
+        before = fitted.omega.size
+        fitted = fit_sinusoids(e, present, dt, np.concatenate([fitted.omega, more]))
+        fitted = _significant(fitted, e, present, dt, false_lines)
+        if fitted.omega.size <= before:
+            break
+    return with_carriers(_lines(fitted, dt, confidence, present), n * dt)
+
+
+@dataclass(frozen=True)
+class _Background:
+    """Spectrum of what is left of a record, and the noise beside each frequency.
+
+    Attributes
+    ----------
+    step : distance of the frequencies [rad/s]
+    power : (m, 4) of x, of y, real and imaginary cross power: one-sided density [unit^2/Hz]
+    resolution : frequencies of the spectrum for one 1 / T
+    each : independent transforms for each frequency of the spectrum
+    duration : of the record [s]
+    """
+
+    step: float
+    power: FloatArray
+    resolution: float
+    each: float
+    duration: float
+
+    @classmethod
+    def of(cls, rest: FloatArray, dt: float) -> _Background:
+        n = len(rest)
+        size = int(fft.next_fast_len(2 * n, real=True))
+        taper = _taper(n)
+        X = fft.rfft(rest.T * taper, size)
+        squares = np.square(taper)
+        scale = 2.0 * dt / squares.sum()
+        cross = scale * X[0] * X[1].conj()
+        powers = [scale * (one.real**2 + one.imag**2) for one in X]
+        each = squares.sum() ** 2 / (size * np.square(squares).sum())
+        step = 2.0 * np.pi / (size * dt)
+        return cls(step, np.stack([*powers, cross.real, cross.imag], axis=1), size / n, float(each), n * dt)
+
+    @property
+    def first(self) -> int:
+        """Index of the lowest frequency that is asked."""
+        return math.ceil(FEWEST_PERIODS * self.resolution)
+
+    @property
+    def end(self) -> int:
+        """Index behind the highest frequency that is asked."""
+        return max(len(self.power) - self.first, self.first)
+
+    @property
+    def asked(self) -> int:
+        """Number of frequencies that are asked."""
+        return max(self.end - self.first, 1)
+
+    def noise(self, begin: int, end: int, width: float) -> tuple[FloatArray, FloatArray]:
+        """Density matrix (k, 4) of the noise beside the frequencies from an index to another, and its transforms (k,).
+
+        Parameters
+        ----------
+        begin, end : of the frequencies
+        width : of the neighbours [1/T]
+        """
+        near, far = round(CORE * self.resolution), round(width * self.resolution)
+        lowest, m = round(self.resolution), len(self.power)
+        first, last = max(begin - far, lowest), min(end + far, m)
+        power, k = self.power[first:last], np.arange(begin, end)
+        places = [
+            (np.clip(low, first, last) - first, np.clip(high, first, last) - first)
+            for low, high in ((k - far, k - near + 1), (k + near, k + far + 1))
+        ]
+        tiny = 1e-30 * float(power[:, :2].max(initial=0.0)) + 1e-300
+        (left, right), counts = _sums(np.log(power[:, :2] + tiny), places)
+        level = np.exp((left + right) / np.maximum(counts.sum(axis=0), 1)[:, None] + EULER)
+        around = np.empty((last - first, 2))  # the level beside each neighbour: of those whose neighbours are not here,
+        around[:] = level[np.clip(np.arange(first, last) - begin, 0, end - begin - 1)]  # that of the nearest
+        weight = np.minimum(1.0, 2.0 * CAP / np.maximum((power[:, :2] / around).sum(axis=1), 1e-300))
+        sides, counts = _sums(power * weight[:, None], places)
+        means = [side / np.maximum(count, 1)[:, None] for side, count in zip(sides, counts)]
+        sizes = [(mean[:, :2] / level).sum(axis=1) for mean in means]
+        both = (sides[0] + sides[1]) / np.maximum(counts.sum(axis=0), 1)[:, None]
+        steep = np.maximum(sizes[0], sizes[1]) > STEEP * np.minimum(sizes[0], sizes[1])
+        found = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
+        return found, np.maximum(self.each * counts.sum(axis=0), 2.0)
+
+    def candidates(self, known: FloatArray, false_lines: float) -> FloatArray:
+        """Frequencies [rad/s] of new lines, the clearest first."""
+        chance = np.concatenate([self._chances(begin) for begin in range(self.first, self.end, BLOCK)] or [np.empty(0)])
+        at = np.flatnonzero(chance * self.asked < LOOSE * false_lines)
+        found: list[int] = []
+        taken = list(known / self.step)
+        for index in at[np.argsort(chance[at], kind="stable")][:MOST_ASKED] + self.first:
+            if all(abs(index - other) >= self.resolution for other in taken):
+                taken.append(float(index))
+                if float(self.chance(self.power[index], int(index), NARROW)[0]) < LOOSE * NARROW_CHANCE:
+                    found.append(int(index))
+        return np.array(found[:MOST_LINES], dtype=float) * self.step
+
+    def _chances(self, begin: int) -> FloatArray:
+        """Probabilities by the wide neighbours for a block of frequencies."""
+        end = min(begin + BLOCK, self.end)
+        return _chance(self.power[begin:end], *self.noise(begin, end, WIDE))
+
+    def chance(self, power: FloatArray, index: int, width: float) -> FloatArray:
+        """Probability that noise has such a power (4,) at a frequency."""
+        return _chance(power[None], *self.noise(index, index + 1, width))
+
+
+def _sums(values: FloatArray, places: Sequence[tuple[IntArray, IntArray]]) -> tuple[list[FloatArray], IntArray]:
+    """Sums of values (m, q) from index to index of each side, and their numbers (2, k)."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    sums = [total[np.maximum(begin, end)] - total[begin] for begin, end in places]
+    return sums, np.stack([np.maximum(end - begin, 0) for begin, end in places])
+
+
+def _taper(n: int) -> FloatArray:
+    """Tukey's taper: ones with cosine edges."""
+    edge = max(round(0.5 * EDGES * n), 1)
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(edge) + 0.5) / edge)
+    return np.concatenate([rise, np.ones(n - 2 * edge), rise[::-1]])
+
+
+def _chance(power: FloatArray, noise: FloatArray, d: FloatArray) -> FloatArray:
+    """Probability that noise (k, 4) of d independent transforms (k,) has a larger statistic than powers (k, 4)."""
+    x, y, re, im = noise.T
+    floor = 1e-12 * (x + y) + 1e-300  # an axis without noise
+    x, y = x + floor, y + floor
+    px, py, p_re, p_im = power.T
+    t = (px * y + py * x - 2.0 * (p_re * re + p_im * im)) / (x * y - re**2 - im**2)
+    u = 1.0 / (1.0 + np.maximum(t, 0.0) / d)
+    return np.asarray(np.exp((d - 1.0) * np.log(u)) * (1.0 + (d - 1.0) * (1.0 - u)))
+
+
+def _significant(fitted: Sinusoids, e: FloatArray, present: BoolArray, dt: float, false_lines: float) -> Sinusoids:
+    """The fit without those lines that do not stand out of what all of them leave."""
+    background = _Background.of(fitted.rest, dt)
+    stays = np.zeros(fitted.omega.size, dtype=bool)
+    for i, (index, power) in enumerate(_places(fitted, background)):
+        if background.first <= index < background.end:
+            wide, narrow = (float(background.chance(power, index, width)[0]) for width in (WIDE, NARROW))
+            stays[i] = wide * background.asked < false_lines and narrow < NARROW_CHANCE
+    return fitted if stays.all() else fit_sinusoids(e, present, dt, fitted.omega[stays], moves=False)
+
+
+def _places(fitted: Sinusoids, background: _Background) -> list[tuple[int, FloatArray]]:
+    """Index of each line in the spectrum, and the power (4,) that a transform of noise like it has."""
+    index = np.clip(np.round(fitted.omega / background.step).astype(int), 0, len(background.power) - 1)
+    x, y = fitted.phasor.T
+    cross = x * y.conj()
+    power = 0.5 * background.duration * np.stack([np.abs(x) ** 2, np.abs(y) ** 2, cross.real, cross.imag], axis=1)
+    return list(zip(index.tolist(), power))
+
+
+def _lines(fitted: Sinusoids, dt: float, confidence: float, present: BoolArray) -> tuple[FoundLine, ...]:
+    if not fitted.omega.size:
+        return ()
+    background = _Background.of(fitted.rest, dt)
+    places = _places(fitted, background)
+    beside = [background.noise(index, index + 1, WIDE) for index, _ in places]
+    density = np.array([noise[0, :2] for noise, _ in beside])
+    number = np.array([d[0] for _, d in beside])
+    chance = [float(background.chance(power, index, WIDE)[0]) * background.asked for index, power in places]
+    level = np.sum(np.abs(fitted.phasor) ** 2, axis=1) / 2.0 / np.maximum(density.sum(axis=1) * BAND, 1e-300)
+    spread = np.sqrt(density / (dt * present.sum()))
+    lower, upper = amplitude_bounds(np.abs(fitted.phasor), spread, number[:, None], confidence)
+    decibels = 10.0 * np.log10(np.maximum(level, 1e-30))
+    parts = zip(fitted.omega, fitted.phasor, lower, upper, decibels, chance)
+    return tuple(FoundLine(float(w), p, a, b, float(dB), c) for w, p, a, b, dB, c in parts)
+
+
+def amplitude_bounds(
+    amplitude: FloatArray, spread: FloatArray, number: FloatArray, confidence: float
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds of amplitudes whose cosine and sine parts have Gaussian errors.
+
+    Parameters
+    ----------
+    amplitude : (...) as fitted
+    spread : (...) standard deviation of each part, as estimated
+    number : (...) independent complex transforms that it is estimated from
+    confidence : of both bounds together
+
+    Examples
+    --------
+    >>> low, high = amplitude_bounds(np.array([0.5, 10.0]), np.ones(2), np.full(2, 1e6), 0.95)
+    >>> low.round(2).tolist(), high.round(2).tolist()
+    ([0.0, 7.98], [1.81, 11.91])
+    """
+    tail = 0.5 * (1.0 - confidence)
+    normal = stats.norm.isf(tail)
+    wide = stats.t.isf(tail, 2.0 * number) / normal
+    s = np.maximum(spread * wide, 1e-300)
+    ratio = np.broadcast_to(amplitude / s, np.broadcast_shapes(amplitude.shape, s.shape))
+    near = np.minimum(ratio, 25.0) ** 2  # beyond, the distribution is Gaussian
+    low = np.where(special.chndtr(near, 2.0, 0.0) > 1.0 - tail, special.chndtrinc(near, 2.0, 1.0 - tail), 0.0)
+    high = np.where(special.chndtr(near, 2.0, 0.0) > tail, special.chndtrinc(near, 2.0, tail), 0.0)
+    far = ratio > 25.0
+    return (
+        np.where(far, ratio - normal, np.sqrt(low)) * s,
+        np.where(far, ratio + normal, np.sqrt(high)) * s,
+    )
+
+
+def with_carriers(lines: Sequence[FoundLine], duration: float) -> tuple[FoundLine, ...]:
+    """The lines of a record, each sideband with its carrier.
+
+    Parameters
+    ----------
+    lines : found in the record
+    duration : of the record [s]
+    """
+    strongest = sorted(lines, key=lambda line: -line.power)
+    carriers: dict[float, float] = {}
+    for i, carrier in enumerate(strongest):
+        if carrier.omega in carriers:
+            continue
+        weaker = [line for line in strongest[i + 1 :] if line.omega not in carriers]
+        for line in weaker:
+            near = abs(line.omega - carrier.omega) * duration < CLOSE * 2.0 * math.pi
+            if near and TEN * line.power < carrier.power:
+                carriers[line.omega] = carrier.omega
+        for lower, upper in _pairs(weaker, carrier, duration):
+            carriers[lower.omega] = carriers[upper.omega] = carrier.omega
+    return tuple(replace(line, carrier=carriers.get(line.omega, math.nan)) for line in lines)
+
+
+def _pairs(weaker: Sequence[FoundLine], carrier: FoundLine, duration: float) -> list[tuple[FoundLine, FoundLine]]:
+    """Lines at equal distances below and above a carrier that modulate it."""
+    above = [line for line in weaker if line.omega > carrier.omega]
+    below = [line for line in weaker if line.omega < carrier.omega]
+    tolerance = 2.0 * math.pi * SAME / duration
+    return [
+        (lower, upper)
+        for upper in above
+        for lower in below
+        if abs(lower.omega + upper.omega - 2.0 * carrier.omega) < tolerance and _modulates(lower, upper, carrier)
+    ]
+
+
+def _modulates(lower: FoundLine, upper: FoundLine, carrier: FoundLine) -> bool:
+    """Whether two lines have the equal amplitudes and the phases of a modulation in amplitude or in angle.
+
+    Harmonics of one fundamental are as far apart, too: lines at whole multiples of their distance are no sidebands.
+    """
+    distance = 0.5 * (upper.omega - lower.omega)
+    order = carrier.omega / distance
+    if order < HARMONICS and abs(order - round(order)) < 1e-3 * order:
+        return False
+    size = math.sqrt(lower.power * upper.power)
+    if not max(lower.power, upper.power) < ALIKE**2 * size:
+        return False
+    phase = np.sum(lower.phasor * upper.phasor * np.conj(carrier.phasor) ** 2)
+    return bool(abs(phase.imag) < math.tan(IN_PHASE) * abs(phase.real))
