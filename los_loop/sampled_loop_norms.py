@@ -351,13 +351,43 @@ def noise_metrics(
 
     The arguments are those of :func:`sampled_loop_metrics`.
     """
+    found = noise_covariances(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=frame_ticks, sensors=sensors)
+    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in found)
+    return plain, relative
+
+
+def noise_covariances(
+    plant: System,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    parameters: Parameters,
+    *,
+    loop: str,
+    frame_ticks: int = FRAME_TICKS,
+    sensors: str | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Covariances (2, 2) [rad^2] of what :func:`noise_metrics` is the root of the trace of; infinite if unstable."""
     sensitivity = float(parameters["fsm"]["los_sensitivity"])
     closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
-    return _noise(closed, parameters, sensors) if closed.spectral_radius() < 1.0 else (np.inf, np.inf)
+    if closed.spectral_radius() < 1.0:
+        return _noise(closed, parameters, sensors)
+    return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
 
 
-def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[float, float]:
-    """Line of sight due to sensor noise [rad rms over a frame period], plain and with the relative-error weight."""
+def largest_part(covariance: FloatArray) -> float:
+    """Largest part of a power that is along one axis: of a covariance (2, 2); NaN without a power.
+
+    Examples
+    --------
+    >>> round(largest_part(np.array([[2.0, 1.0], [1.0, 2.0]])), 3)
+    0.75
+    """
+    total = float(np.trace(covariance))
+    return float(linalg.eigvalsh(covariance)[-1]) / total if np.isfinite(total) and total > 0.0 else np.nan
+
+
+def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[FloatArray, FloatArray]:
+    """Covariances of the line of sight over a frame period [rad^2], plain and with the relative-error weight."""
     sigma = noise_of_samples(parameters)
     if sensors == "platform":
         sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
@@ -374,8 +404,8 @@ def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tu
         np.hstack([w.D @ loop.truth, w.C]),
     )
     ticks = loop.each_tick(extended)
-    power = np.zeros(2)
+    power = np.zeros((2, 2, 2))
     for P in periodic_covariances(ticks):
-        power += [np.trace(C @ P @ C.T) for C in outputs]
-    plain, relative = np.sqrt(np.maximum(power / len(ticks), 0.0))
-    return float(plain), float(relative)
+        power += [C @ P @ C.T for C in outputs]
+    plain, relative = power / len(ticks)
+    return plain, relative

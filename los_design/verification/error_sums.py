@@ -1,7 +1,9 @@
 """What proven bounds of tones and of noise make together, in the form of the budgets.
 
 A tone of amplitude a along one axis and noise of r rms keep :func:`titop_plant.telescope.budget.combined_level` in the
-required part of windows or instants; it grows with both, so that bounds of them give a bound. Slow and fast tones at
+required part of windows or instants; it grows with both, so that bounds of them give a bound (with the part of the
+noise on one axis that the budgets assume). A fast tone counts as one at the edge of its band, where it turns least in a
+window. Slow and fast tones at
 once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``. Along one axis and with
 independent phases their sum is ``R |sin phi|`` with phi uniform and R at most ``s a_slow + f a_fast <= hypot(a_slow,
 a_fast)``: no quantile of it, with noise, is above that of one tone of this amplitude.
@@ -18,7 +20,7 @@ from dataclasses import dataclass
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.simulation.disturbances import CHANNELS
-from titop_plant.telescope.budget import combined_level
+from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, BAND_EDGE, ON_AXIS, combined_level
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
@@ -83,23 +85,33 @@ def error_sums(
     instants, windows = instant_probability(rules), window_probability(rules)
     slow, fast = (tones.get(name, math.nan) / RAD_PER_MAS for name in ("slow", "fast"))
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
-    worst = math.nan if math.isnan(slow + fast) else max(slow, fast)
+    both, turn = math.hypot(slow, fast), BAND_EDGE * float(parameters["weights"]["rpe_window"])
     found = []
     if noise is not None:
         wide, fine = noise[0] / RAD_PER_ARCSEC, noise[1] / RAD_PER_MAS
         found += [
-            ("APE, tone of norm 1 and noise", absolute, wide, instants, arcsec, "arcsec"),
-            ("RPE, slow or fast tone of norm 1 and noise", worst, fine, windows, mas, "mas"),
-            ("RPE, slow and fast tone, norm 1 in all, and noise", math.hypot(slow, fast), fine, windows, mas, "mas"),
+            ("APE, tone of norm 1 and noise", _absolute(absolute, wide, instants), arcsec, "arcsec"),
+            ("RPE, slow tone of norm 1 and noise", _level(slow, fine, windows), mas, "mas"),
+            ("RPE, fast tone of norm 1 and noise", _level(fast, fine, windows, turn), mas, "mas"),
+            (
+                "RPE, slow and fast tone, norm 1 in all, and noise",
+                _level(both, fine, windows),
+                mas,
+                "mas",
+            ),
         ]
-    sums = [
-        ErrorSum(name, combined_level(tone, rms, part), limit, unit)
-        for name, tone, rms, part, limit, unit in found
-        if not math.isnan(tone + part)
-    ]
+    sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
     together = "each of 22 channels at its own weight, norm 4.69"
     rows = (("APE", absolute, arcsec, "arcsec"), ("slow", slow, mas, "mas"), ("fast", fast, mas, "mas"))
     for name, tone, limit, unit in rows:
         if not math.isnan(tone):
             sums.append(ErrorSum(f"{name}, {together}, without noise", ALL_CHANNELS * tone, limit, unit))
     return tuple(sums)
+
+
+def _level(tone: float, noise: float, part: float, turn: float = 0.0, on_axis: float = ON_AXIS) -> float:
+    return math.nan if math.isnan(tone + part) else combined_level(tone, noise, part, on_axis, turn)
+
+
+def _absolute(tone: float, noise: float, part: float) -> float:
+    return _level(tone, noise, part, on_axis=ABSOLUTE_ON_AXIS)

@@ -23,15 +23,18 @@ from los_loop.figures_of_merit import figure, gain_figures, paper_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margin, rounded
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_metrics
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.budget import MAX_SENSITIVITY, combined_level
+from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
 ARCSEC = np.pi / 648000.0
 MAS = 1e-3 * ARCSEC
+ENVELOPE = 0.7
+"""Part of the worst fast tone above which tones of other frequencies are looked at beside the noise: a tone that turns
+less in a window adds more to it, but by less than that."""
 DELAY_POINTS, DELAY_FREQUENCIES = 40, 400
 Values = Mapping[str, float]
 PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
@@ -53,6 +56,8 @@ class ImplementedCheck:
         The mirror alone, and with the proof-mass actuators.
     noise : dict of str to (float, float)
         By stage, at the nominal point: line of sight due to sensor noise [rad rms], plain and as relative error.
+    on_axis : dict of str to (float, float)
+        By stage, of both kinds: the largest part of the noise's power along one axis.
     platform_noise : float
         Line of sight due to the platform's accelerometers with both controllers [rad rms], the paper's figure.
     delay : dict of str to float
@@ -64,6 +69,7 @@ class ImplementedCheck:
     alone: StageCheck
     both: StageCheck
     noise: dict[str, tuple[float, float]]
+    on_axis: dict[str, tuple[float, float]]
     platform_noise: float
     delay: dict[str, float]
     parameters: Parameters
@@ -108,19 +114,31 @@ class ImplementedCheck:
 
     def total(self, stage: str) -> float:
         """Relative error that the required part of the windows keeps beside the worst tone [mas]."""
-        tone, noise = max(self.tone(stage, "slow"), self.tone(stage, "fast")), self.noise[stage][1] / MAS
-        return _level(tone, noise, window_probability(telescope_requirements(self.parameters)))
+        return max(self._beside_noise(stage, tone, omega) for tone, omega in self._tones(stage))
+
+    def _tones(self, stage: str) -> list[tuple[float, float]]:
+        """Amplitudes [mas] and frequencies [rad/s] of tones: the slow one, and of the fast ones all that may matter."""
+        check = self.alone if stage == MIRROR_STAGES[0] else self.both
+        limit, fast = figure("fast").limit(self.parameters, stage) / MAS, check.envelope["fast"]
+        least = ENVELOPE * self.gamma(stage, "fast")
+        found = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
+        return [(self.tone(stage, "slow"), 0.0), (self.tone(stage, "fast"), check.worst["fast"].omega), *found]
+
+    def _beside_noise(self, stage: str, tone: float, omega: float = 0.0) -> float:
+        turn = omega * float(self.parameters["weights"]["rpe_window"])
+        probability = window_probability(telescope_requirements(self.parameters))
+        return _level(tone, self.noise[stage][1] / MAS, probability, max(ON_AXIS, self.on_axis[stage][1]), turn)
 
     def total_together(self, stage: str) -> float:
         """The same beside a slow and a fast tone at once, of norm 1 in all [mas]: at most, whatever their shares."""
-        tone, noise = math.hypot(self.tone(stage, "slow"), self.tone(stage, "fast")), self.noise[stage][1] / MAS
-        return _level(tone, noise, window_probability(telescope_requirements(self.parameters)))
+        return self._beside_noise(stage, math.hypot(self.tone(stage, "slow"), self.tone(stage, "fast")))
 
     def total_ape(self, stage: str) -> float:
         """Line of sight that the required part of the instants keeps beside the tone that is worst for it [arcsec]."""
         limit = figure("APE").limit(self.parameters, stage) / ARCSEC
         tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0] / ARCSEC
-        return _level(tone, noise, instant_probability(telescope_requirements(self.parameters)))
+        probability = instant_probability(telescope_requirements(self.parameters))
+        return _level(tone, noise, probability, max(ABSOLUTE_ON_AXIS, self.on_axis[stage][0]))
 
     @property
     def reduction(self) -> float:
@@ -208,8 +226,8 @@ class ImplementedCheck:
         }
 
 
-def _level(tone: float, noise: float, probability: float) -> float:
-    return combined_level(tone, noise, probability) if math.isfinite(tone + noise) else math.inf
+def _level(tone: float, noise: float, probability: float, on_axis: float, turn: float = 0.0) -> float:
+    return combined_level(tone, noise, probability, on_axis, turn) if math.isfinite(tone + noise) else math.inf
 
 
 def check_implemented(
@@ -246,13 +264,14 @@ def check_implemented(
         check_stage(ImplementedLoop(open_loop, *pair, stage), points, changes=changes, tick=tick, workers=workers)
         for stage in MIRROR_STAGES
     )
-    nominal, noise = system.at({}), {}
+    nominal, noise, on_axis = system.at({}), {}, {}
     for stage in MIRROR_STAGES:
-        found = noise_metrics(nominal, *pair, parameters, loop=stage)
-        noise[stage] = found
+        plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage)
+        noise[stage] = float(np.sqrt(np.trace(plain))), float(np.sqrt(np.trace(relative)))
+        on_axis[stage] = largest_part(plain), largest_part(relative)
     platform = noise_metrics(nominal, *pair, parameters, loop=MIRROR_STAGES[-1], sensors="platform")
     delay = _delays(open_loop, pair, points)
-    return ImplementedCheck(alone, both, noise, platform[0], delay, parameters)
+    return ImplementedCheck(alone, both, noise, on_axis, platform[0], delay, parameters)
 
 
 def _delays(open_loop: OpenLoop, pair: tuple[SampledSystem, SampledSystem], points: list[Values]) -> dict[str, float]:

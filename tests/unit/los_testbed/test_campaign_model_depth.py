@@ -74,7 +74,10 @@ def test_row_adds_up(evaluator: MemberEvaluator) -> None:
     assert all(np.isfinite(found[name]) and found[name] > 0.0 for name in model_metrics())
     worst = max(found["slow_tone_mas"], found["fast_tone_mas"])
     assert found["rpe_fine_gain"] == pytest.approx(worst / 40.0)
-    assert found["total_mas"] == pytest.approx(combined_level(worst, found["noise_rpe_mas_rms"], 0.997), rel=1e-5)
+    noise, turn = found["noise_rpe_mas_rms"], 0.02 * found["rpe_peak_rad_s"]
+    assert found["total_mas"] >= combined_level(worst, noise, 0.997, turn=turn) * (1.0 - 1e-5)
+    slow, fast = found["slow_tone_mas"], found["fast_tone_mas"]
+    assert found["total_mas"] <= max(combined_level(slow, noise, 0.997), combined_level(fast, noise, 0.997, turn=1.7))
     assert row(evaluator, 3) == found
 
 

@@ -132,7 +132,7 @@ def _budget(parameters: Parameters, loop: str) -> dict[str, float]:
     if loop in MIRROR_STAGES:
         shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
     if loop in FORCE_STAGES:
-        shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.tone, "total": budget.limit}
+        shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.fast, "total": budget.limit}
     return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, BUDGET_EDGE: BAND_EDGE}
 
 

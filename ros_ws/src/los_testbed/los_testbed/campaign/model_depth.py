@@ -16,10 +16,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
@@ -47,7 +45,6 @@ NEAR_MAXIMUM = 0.8
 CLIMBS = 8
 """Most steps over the grid from a maximum."""
 
-_TONES = np.concatenate([np.linspace(0.0, 6.0, 41), np.linspace(6.5, 20.0, 28)])
 
 NEAR_PEAK = 0.8
 """Share of the largest gain above which gains are exact; below, an upper bound stands in."""
@@ -140,14 +137,15 @@ class ModelDepth:
             return {**dict.fromkeys(model_metrics(), float("inf")), "rpe_peak_rad_s": float("nan")}
         plain, noise = self._noise(T, index, values)
         rows, peaks = gain_figures(STAGES[-1]), self._peaks(W, index, T)
-        worst, at = max(peaks[row.name] for row in rows if row.is_error and row.relative)
-        worst, noise = worst / RAD_PER_MAS, noise / RAD_PER_MAS
+        relative = [peaks[row.name] for row in rows if row.is_error and row.relative]
+        worst, at = max(relative)
+        noise = noise / RAD_PER_MAS
         found = {
             **{gain_column(row): self._shown(row, peaks[row.name][0]) for row in rows},
-            "rpe_fine_gain": worst * RAD_PER_MAS / figure("RPE").limit(self.parameters, STAGES[-1]),
+            "rpe_fine_gain": worst / figure("RPE").limit(self.parameters, STAGES[-1]),
             "noise_ape_arcsec_rms": plain / RAD_PER_ARCSEC,
             "noise_rpe_mas_rms": noise,
-            "total_mas": self.level(worst, noise),
+            "total_mas": max(self.level(peak / RAD_PER_MAS, noise, omega) for peak, omega in relative),
             "rpe_peak_rad_s": at,
         }
         return {name: float(found[name]) for name in model_metrics()}
@@ -186,12 +184,11 @@ class ModelDepth:
             gains = {name: np.concatenate([gain, further[name]])[order] for name, gain in gains.items()}
         return {name: _peak(self.model.omega[index], gain) for name, gain in gains.items()}
 
-    def level(self, tone: float, noise: float) -> float:
-        """:func:`titop_plant.telescope.budget.combined_level`, interpolated."""
+    def level(self, tone: float, noise: float, omega: float) -> float:
+        """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s]."""
         probability = window_probability(telescope_requirements(self.parameters))
-        if not 0.0 <= tone <= _TONES[-1] * noise:
-            return combined_level(tone, noise, probability)
-        return noise * float(_levels(probability)(tone / noise))
+        turn = omega * float(self.parameters["weights"]["rpe_window"])
+        return combined_level(tone, noise, probability, turn=turn)
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
@@ -230,12 +227,6 @@ def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> Float
     """Sum of the squared responses of the line of sight to the noise of each sensor."""
     response = (T[:, OUTPUTS[LINE_OF_SIGHT], ADDED] @ K) * sigma
     return np.asarray(np.sum(response.real**2 + response.imag**2, axis=(1, 2)))
-
-
-@lru_cache(maxsize=1)
-def _levels(probability: float) -> CubicSpline:
-    """Level of a tone with noise of 1 rms: the level is homogeneous in both."""
-    return CubicSpline(_TONES, [combined_level(float(tone), 1.0, probability) for tone in _TONES])
 
 
 def _beside_maxima(index: IndexArray, gain: FloatArray) -> IndexArray:

@@ -2,9 +2,9 @@
 
 For each index the run with the disturbance alone gives the measured amplitude of the tone, the model gives gamma times
 the limit, and the run with noise as well gives the noise and the quantile of its windows. What the limits of the RPE
-are compared with is the level that 99.7 % of the instants keep beside the tone and the noise (about ``a + 1.7 r``,
-:func:`titop_plant.telescope.budget.combined_level`): for fast tones it is above the quantile of the windows, whose rms
-contains a tone with its amplitude over the square root of two.
+are compared with is the level that 99.7 % of the windows keep beside the tone and the noise
+(:func:`titop_plant.telescope.budget.combined_level`), from the tone and the noise of the record: the quantile of its
+windows has the scatter of the few that are largest.
 """
 
 from __future__ import annotations
@@ -83,10 +83,11 @@ def worst_tone_of(run: Run) -> WorstToneRun | None:
     return WorstToneRun(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
 
 
-def level(summary: Summary, index: str, errors: float = 0.0) -> float:
+def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> float:
     """What the limits of an index are compared with: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
 
-    `errors` standard errors of the record's noise are added to the noise of the RPE.
+    `omega` is the frequency of the tone [rad/s]; `errors` standard errors of the record's noise are added to the noise
+    of the RPE.
     """
     if index == "APE" or summary.budget is None:
         return summary.ape_p997 if index == "APE" else summary.rpe_windows_p997
@@ -94,10 +95,11 @@ def level(summary: Summary, index: str, errors: float = 0.0) -> float:
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
         return math.inf
     scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
-    return combined_level(max(budget.slow, budget.fast), max(0.0, budget.noise + scatter), SHOWN)
+    noise, turn = max(0.0, budget.noise + scatter), omega * WINDOW
+    return combined_level(max(budget.slow, budget.fast), noise, SHOWN, turn=turn)
 
 
-def limits_kept(summary: Summary, index: str, requirements: Sequence[Requirement]) -> str:
+def limits_kept(summary: Summary, index: str, omega: float, requirements: Sequence[Requirement]) -> str:
     """What a run keeps of the limits of its index: "keeps 100, breaks 40".
 
     :func:`level` is compared with each limit. The noise of a short record scatters: a limit is kept, or broken, if it
@@ -105,7 +107,7 @@ def limits_kept(summary: Summary, index: str, requirements: Sequence[Requirement
     scatter".
     """
     errors = float(special.ndtri(CONFIDENCE))
-    least, most = level(summary, index, -errors), level(summary, index, errors)
+    least, most = level(summary, index, omega, -errors), level(summary, index, omega, errors)
     name = "APE" if index == "APE" else "RPE"
     unit = RAD_PER_ARCSEC if name == "APE" else RAD_PER_MAS
     bounds = sorted({r.limit / unit for r in requirements if judges(r, name)}, reverse=True)
@@ -159,9 +161,9 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Seque
                 f"{tone.gamma:.3f} of {tone.limit:g} {tone.unit}",
                 f"{figure(tone.predicted)} {tone.unit}",
                 f"{figure(tone.measured)} {tone.unit}",
-                f"{figure(level(summary, tone.index))} {tone.unit}",
+                f"{figure(level(summary, tone.index, tone.omega))} {tone.unit}",
                 "" if tone.index == "APE" else f"{figure(quantile)} {tone.unit}",
-                limits_kept(summary, tone.index, requirements),
+                limits_kept(summary, tone.index, tone.omega, requirements),
             ]
         )
     return table
