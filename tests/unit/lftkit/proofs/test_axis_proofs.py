@@ -40,7 +40,7 @@ def random_system(seed: int) -> System:
 
 @pytest.fixture(scope="module")
 def proof() -> AxisProof:
-    bounds = axis_gain(chain_of_masses(3, 0.2), wall_limit=LONG)
+    bounds = axis_gain(chain_of_masses(2, 0.2), wall_limit=LONG)
     assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof)
     return bounds.proof
 
@@ -100,21 +100,21 @@ def _without(name: str) -> Callable[[AxisProof], dict[str, Any]]:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda p: {"level": 0.93 * p.level},  # the gain that was found is 0.957 of it
+        lambda p: {"level": 0.93 * p.level},  # the gain that was found is at least 0.952 of it
         lambda p: {"level": np.inf},
         lambda p: {"kind": "stability"},
         _without("below"),
         _without("above"),
-        lambda p: {"box": ((0.8, 1.2), (0.8, 1.2 + 1e-9), (0.8, 1.2))},
-        lambda p: {"nominal": (1.0, 1.0 + 1e-9, 1.0)},
-        lambda p: {"A": p.A + 0.02 * np.eye(6)},  # less damping
+        lambda p: {"box": ((0.8, 1.2), (0.8, 1.2 + 1e-9))},
+        lambda p: {"nominal": (1.0, 1.0 + 1e-9)},
+        lambda p: {"A": p.A + 0.02 * np.eye(4)},  # less damping
         lambda p: {"A": p.A * np.nan},
         lambda p: {"B": 1.1 * p.B},
         lambda p: {"X": 0.0 * p.X},
         lambda p: {"poles": -p.poles},
         lambda p: {"border": 0.5 * p.border},
         lambda p: {"border": 1.1 * p.border},
-        lambda p: {"groups": ((0,), (1,), (1,))},
+        lambda p: {"groups": ((0,), (0,))},
         lambda p: {"below": tuple(replace(s, factor=-s.factor) for s in p.below)},
         lambda p: {"below": tuple(replace(s, D=tuple(0.0 * d for d in s.D)) for s in p.below)},
         lambda p: {"below": tuple(replace(s, D=tuple(-d for d in s.D)) for s in p.below)},
@@ -130,10 +130,10 @@ def test_a_proof_of_a_smaller_box_or_a_higher_level_passes_too(proof: AxisProof)
     """What follows from a claim is no forgery."""
     assert proof.level is not None
     check_axis_proof(replace(proof, level=2.0 * proof.level))
-    check_axis_proof(replace(proof, box=((0.9, 1.1), (0.8, 1.2), (0.85, 1.2))))
+    check_axis_proof(replace(proof, box=((0.9, 1.1), (0.85, 1.2))))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 4, 5))])
 def test_bounds_are_those_of_the_other_prover(seed: int) -> None:
     system = random_system(seed)
     here, there = axis_gain(system, wall_limit=LONG), worst_case_gain(system, wall_limit=LONG, method="cells")
@@ -208,7 +208,7 @@ def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
 
 
 def test_an_unstable_member_is_named() -> None:
-    system = chain_of_masses(8, 1.5, damping=0.1)
+    system = chain_of_masses(5, 1.5, damping=0.1)
     bounds = axis_gain(system, wall_limit=LONG)
     assert bounds.status == "unstable" and bounds.proof is None
     assert linalg.eigvals(system.at(bounds.point).A).real.max() >= 0.0
