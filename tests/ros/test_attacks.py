@@ -17,7 +17,7 @@ from ros_runs import PLANT, config_for, topic_hashes
 from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
-DURATION = 2.0
+DURATION = 1.2
 
 
 def attacked(folder, case, **values):
@@ -80,7 +80,7 @@ def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_pat
 
 def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_json(tmp_path, undisturbed):
     """The services are for every node of the domain; who used them stands in the bag."""
-    results = attacked(tmp_path, Case("plant/stop", begin=500, rate=5.0))
+    results = attacked(tmp_path, Case("plant/stop", begin=500, rate=20.0))
     run = Run.open(results.bag)
     (row,) = json.loads(run.parameters["statistics"]["plant"]["changes"])
     assert (row["name"], row["by"]) == ("stop", "/stranger")

@@ -33,7 +33,7 @@ FOLLOWERS = {"los_estimate": "estimator", "fsm/command": "controller", "pma/comm
 @pytest.fixture(scope="module")
 def real_time(tmp_path_factory):
     folder = tmp_path_factory.mktemp("realtime")
-    config = config_for(folder, duration=1.5)
+    config = config_for(folder, duration=1.1)
     seen: list[Any] = []
     results = Runner(config, seen.append, {"plant": PLANT}).run()
     return config, results, seen
@@ -43,7 +43,7 @@ def test_every_sample_of_every_topic_is_in_the_bag(real_time):
     _, results, seen = real_time
     run = Run.open(results.bag)
     assert not run.problems
-    assert_plant_is_recorded(run, 1500)
+    assert_plant_is_recorded(run, 1100)
     for name, node in FOLLOWERS.items():
         assert_gaps_are_counted(run, name, node)
         assert run[name].integrity.duplicates == 0
@@ -55,13 +55,13 @@ def test_every_sample_of_every_topic_is_in_the_bag(real_time):
 def test_the_plant_tells_its_timing(real_time):
     """Only that the figures fit one another: how good they are is for the benchmark on a quiet machine."""
     statistics = real_time[1].statistics["plant"]
-    assert statistics["ticks"] == "1500"
+    assert statistics["ticks"] == "1100"
     figures = [float(statistics[f"latency_{name}_us"]) for name in ("median", "p99", "p999", "max")]
     assert 0 < figures[0] <= figures[1] <= figures[2] <= figures[3] + 1
     skipped = int(statistics["skipped_periods"])
     late = float(statistics["lateness_max_us"])  # the first or the last tick may be
     assert float(statistics["period_mean_us"]) == pytest.approx(
-        1000 * (1500 + skipped) / 1500, rel=1e-3, abs=late / 1000
+        1000 * (1100 + skipped) / 1100, rel=1e-3, abs=late / 1000
     )
 
 
@@ -71,18 +71,18 @@ def test_the_bag_tells_what_was_run_and_how_it_went(real_time):
     assert parameters["mode"] == "realtime"
     assert parameters["tones_rad_s"] == [pytest.approx(6 * np.pi)]
     statistics = parameters["statistics"]
-    assert statistics["plant"]["ticks"] == "1500"
+    assert statistics["plant"]["ticks"] == "1100"
     assert set(statistics) == {"plant", "estimator", "controller", "recorder"}
 
 
 def test_lockstep_gives_the_bytes_of_the_run_in_one_process(tmp_path):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.5, seed=4, camera_dropout=0.2)
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.1, seed=4, camera_dropout=0.2)
     Runner(config, commands={"plant": PLANT}).run()
     run_in_process(config, tmp_path / "inprocess", SimpleTelescope(seed=4, dropout=0.2))
     ours, theirs = topic_hashes(tmp_path / "lockstep" / "bag"), topic_hashes(tmp_path / "inprocess")
     assert ours == theirs
-    assert ours["/telescope/fsm/command"][0] == 1500
+    assert ours["/telescope/fsm/command"][0] == 1100
 
 
 SECOND = f"""
@@ -95,11 +95,13 @@ sys.exit(simple_telescope.main(listen_s=float(sys.argv.pop(1))))
 
 
 def second_plant(config, folder, listen_s):
-    """How a plant ends that is started by hand beside the one of a run."""
+    """A plant that is started by hand beside the one of a run."""
     parameters = folder / "run.yaml"
     parameter_file(config, parameters)
     command = [sys.executable, "-c", SECOND, str(listen_s), "--ros-args", "--params-file", str(parameters)]
-    return subprocess.run(command, env=environment(config, folder), capture_output=True, text=True, timeout=240)
+    return subprocess.Popen(
+        command, env=environment(config, folder), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +121,8 @@ def interrupted(tmp_path_factory):
             found["second run"] = str(refused.value)
             for name, listen_s in (("at once", LISTEN_S), ("discovered late", 0.0)):
                 found[name] = second_plant(config, folder, listen_s)
+            for name in ("at once", "discovered late"):
+                found[f"{name}, told"] = found[name].communicate(timeout=240)[1]
             found["ticks"] = ticks + 1000 * (time.monotonic() - begin)  # the plant did not wait for this
         if ticks > 500 and "stopped" not in found:
             found["stopped"] = True
@@ -150,8 +154,9 @@ def test_a_plant_that_hears_another_one_refuses_to_start(interrupted, heard):
     """Also from another machine, where no lock file helps."""
     results, found = interrupted
     assert found[heard].returncode == 2
-    assert "ROS_DOMAIN_ID must be a domain without a plant" in found[heard].stderr
-    assert found[heard].stderr.count("\n") == 1
+    told = found[f"{heard}, told"]
+    assert "ROS_DOMAIN_ID must be a domain without a plant" in told
+    assert told.count("\n") == 1
     run = Run.open(results.bag)
     assert run["truth/los"].integrity.conflicts == 0
 
@@ -288,7 +293,7 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
 @pytest.mark.parametrize("loop", ["fsm+pma"])
 def test_lockstep_of_the_telescope_gives_the_bytes_of_the_run_in_one_process(tmp_path, loop):
     (tmp_path / "lockstep").mkdir()
-    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=1.0, seed=3, loop=loop, start="steady")
+    config = config_for(tmp_path / "lockstep", mode="lockstep", duration=0.6, seed=3, loop=loop, start="steady")
     Runner(config).run()
     run_in_process(config, tmp_path / "inprocess")
     assert topic_hashes(tmp_path / "lockstep" / "bag") == topic_hashes(tmp_path / "inprocess")
