@@ -20,7 +20,7 @@ from ros_runs import PLANT, config_for
 from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros
-TICKS = 1200
+TICKS = 700
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_nine_of_the_channels_have_a_kilohertz_but_for_what_the_server_did_not_g
 
 
 def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
-    config = config_for(tmp_path, mode="lockstep", duration=0.8)
+    config = config_for(tmp_path, mode="lockstep", duration=0.6)
 
     def progress(ticks):
         if ticks >= 300 and not killed:
@@ -83,7 +83,7 @@ def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):
     killed: list[Any] = []
     runner = Runner(config, progress, commands={"plant": PLANT}, live=Live(port=0))
     results = runner.run()
-    assert killed and results.statistics["plant"]["ticks"] == "800"
+    assert killed and results.statistics["plant"]["ticks"] == "600"
     assert not results.failures
     assert results.warnings[-1] == "the server for viewers ended unexpectedly: code -9"
 
