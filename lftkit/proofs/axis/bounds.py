@@ -19,7 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.bounds import prove_level
-from lftkit.proofs.state_space.bounds import SHARE, SMALLEST, WHOLE, Bounds
+from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, least_level
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.search import (
     Member,
@@ -178,7 +178,7 @@ def gain_over_axis(
     if axis is None:
         return bounds(np.inf, "unstable")
     while True:
-        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, SMALLEST)
+        target = level if level is not None else max((1.0 + SHARE * gap) * worst.gain, least_level(system))
         if worst.gain >= target:
             return bounds(np.inf, "violated")
         closed = axis.prove(target, start + FIRST * wall_limit, seed)
@@ -199,7 +199,8 @@ def gain_over_axis(
             break
     if axis.pieces:
         return bounds(np.inf, "out_of_time")
-    done = upper <= (1.0 + gap) * worst.gain if level is None else upper <= level
+    aim = max((1.0 + gap) * worst.gain, least_level(system)) if level is None else level
+    done = upper <= aim
     return bounds(upper, "closed" if done else "out_of_time")
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
@@ -33,8 +34,9 @@ from lftkit.support.progress import Progress
 from lftkit.systems.system import System
 
 WHOLE = (0.0, np.inf)
-SMALLEST = 1e-100
-"""Level for a gain of zero: its inverse square is finite."""
+SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
+"""Level for a gain of zero: its inverse square is finite, and it is not far below the gains into and out of the
+system."""
 SHARE = 0.9
 """Part of the gap at which a proof aims."""
 ATTEMPTS = 12
@@ -103,6 +105,14 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
         (float(given[p.name][0]), float(given[p.name][1])) if p.name in given else (p.lower, p.upper)
         for p in system.parameters
     ]
+
+
+def least_level(system: System) -> float:
+    """Level to be proven where the largest gain found is zero."""
+    q = len(system.channels)
+    into = float(np.hypot(linalg.norm(system.B[:, q:]), linalg.norm(system.D[:, q:])))
+    out = float(np.hypot(linalg.norm(system.C[q:]), linalg.norm(system.D[q:])))
+    return max(NEGLIGIBLE * max(into, out), SMALLEST)
 
 
 @dataclass
@@ -237,7 +247,7 @@ class GainByCells:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
-        return max((1.0 + SHARE * self.gap) * self.worst.gain, SMALLEST)
+        return max((1.0 + SHARE * self.gap) * self.worst.gain, least_level(self.system))
 
     def _violated(self) -> bool:
         return self.level is not None and self.worst.gain >= self.level

@@ -8,6 +8,7 @@ infinity where it has no end. With D and G of full size on that block the test l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,15 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, Scalings, find_scalings
+from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, BarrierProblem, Scalings, find_scalings
 from lftkit.systems.system import System
 
 NARROW = 1e-7
 """Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
 BALANCING_SWEEPS = 8
+FREE, BOUND = 1e6, 1e-6
+"""Entries of G above which it has run away in a direction that costs nothing, and the penalty that then holds it: where
+a parameter sees no state, or the states nothing, responses are real and their part of G has no effect."""
 WIDE = 4.0
 """Ratio of frequencies above which a band is bisected before the parameters."""
 DEEP = 16.0
@@ -149,6 +153,8 @@ class CellTest:
         scale = balanced(maps, self.n + self.q)
         blocks = self._blocks(maps, scale, level)
         found = find_scalings(blocks, until=until)
+        if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
+            found = find_scalings(blocks, until=until, build=partial(BarrierProblem, penalty=BOUND))
         axis = self._axis(found, cell)
         if found.margin <= 0.0:
             return CellResult(None, found.margin, axis)
