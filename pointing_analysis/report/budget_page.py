@@ -1,4 +1,4 @@
-"""HTML page of a pointing budget: margin, waterfall of the contributions and table for each requirement."""
+"""HTML page of a pointing budget: margin, contributions and table for each requirement."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ BARS = 10
 """Largest sources that have a bar of their own."""
 ROWS = 12
 """Rows of a table that are shown at once."""
-FAR = 4.0
-"""Ratio of the limit to the total from which the axis ends before the limit."""
+DECADES = 5.0
+"""Longest axis of the contributions."""
 
 
 def digits(value: float) -> str:
@@ -34,36 +34,42 @@ def vector(values: Sequence[float]) -> str:
     return ", ".join(digits(float(x)) for x in values)
 
 
-def waterfall(verdict: BudgetVerdict, unit: str) -> Picture:
-    """Root sum of squares, source by source, the largest first, with the total and the limit."""
-    shares = sorted(verdict.shares, key=lambda s: -s.share)
-    powers = [float(np.sum(s.sigma**2)) for s in shares]
+def contributions(verdict: BudgetVerdict, unit: str) -> Picture:
+    """Level of each source alone at the required probability, the largest first, with the total and the limit.
+
+    The axis is logarithmic, so that a source of a hundredth of the largest one still has a bar.
+    """
+    shares = sorted(verdict.shares, key=lambda s: -s.level)
+    levels = [s.level for s in shares[:BARS]]
     names = [s.source.name for s in shares[:BARS]]
-    values = powers[:BARS]
     if len(shares) > BARS:
-        names.append(f"{len(shares) - BARS} others")
-        values.append(sum(powers[BARS:]))
-    ends = np.sqrt(np.cumsum(values))
-    starts = np.append(0.0, ends[:-1])
+        names.append(f"largest of {len(shares) - BARS} others")
+        levels.append(shares[BARS].level)
+    values = np.array([*levels, verdict.total])
+    shown = values[values > 0.0]
+    highest = max([*shown, verdict.limit])
+    lowest = max(0.5 * min([*shown, verdict.limit]), 10.0**-DECADES * highest)
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        y = np.arange(len(names) + 1)
-        widths = np.append(ends - starts, verdict.total)
-        axis.barh(y, widths, left=np.append(starts, 0.0), color=[COLOURS[0]] * len(names) + [COLOURS[1]])
-        largest = max(verdict.total, float(ends[-1]))
-        beyond = verdict.limit > FAR * largest > 0
-        name = f"limit {digits(verdict.limit)}" + (", beyond the axis" if beyond else "")
-        axis.axvline(verdict.limit, color=LIMIT, ls="--", label=name)
-        if beyond:
-            axis.set_xlim(0.0, 1.2 * largest)
-        axis.set_yticks(y, [*names, f"total at {100 * verdict.requirement.probability:g} %"])
+        y = np.arange(len(values))
+        widths = np.maximum(values / lowest - 1.0, 0.0) * lowest
+        axis.barh(y, widths, left=lowest, color=[COLOURS[0]] * len(names) + [COLOURS[1]])
+        axis.set_xscale("log")
+        axis.set_xlim(lowest, 3.0 * highest)
+        for k, value in enumerate(values):
+            axis.annotate(
+                digits(float(value)), (max(value, lowest), k), xytext=(3, 0), textcoords="offset points", va="center"
+            )
+        axis.axvline(verdict.limit, color=LIMIT, ls="--", label=f"limit {digits(verdict.limit)}")
+        axis.set_yticks(y, [*names, "total"])
         axis.invert_yaxis()
-        axis.set_xlabel(f"rms with all sources above; total [{unit}]")
+        level = f"{100 * verdict.requirement.probability:g} %"
+        axis.set_xlabel(f"{level} level of each alone, and total [{unit}]")
         legend_above(figure, axis)
 
-    text = f"Waterfall of the contributions; total {digits(verdict.total)}, limit {digits(verdict.limit)} {unit}"
-    return picture("waterfall", "Contributions", text, 1.4 + 0.24 * len(names), draw)
+    text = f"Level of each source alone; total {digits(verdict.total)}, limit {digits(verdict.limit)} {unit}"
+    return picture("contributions", "Contributions", text, 1.4 + 0.24 * len(names), draw)
 
 
 def render_budget(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> str:
@@ -89,7 +95,7 @@ def render_budget(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> str:
 
 
 def _section(v: BudgetVerdict, unit: str) -> dict[str, Any]:
-    chart = waterfall(v, unit)
+    chart = contributions(v, unit)
     numbers = {key: digits(getattr(v, key)) for key in ("total", "limit", "margin", "level", "uncertainty", "rss")}
     return {
         "name": v.requirement.name,

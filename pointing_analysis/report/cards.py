@@ -13,6 +13,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.rows import css_class, digits, overall
 from pointing_analysis.requirements.summary import WINDOW, Summary
+from pointing_analysis.spectra.spectra import Line
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
@@ -65,13 +66,33 @@ def _line_rows(v: RunView) -> list[dict[str, str]]:
         {
             "omega": f"{line.omega:.2f}" + (f" ({line.merged} lines)" if line.merged > 1 else ""),
             "hertz": f"{line.omega / (2 * math.pi):.3f}",
-            "x": digits(float(line.amplitude[0]) / RAD_PER_MAS),
-            "y": digits(float(line.amplitude[1]) / RAD_PER_MAS),
+            "origin": _origin(line),
+            "x": _amplitude(line, 0),
+            "y": _amplitude(line, 1),
             "rpe": digits(line.rpe / RAD_PER_MAS),
             "share": f"{100 * line.rpe**2 / total:.1f} %" if total else "–",
         }
         for line in v.tones[:LINES_SHOWN]
     ]
+
+
+def _origin(line: Line) -> str:
+    """Where a line is known from."""
+    if line.found is None:
+        return "named"
+    if line.found.is_sideband:
+        return f"found, sideband of {line.found.carrier / (2 * math.pi):.3f} Hz"
+    return f"found, {line.found.level:.0f} dB above the noise"
+
+
+def _amplitude(line: Line, axis: int) -> str:
+    """Amplitude of an axis [mas]; of a found line with the larger distance of its bounds."""
+    value = float(line.amplitude[axis])
+    text = digits(value / RAD_PER_MAS)
+    if line.found is None:
+        return text
+    bound = max(float(line.found.upper[axis]) - value, value - float(line.found.lower[axis]))
+    return f"{text} ± {digits(bound / RAD_PER_MAS, 2)}"
 
 
 def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -> dict[str, Any]:
@@ -101,6 +122,7 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "remarks": [*([] if s.budget is None else [str(s.budget)]), *remarks],
         "lines": _line_rows(v),
         "line_count": len(v.tones),
+        "found": any(line.found for line in v.tones),
         "moves": motion_of(v.run) is not None,
         "provenance": _provenance(v.run),
     }

@@ -210,11 +210,31 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
 
 
 def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
-    tones = sorted({round(line.omega / (2 * np.pi), 6) for view in views for line in view.tones})
-    for i, tone in enumerate(tones):
-        axis.axvline(
-            tone, color="#777777", lw=0.7, ls=":", zorder=0, label="disturbance lines" if i == 0 else "_nolegend_"
-        )
+    """Lines of all runs: those that are named dotted, those that were found dashed."""
+    styles = ((False, ":", "#777777", "named lines"), (True, "--", "#b08a3c", "found lines"))
+    for found, dashes, colour, label in styles:
+        lines = [line for view in views for line in view.tones if (line.found is not None) == found]
+        for i, tone in enumerate(sorted({round(line.omega / (2 * np.pi), 6) for line in lines})):
+            name = label if i == 0 else "_nolegend_"
+            axis.axvline(tone, color=colour, lw=0.7, ls=dashes, zorder=0, label=name)
+
+
+NAMES = 6
+"""Found lines whose frequencies stand at their peaks."""
+
+
+def _name_peaks(axis: Axes, view: RunView, frequency: FloatArray, total: FloatArray) -> None:
+    """Marks at the peaks of the strongest found lines, with their frequencies."""
+    found = [line for line in view.tones if line.found is not None and not line.found.is_sideband]
+    for line in sorted(found, key=lambda line: -line.rms)[:NAMES]:
+        hertz = line.omega / (2 * np.pi)
+        near = slice(*np.searchsorted(frequency, [hertz - 0.5, hertz + 0.5]))
+        if near.start < near.stop:
+            height = float(total[near].max())
+            axis.plot(hertz, height, "v", ms=4, color="#b08a3c")
+            axis.annotate(
+                f"{hertz:.4g} Hz", (hertz, height), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=7
+            )
 
 
 def density(views: Sequence[RunView]) -> Picture:
@@ -228,6 +248,8 @@ def density(views: Sequence[RunView]) -> Picture:
                 shown = total > 0.0  # an axis without a positive value has no logarithmic scale
                 frequency = view.spectrum.frequency[1:][shown]
                 axis.loglog(frequency, total[shown], label=view.label, **stroke(i, len(views)))
+                if len(views) == 1:
+                    _name_peaks(axis, view, frequency, total[shown])
         axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
         _mark_tones(axis, views)
         axis.set_xlabel("frequency [Hz]")
@@ -283,12 +305,17 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
     return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
 
 
+LEFT = 0.99
+"""Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
+
+
 def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:
     """Share of the samples above each value, for APE or RPE, with limits and the 0.3 % level."""
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if kind == "APE" else ("mas", RAD_PER_MAS)
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
+        smallest = [limit / scale for limit in limits]
         for i, view in enumerate(views):
             e = view.series.values
             if kind == "RPE":
@@ -298,8 +325,11 @@ def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> 
             pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
             pick = pick[r.at(pick) > 0.0] if r.size else pick[:0]
             axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **stroke(i, len(views)))
+            smallest += [value for value in [r.quantile(1.0 - LEFT)] if r.size and value > 0.0]
         for limit in limits:
             axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
+        if smallest:
+            axis.set_xlim(left=0.7 * min(smallest))
         axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
         _few_decades(axis)
         axis.set_xlabel(f"radial {kind} [{unit}]")

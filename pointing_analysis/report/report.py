@@ -31,6 +31,7 @@ from pointing_analysis.read.series import LOS
 from pointing_analysis.report import figures, image_figures
 from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.exposure_figure import over_exposure
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
@@ -40,6 +41,7 @@ from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
+from pointing_analysis.spectra.line_search import FALSE_LINES, FoundLine
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
@@ -73,15 +75,17 @@ def tones_of(run: Recording) -> FloatArray:
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
-def view(run: Recording, label: str, transient: float | None = None) -> RunView:
-    """Everything the pictures need from one run."""
+def view(run: Recording, label: str, transient: float | None = None, found: Sequence[FoundLine] = ()) -> RunView:
+    """Everything the pictures need from one run; `found` are lines of its spectrum."""
     series = performance_error(run, transient)
     try:
         spectrum = spectra.psd(series.values, series.dt)
     except ValueError:
         spectrum = None  # too short or too many gaps: the page says so in place of the curve
-    tones = spectra.lines(series.values, series.dt, tones_of(run), WINDOW)
-    return RunView(label, run, series, spectrum, tones, WINDOW)
+    named = spectra.lines(series.values, series.dt, tones_of(run), WINDOW)
+    more = spectra.found_lines(found, named, series.duration, WINDOW, series.dt)
+    tones = sorted((*named, *more), key=lambda line: -line.rpe)
+    return RunView(label, run, series, spectrum, tuple(tones), WINDOW)
 
 
 def _authority(runs: Sequence[Recording]) -> dict[str, float]:
@@ -119,11 +123,13 @@ class Drawn:
     views : of all runs
     limits : sorted limits of the APE and of the RPE [rad]
     model : what a model expects at the disturbance lines
+    requirements : of all runs
     """
 
     views: Sequence[RunView]
     limits: Mapping[str, list[float]]
     model: Model
+    requirements: Sequence[Requirement] = ()
 
     @cached_property
     def images(self) -> tuple[ImageView, ...]:
@@ -168,6 +174,7 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     lambda d: figures.by_line(d.views, d.model),
     lambda d: figures.exceedance(d.views, "APE", d.limits["APE"]),
     _relative_exceedance,
+    lambda d: over_exposure(d.views, d.requirements),
     lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
     _intervals,
     _latency,
@@ -179,7 +186,7 @@ def pictures(
     views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
 ) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {})
+    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {}, requirements)
     made: list[Picture] = []
     for draw in PICTURES:
         found = draw(drawn)
@@ -269,7 +276,8 @@ def render(
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
-    views = [view(run, name, transient) for run, name in zip(runs, names)]
+    found = [s.budget.found if s.budget is not None else () for s in summaries]
+    views = [view(run, name, transient, lines) for run, name, lines in zip(runs, names, found)]
     drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model)
     rows = _rows(names, summaries)
     environment = jinja2.Environment(
@@ -297,6 +305,7 @@ def render(
         sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
         sources=[(n, [one.shown for one in found]) for n, found in zip(names, sources) if found],
         predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
+        false_lines=f"{FALSE_LINES:g}",
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
         **_sources(runs),

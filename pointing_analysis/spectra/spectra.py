@@ -5,7 +5,7 @@ Nothing is detrended: an offset is part of the APE and stays in the spectrum at 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices import weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
+from pointing_analysis.spectra.line_search import FoundLine
 
 NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time
@@ -113,6 +114,7 @@ class Line:
     rms : radial rms of the line
     rpe : radial RPE rms the line causes in windows of the stated length
     merged : how many of the given tones this line stands for (the run is too short to tell them apart)
+    found : where nobody has named it: the line as it was found, with bounds
     """
 
     omega: float
@@ -120,6 +122,7 @@ class Line:
     rms: float
     rpe: float
     merged: int = 1
+    found: FoundLine | None = None
 
 
 def _resolved(omegas: FloatArray, duration: float) -> list[FloatArray]:
@@ -225,6 +228,30 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     return tuple(
         Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
         for i in order
+    )
+
+
+def found_lines(
+    found: Sequence[FoundLine], known: Sequence[Line], run: float, window: float, dt: float
+) -> tuple[Line, ...]:
+    """Lines that were found, with the RPE each causes, beside those that are known.
+
+    Parameters
+    ----------
+    found : lines of the spectrum; one that the run is too short to tell from a known line is left out
+    known : lines at frequencies that are given
+    run : length of the run [s]
+    window : RPE window [s]
+    dt : [s]
+    """
+    apart = 2 * np.pi / run
+    new = [line for line in found if all(abs(line.omega - other.omega) >= apart for other in known)]
+    if not new:
+        return ()
+    weight = weights.rpe_discrete(np.array([line.omega for line in new]), max(round(window / dt), 1), dt)
+    rms = [float(np.sqrt(line.power)) for line in new]
+    return tuple(
+        Line(line.omega, read_only(line.amplitude), r, float(r * w), found=line) for line, r, w in zip(new, rms, weight)
     )
 
 

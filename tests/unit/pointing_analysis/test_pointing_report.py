@@ -142,7 +142,7 @@ def test_nothing_comes_from_outside(page) -> None:
 
 def test_pictures_have_texts_and_are_svg(page) -> None:
     found = outline(page)
-    assert len(found.pictures) == 8
+    assert len(found.pictures) == 9
     assert all(label and len(label) > 20 for label in found.pictures)
     text = page.read_text().lower()
     assert "<img" not in text and "<date>" not in text and "dc:date" not in text
