@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
 
-NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.5, 1.9, 0.485
+NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.55, 1.95, 0.52
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
 with both controllers."""
 
@@ -59,10 +59,10 @@ TONE = 0.4448
 """Share of the amplitude of a slow tone that keeps the limit beside this noise, :func:`largest_tone` to four digits:
 every bag holds the budget, and the search would take most of the time that a recorder needs to start."""
 
-APE_NOISE = 0.16
+APE_NOISE = 0.145
 """Share of the limit of the absolute error that noise may take (rms), in both stages with fine control."""
 
-APE_TONE = 0.7252
+APE_TONE = 0.7544
 """Share of a tone's absolute error beside it, :func:`largest_tone` of that noise for 99.7 % of the instants."""
 
 ON_AXIS, ABSOLUTE_ON_AXIS = 0.75, 0.6
