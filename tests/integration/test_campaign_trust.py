@@ -158,11 +158,11 @@ def answers_http(port: int) -> bool:
 
 
 def test_every_socket_of_a_campaign_is_on_loopback_and_no_web_server_listens(open_folder: Path, tmp_path: Path) -> None:
-    """Of the command with its workers, while it computes: scheduler, and worker and nanny of each of two."""
+    """Of the command with its worker, while it computes: scheduler, worker and nanny."""
     import psutil
 
     program = "import sys; from los_testbed.cli.app import main; sys.exit(main())"
-    options = ["--samples=200", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=2"]
+    options = ["--samples=200", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=1"]
     output = tmp_path / "c"
     command = [sys.executable, "-c", program, "campaign", *options, f"--output={output}"]
     log = tmp_path / "log"
@@ -178,7 +178,7 @@ def test_every_socket_of_a_campaign_is_on_loopback_and_no_web_server_listens(ope
             http = [port for port in sorted(listening) if answers_http(port)]
         finally:
             process.terminate()
-    assert (hosts, len(listening), http) == ({"127.0.0.1"}, 5, [])
+    assert (hosts, len(listening), http) == ({"127.0.0.1"}, 3, [])
     assert "dashboard" not in log.read_text("utf-8")
 
 
