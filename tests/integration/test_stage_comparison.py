@@ -106,7 +106,9 @@ def test_the_report_names_the_units_of_its_columns(compared, tmp_path, monkeypat
 def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert (
-        cli.main(["stages", "--scenario=design", "--samples=2", "--no-parts", "--duration=2", "--output=out", "--json"])
+        cli.main(
+            ["stages", "--scenario=imbalance", "--samples=2", "--no-parts", "--duration=2", "--output=out", "--json"]
+        )
         == 0
     )
     content = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -115,10 +117,10 @@ def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> 
     assert set(runs) == {(name, loop) for name in ("nominal", "sample-1") for loop in STAGES}
     assert all(r["rpe_rms_mas"] > 0 for r in runs.values())
     assert runs["nominal", "fsm"]["rpe_rms_mas"] != runs["sample-1", "fsm"]["rpe_rms_mas"]
-    page = (tmp_path / "out" / "report-design.html").read_text()
+    page = (tmp_path / "out" / "report-imbalance.html").read_text()
     assert page.count('<article class="card') == 4
     kept = sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_dir())
-    assert kept == sorted(f"design-nominal-{loop}" for loop in STAGES)
+    assert kept == sorted(f"imbalance-nominal-{loop}" for loop in STAGES)
 
 
 @pytest.mark.parametrize(
