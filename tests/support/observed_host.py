@@ -83,9 +83,9 @@ def run(config: str, device: str, folder: str) -> dict[str, object]:
 
 
 def campaign(device: str, folder: str) -> dict[str, object]:
-    """A campaign that computes in two processes."""
+    """A campaign that computes in a process of its own."""
     packets, output = OutgoingPackets(device), Path(folder, "campaign")
-    options = ["--samples=8", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=2"]
+    options = ["--samples=2", "--duration=1.1", "--loop=isolator", "--scenario=imbalance", "--workers=1"]
     command = [sys.executable, "-m", "los_testbed.cli.app", "campaign", *options, f"--output={output}"]
     sockets: set[str] = set()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
