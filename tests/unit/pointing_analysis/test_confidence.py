@@ -118,6 +118,14 @@ def test_what_is_no_probability_is_refused(p: float) -> None:
         confidence.samples_needed(0.9, p)
 
 
+@pytest.mark.parametrize("p", [0.5, 0.75, 0.9, 0.997])
+def test_a_bound_that_lies_at_the_limit_refutes_nothing_and_shows_compliance(p: float) -> None:
+    """Bounds from one sample are 1 - c and c themselves, without rounding."""
+    assert confidence.exceedance_lower(1, 1, p) == 1.0 - p
+    assert confidence.samples_to_refute(p, p, 1.0) == 2
+    assert confidence.samples_to_decide(0.5, 0.5, 0.0) == 1
+
+
 def test_bounds_at_the_ends_of_the_count() -> None:
     assert confidence.exceedance_lower(0, 7, 0.9) == 0.0 and confidence.exceedance_lower(-1, 7, 0.9) == 0.0
     assert confidence.exceedance_upper(7, 7, 0.9) == 1.0 and confidence.exceedance_upper(8, 7, 0.9) == 1.0

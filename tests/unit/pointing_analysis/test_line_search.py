@@ -50,7 +50,7 @@ def shaped(rng: np.random.Generator, density: np.ndarray, n: int) -> np.ndarray:
 def noise(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Noise (n, 2), and its density (m,) of each axis before they are mixed, at frequencies (m,)."""
     hertz = np.fft.rfftfreq(2 * SAMPLES, DT)
-    density = np.full(hertz.size, 2.0 * DT)
+    density: np.ndarray = np.full(hertz.size, 2.0 * DT)
     if kind == "1/f":
         density = density * (20.0 / np.maximum(hertz, hertz[1])) ** rng.uniform(0.5, 2.0)
     if kind == "narrow band":  # a carrier that noise of at least 2 Hz modulates, on a floor
