@@ -107,7 +107,7 @@ def tune_robust(
     slack : float
         A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
     met : float
-        Soft worst cases up to this value do not count: with a lower target each round leaves room for the parameters
+        Soft worst cases up to this value do not count: a target below it leaves a distance for the parameters
         between the models.
     max_rounds : int
     options : TuningOptions, optional

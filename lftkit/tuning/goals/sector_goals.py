@@ -84,8 +84,8 @@ class Passivity(_OfChannel):
     The value is the relative index of the sector, for indices of 0 the largest gain of ``(T - unit) (T + unit)^-1``,
     which is at most 1 for passive T (Desoer and Vidyasagar 1975, section VI). A channel without feedthrough has the
     value 1 at infinite frequency, whatever the controller: soft, it cannot be better; hard, it needs a band or a
-    negative `input_index`. The descents want some room there: ``-0.05 unit``, or a band in which the response is not
-    much smaller than the unit. :func:`lftkit.tuning.certify` says what the result is on the whole axis.
+    negative `input_index`. The descents need a distance from the edge there: ``-0.05 unit``, or a band in which the
+    response is not much smaller than the unit. :func:`lftkit.tuning.certify` says what the result is on the whole axis.
 
     Examples
     --------
