@@ -54,9 +54,9 @@ def test_a_proof_is_the_same_file_whatever_the_workers(tmp_path: Path) -> None:
     for workers in (1, 2):
         folder = tmp_path / str(workers)
         with cluster("", workers) as client:
-            begun = prove_on(client, parts(folder))
-            next(begun), next(begun)
-            begun.close()  # as an interrupt ends it
+            first = prove_on(client, parts(folder))
+            next(first), next(first)
+            first.close()  # as an interrupt ends it
             before = kept(folder)
             assert len(before) >= 2
             results = list(prove_on(client, parts(folder)))

@@ -25,7 +25,7 @@ from lftkit.proofs.sampled_loop.polynomials import (
     reciprocal,
 )
 
-TICK = 2
+CHANGE = 2
 """Of :attr:`LoopModel.returned`: the change within a tick."""
 
 
@@ -147,7 +147,7 @@ class LoopModel:
         outputs = own.rows(slice(q + y, None)) + seen.rows(slice(y, None)) @ u
         if self.returned:
             u = u - constant(self.entry @ V)
-        if self.returned == TICK:
+        if self.returned == CHANGE:
             u = u * (constant(np.ones(1)) - exponential(np.array([-middle * self.dt]), np.array([-half * self.dt])))
         return channels, (u if self.commands else outputs).rows(list(self.rows))
 
@@ -182,7 +182,7 @@ class LoopModel:
         hold = (1.0 - 1.0 / z) / (s * self.dt)
         channels = own[:q] + hold * felt @ u
         if self.returned:
-            u = (u - self.entry) * (1.0 - 1.0 / z if self.returned == TICK else 1.0)
+            u = (u - self.entry) * (1.0 - 1.0 / z if self.returned == CHANGE else 1.0)
         outputs = u if self.commands else own[q + y :] + seen[y:] @ u
         return channels, np.asarray(outputs[list(self.rows)])
 
