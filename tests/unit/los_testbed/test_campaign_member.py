@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
 
 from los_estimator.runtime import LosEstimator
+from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
@@ -55,6 +57,25 @@ def test_rows_do_not_depend_on_what_was_computed_before(evaluator: MemberEvaluat
     first = evaluator.row(0, member(0), "time")
     evaluator.row(1, member(1), "time")
     assert evaluator.row(0, member(0), "time") == first == MemberEvaluator.of(BASE).row(0, member(0), "time")
+
+
+def test_a_long_run_is_kept_in_a_file_with_the_same_row(
+    evaluator: MemberEvaluator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a run that is longer than what the memory holds of it every metric has the same bits."""
+    in_memory = evaluator.row(0, member(0), "time")
+    made: list[np.ndarray] = []
+    empty = mapped_arrays.empty
+
+    def recorded(*arguments: Any) -> np.ndarray:
+        made.append(empty(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr(mapped_arrays, "IN_MEMORY", 1000)
+    monkeypatch.setattr(mapped_arrays, "empty", recorded)
+    assert evaluator.row(0, member(0), "time") == in_memory
+    assert made[0].shape == (BASE.ticks, 4)
+    assert isinstance(made[0].base.base.obj, mmap.mmap)
 
 
 def test_rows_of_members_of_one_part_are_those_of_each_alone() -> None:

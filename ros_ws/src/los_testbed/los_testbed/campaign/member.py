@@ -34,7 +34,8 @@ from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, simulate
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
-from pointing_analysis.read.mapped_arrays import SortedValues
+from pointing_analysis.read import mapped_arrays
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
 from pointing_analysis.requirements.summary import WINDOW, Knowledge, Performance
 from pointing_analysis.requirements.text import Requirement, parse
 from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, run_samples
@@ -213,7 +214,9 @@ class MemberEvaluator:
             controller.start_at(start.states.k_pma)
         estimator.reset()
         controller.reset()
-        record = _Record(np.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"]))
+        record = _Record(
+            mapped_arrays.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"])
+        )
         kernel()  # of many runs, so that the first one pays for all
         simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
         return record.metrics(first, self.requirements, self.optics)
@@ -241,7 +244,7 @@ class MemberEvaluator:
 
 @dataclass
 class _Record:
-    """Errors of a run, and its largest commands."""
+    """Errors of a run, and its largest commands; those of a long run are in a file, so that the memory is bounded."""
 
     values: FloatArray
     gain: float
@@ -255,7 +258,9 @@ class _Record:
         part[:, 2:4] = block.los_estimate[:rows] + self.gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]
         for k, columns in enumerate((MIRROR, FORCES)):
             self.largest[k] = max(self.largest[k], float(np.abs(block.command[:rows, columns]).max()))
-        self.done += rows
+        done, self.done = self.done, self.done + rows
+        if done // mapped_arrays.PART != self.done // mapped_arrays.PART:
+            mapped_arrays.release()
 
     def metrics(
         self, first: int, requirements: Sequence[Requirement], optics: Optics | None = None
@@ -286,7 +291,8 @@ class _Record:
 
 def _series(error: FloatArray, first: int) -> ErrorSeries:
     """An error (n, 2) [rad] from a tick on."""
-    return ErrorSeries(error, DT, first * DT, int(np.isnan(error).any(axis=1).sum()))
+    missing = sum(int(np.isnan(error[part]).any(axis=1).sum()) for part in parts(len(error)))
+    return ErrorSeries(error, DT, first * DT, missing)
 
 
 @dataclass(frozen=True)
@@ -311,8 +317,10 @@ class _Samples:
         """Columns of a requirement; ValueError: the index cannot be formed."""
         named, samples = RequirementColumns.of(requirement), self.of(requirement)
         sign = -1.0 if named.lower else 1.0  # of lower limits the smallest is the worst
-        ordered = SortedValues(sign * samples.values / named.scale)
-        beyond = np.count_nonzero(beyond_limit(samples.values, requirement)) + samples.missing
+        values = samples.values
+        ordered = SortedValues(by_parts(lambda rows: sign * rows / named.scale, values))
+        above = sum(np.count_nonzero(beyond_limit(values[part], requirement)) for part in parts(len(values)))
+        beyond = above + samples.missing
         return {
             named.share: float(beyond / (len(samples.values) + samples.missing)),
             named.quantile: sign * ordered.quantile(requirement.probability),
