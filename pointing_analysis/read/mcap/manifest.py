@@ -77,17 +77,25 @@ def content_digest(content: bytes | bytearray) -> bytes:
     return hashlib.blake2b(content, digest_size=16).digest()
 
 
-def encode_manifest(content: bytes, runs: Sequence[tuple[int, ...]], chain: Chain | None = None) -> bytes:
-    """Body of the manifest record of a chunk whose content consists of these runs of records; it continues `chain`."""
+def encode_manifest(
+    content: bytes, runs: Sequence[tuple[int, ...]], chain: Chain | None = None, checksum: int | None = None
+) -> bytes:
+    """Body of the manifest record of a chunk whose content consists of these runs of records; it continues `chain`.
+
+    `checksum` is the CRC-32 of the content, where it is known.
+    """
     place = [] if chain is None else [(0, 0, 0, chain.manifests + 1, 0, 0)]
     rows = np.array([tuple(run) for run in [*runs, *place]], RUN)
-    view, checksums, at = memoryview(content), [], 0
+    checksums: list[int] = []
+    at = 0
     for count, length in zip(rows["count"].tolist(), rows["length"].tolist()):
-        end = at + count * length
-        checksums += [zlib.crc32(view[i : i + length]) for i in range(at, end, max(length, 1))]
-        at = end
+        if count and length:
+            records: list[bytes] = np.frombuffer(content, f"V{length}", count, at).tolist()
+            checksums += map(zlib.crc32, records)
+        at += count * length
     crcs = np.array(checksums, "<u4").tobytes()
-    rest = _HEAD.pack(0, zlib.crc32(content), len(content), VERSION, content_digest(content))[4:]
+    checksum = zlib.crc32(content) if checksum is None else checksum
+    rest = _HEAD.pack(0, checksum, len(content), VERSION, content_digest(content))[4:]
     rest += struct.pack("<I", rows.nbytes) + rows.tobytes()
     end = len(rest)
     rest += struct.pack("<I", len(crcs)) + crcs

@@ -182,16 +182,16 @@ class McapBlockWriter:
         if not self._span:
             return
         content = np.concatenate(self._blocks).tobytes()
-        start, end = min(self._span), max(self._span)
+        start, end, checksum = min(self._span), max(self._span), zlib.crc32(content)
         chunk = Chunk(
             compression="zstd",
             data=self._compressor.compress(content),
             message_start_time=start,
             message_end_time=end,
-            uncompressed_crc=zlib.crc32(content),
+            uncompressed_crc=checksum,
             uncompressed_size=len(content),
         )
-        body = encode_manifest(content, self._runs, self._chain)
+        body = encode_manifest(content, self._runs, self._chain, checksum)
         self._file.write(RECORD.pack(OP_MANIFEST, len(body)) + body)
         offset, length = self._write(chunk)
         offsets, index_length = {}, 0
