@@ -1,13 +1,14 @@
-"""What decides about the metrics of a campaign: rank correlations, first-order indices, yield."""
+"""What decides about the metrics of a campaign: rank correlations, main and pair effects, yield."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy import stats
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, IntArray
 from los_testbed.campaign.sampling import COLUMNS
 from pointing_analysis.indices.confidence import exceedance_upper
 
@@ -15,6 +16,8 @@ FEWEST, MOST_BINS = 8, 20
 """Fewest members for a correlation; most bins of a parameter's range."""
 
 PER_BIN = 10
+MOST_CELLS = 8
+"""Most bins of each parameter of a pair."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,56 @@ def first_order_index(values: FloatArray, metric: FloatArray) -> float:
         return 0.0
     chance = (bins - 1) * within / (len(metric) - bins)
     return float(np.clip((between - chance) / (between + within), 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class PairEffect:
+    """What two parameters do together beyond the sum of what each does.
+
+    Parameters
+    ----------
+    parameters : tuple of str
+    share : float
+        Of the variance (the second-order Sobol index, by cells with their own noise taken off); 0 to 1.
+    """
+
+    parameters: tuple[str, str]
+    share: float
+
+
+def pair_effects(parameters: FloatArray, metric: FloatArray) -> list[PairEffect]:
+    """Effect of each pair of `COLUMNS` (members, 7) on a metric (members,), the strongest first; none for few members.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).uniform(-1, 1, (4000, 7))
+    >>> found = pair_effects(x, x[:, 0] + 2.0 * x[:, 1] * x[:, 2])  # variances 1/3 and 4/9
+    >>> found[0].parameters == COLUMNS[1:3], round(found[0].share, 1), max(e.share for e in found[1:]) < 0.03
+    (True, 0.6, True)
+    """
+    known = np.isfinite(metric)
+    x, y = parameters[known], metric[known]
+    bins = min(MOST_CELLS, int(np.sqrt(len(y) / PER_BIN)))
+    if bins < 3 or np.ptp(y) == 0.0:
+        return []
+    places = np.argsort(np.argsort(x, axis=0, kind="stable"), axis=0, kind="stable") * bins // len(y)
+    alone = [_share(places[:, i], y) for i in range(x.shape[1])]
+    found = []
+    for i, j in combinations(range(x.shape[1]), 2):
+        both = _share(places[:, i] * bins + places[:, j], y)
+        found.append(PairEffect((COLUMNS[i], COLUMNS[j]), max(both - alone[i] - alone[j], 0.0)))
+    return sorted(found, key=lambda effect: -effect.share)
+
+
+def _share(group: IntArray, metric: FloatArray) -> float:
+    """Share of the variance between groups, less what chance would make of it."""
+    _, group = np.unique(group, return_inverse=True)
+    count = np.bincount(group)
+    means = np.bincount(group, weights=metric) / count
+    within = float(np.sum((metric - means[group]) ** 2))
+    total = float(np.sum((metric - metric.mean()) ** 2))
+    free = len(metric) - len(count)
+    return (total - within - (len(count) - 1) * within / max(free, 1)) / total
 
 
 def yield_curve(metric: FloatArray, levels: FloatArray, confidence: float = 0.95) -> tuple[FloatArray, FloatArray]:

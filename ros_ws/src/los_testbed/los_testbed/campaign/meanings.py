@@ -40,6 +40,31 @@ MEANINGS = {
 RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
 """Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
 
+SCENARIOS = {
+    "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst; their "
+    "shares are random and add up to norm 1, which is what the controllers are designed and proven for",
+    "design": "several tones act at once, each of norm 1: more than the controllers are designed for",
+    "imbalance": "the harmonics of the wheels act, as measured on wheels, at the speeds of the member",
+    "worst_case": "one tone of norm 1 acts, the worst one of the member",
+}
+"""What disturbs the members of a simulated campaign."""
+
+
+def scenario_text(scenario: str, depth: str) -> str:
+    """What the members of a campaign are exposed to, in one sentence.
+
+    Examples
+    --------
+    >>> scenario_text("worst_case", "time")
+    'In each member one tone of norm 1 acts, the worst one of the member. Sensor noise is on.'
+    """
+    if depth == "model":
+        return (
+            "Each member has its worst tone of norm 1 and the noise of its sensors, from its matrices; nothing is run."
+        )
+    return f"In each member {SCENARIOS.get(scenario, scenario)}. Sensor noise is on."
+
+
 ABSOLUTE = ("APE", "MPE", "AKE", "MKE")
 """Indices whose columns are in arcsec; those of other angles are in mas."""
 

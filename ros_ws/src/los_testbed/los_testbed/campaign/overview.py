@@ -10,8 +10,8 @@ from rich.table import Table
 
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.influence import Influence, influences
-from los_testbed.campaign.meanings import RANKED, RequirementColumns
+from los_testbed.campaign.influence import Influence, PairEffect, influences, pair_effects
+from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_text
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import COLUMNS, RANDOM
 from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
@@ -19,6 +19,8 @@ from pointing_analysis.requirements.rows import with_unit
 from pointing_analysis.requirements.text import Requirement
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
+PAIRS = 6
+"""Pairs of parameters that are named."""
 
 
 def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -> dict[str, Any]:
@@ -50,6 +52,8 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
         "ranked_by": RANKED[campaign.depth],
         "verdicts": [v.as_dict() for v in _verdicts(campaign, table)],
         "not_judged": [f"{requirement}: {why}" for requirement, why in _not_judged(campaign).items()],
+        "scenario": scenario_text(campaign.base.scenario, campaign.depth),
+        "pairs": [_shown(vars(e)) for e in _pairs(campaign, table)[:PAIRS]],
         "influence": [_shown(vars(i)) for i in _influences(campaign, table)],
         "worst": [_member(table.slice(int(k), 1).to_pylist()[0], campaign) for k in order],
     }
@@ -82,9 +86,16 @@ def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
     return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]
 
 
+def _points(table: Any) -> FloatArray:
+    return np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
+
+
 def _influences(campaign: Campaign, table: Any) -> list[Influence]:
-    points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
-    return influences(points, table.column(RANKED[campaign.depth]).to_numpy())
+    return influences(_points(table), table.column(RANKED[campaign.depth]).to_numpy())
+
+
+def _pairs(campaign: Campaign, table: Any) -> list[PairEffect]:
+    return pair_effects(_points(table), table.column(RANKED[campaign.depth]).to_numpy())
 
 
 def _shown(values: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""HTML page of a campaign; pictures are histograms and maps of fixed size, so the file is as large for any number."""
+"""HTML page of a campaign; its pictures are of fixed size, so the file is as large for any number of members."""
 
 from __future__ import annotations
 
@@ -15,23 +15,20 @@ from matplotlib.ticker import MaxNLocator
 
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.influence import yield_curve
+from los_testbed.campaign.influence import MOST_BINS, PER_BIN, yield_curve
 from los_testbed.campaign.meanings import RANKED, meaning
 from los_testbed.campaign.overview import quantile_heads
-from los_testbed.campaign.sampling import COLUMNS, box
+from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import LOST
 from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")
-BINS, CELLS, LEVELS = 40, 16, 200
-FEW, PER_CELL = 64, 6
-"""Members that a map shows as points; members a cell of a map of more, so that hardly any cell is empty."""
+BINS, LEVELS = 40, 200
+SHOWN, SMALL = 3, 0.005
+"""Parameters with a panel of their own; share of the variance below which a pair is left out."""
 
-MAPS = 3
 ERROR = "relative error [mas]"
-MAP = "viridis_r"
-"""Large values stand out from the paper, also where a dark scheme inverts the lightness."""
 
 
 def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any], path: Path) -> Path:
@@ -53,7 +50,7 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
     metric = np.where(lost, np.inf, metric)
     points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
     known = ~np.isnan(metric)
-    pictures = _pictures(summary, points[known], metric[known], campaign)
+    pictures = _pictures(summary, points[known], metric[known])
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -75,21 +72,19 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
     return path
 
 
-def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray, campaign: Campaign) -> list[Picture]:
+def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray) -> list[Picture]:
     finite = metric[np.isfinite(metric)]
     if not finite.size:
         return []
     name = summary["ranked_by"]
     given = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
     limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
-    ranges = box(campaign.base.parameters)
-    first = [entry["parameter"] for entry in summary["influence"]] or list(COLUMNS)
-    pairs = [(first[0], first[1]), (first[0], first[2]), (first[1], first[2])][:MAPS]
-    return [
-        _distribution(name, finite, limits),
-        _yield(name, metric, limits),
-        *(_map(name, pair, points, metric, ranges, k) for k, pair in enumerate(pairs)),
-    ]
+    made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
+    if any(entry["first_order"] is not None for entry in summary["influence"]):
+        strongest = sorted(summary["influence"], key=lambda entry: -(entry["first_order"] or 0.0))[:SHOWN]
+        made.append(_effects(summary))
+        made.append(_main_effects(name, [entry["parameter"] for entry in strongest], points, metric))
+    return made
 
 
 def _limits(axis: Axes, limits: Sequence[float]) -> None:
@@ -135,43 +130,57 @@ def _label(parameter: str) -> str:
     return parameter if parameter == "tau" else f"{parameter} [rad/s]"
 
 
-def _map(
-    name: str,
-    pair: tuple[str, str],
-    points: FloatArray,
-    metric: FloatArray,
-    ranges: dict[str, tuple[float, float]],
-    number: int,
-) -> Picture:
-    """Largest value in cells of two parameters; few members as points, those that are lost as red crosses."""
-    finite = np.isfinite(metric)
-    top = float(metric[finite].max())
-    x, y = (points[:, COLUMNS.index(parameter)] for parameter in pair)
+def _effects(summary: dict[str, Any]) -> Picture:
+    """Shares of the variance of parameters, pairs and the rest, the largest first."""
+    mains = [(_words(i["parameter"]), i["first_order"] or 0.0, COLOURS[0]) for i in summary["influence"]]
+    pairs = [
+        (" with ".join(map(_words, e["parameters"])), e["share"], COLOURS[1])
+        for e in summary["pairs"]
+        if e["share"] >= SMALL
+    ]
+    rows = sorted(mains + pairs, key=lambda row: -row[1])
+    rest = max(1.0 - sum(share for _, share, _ in rows), 0.0)
+    rows.append(("noise, phases, the rest", rest, "#999999"))
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        if len(metric) < FEW:
-            image: Any = axis.scatter(x[finite], y[finite], c=metric[finite], cmap=MAP, s=30)
-            axis.scatter(x[~finite], y[~finite], c=LIMIT, marker="x", s=30)
-        else:
-            edges, cells = _cells((x, y), np.where(finite, metric, 1.2 * top), [ranges[p] for p in pair])
-            image = axis.pcolormesh(*edges, cells, cmap=MAP, rasterized=True)
-            axis.grid(False)
-        figure.colorbar(image, label=ERROR if len(metric) < FEW else f"largest {ERROR}")
-        axis.set(xlim=ranges[pair[0]], ylim=ranges[pair[1]], xlabel=_label(pair[0]), ylabel=_label(pair[1]))
+        y = np.arange(len(rows))
+        shares = [100.0 * share for _, share, _ in rows]
+        axis.barh(y, shares, color=[colour for *_, colour in rows])
+        for k, share in enumerate(shares):
+            axis.annotate(f"{share:.1f} %", (share, k), xytext=(3, 0), textcoords="offset points", va="center")
+        axis.set_yticks(y, [name for name, *_ in rows])
+        axis.invert_yaxis()
+        axis.set_xlim(0.0, 115.0 * max(share for _, share, _ in rows))
+        axis.set_xlabel("share of the variance [%]")
 
-    title = f"Largest value over {pair[0]} and {pair[1]}"
-    return picture(f"map-{number}", title, f"Map of the largest {name} over {pair[0]} and {pair[1]}.", 3.2, draw)
+    alt = "Shares of the variance: " + ", ".join(f"{name} {100 * share:.1f} %" for name, share, _ in rows)
+    return picture("effects", f"What {summary['ranked_by']} depends on", alt, 1.2 + 0.24 * len(rows), draw)
 
 
-def _cells(
-    points: tuple[FloatArray, FloatArray], values: FloatArray, ranges: Sequence[tuple[float, float]]
-) -> tuple[list[FloatArray], FloatArray]:
-    """Edges of the cells of two parameters, and the largest value in each; NaN where no member is."""
-    count = min(CELLS, int(np.sqrt(len(values) / PER_CELL)))
-    cells = np.full((count, count), np.nan)
-    place = [
-        np.clip((count * (x - low) / (high - low)).astype(int), 0, count - 1) for x, (low, high) in zip(points, ranges)
-    ]
-    np.fmax.at(cells, (place[1], place[0]), values)
-    return [np.asarray(np.linspace(*limits, count + 1), dtype=float) for limits in ranges], cells
+def _words(parameter: str) -> str:
+    return parameter.replace("_", " ")
+
+
+def _main_effects(name: str, parameters: Sequence[str], points: FloatArray, metric: FloatArray) -> Picture:
+    """Median and the middle 80 % of the members over each parameter, in equally filled bins."""
+    finite = np.isfinite(metric)
+    bins = min(MOST_BINS, int(np.count_nonzero(finite)) // PER_BIN)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, len(parameters), sharey=True, squeeze=False)[0]
+        for axis, parameter in zip(axes, parameters):
+            x, y = points[finite, COLUMNS.index(parameter)], metric[finite]
+            groups = np.array_split(np.argsort(x, kind="stable"), bins)
+            centre = [float(x[group].mean()) for group in groups]
+            low, middle, high = np.array([np.quantile(y[group], (0.1, 0.5, 0.9)) for group in groups]).T
+            axis.fill_between(
+                centre, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0, label="80 % of the members"
+            )
+            axis.plot(centre, middle, color=COLOURS[0], label="median")
+            axis.set_xlabel(_label(parameter))
+        axes[0].set_ylabel(ERROR)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+
+    alt = f"Median and middle 80 % of {name} over {', '.join(parameters)}."
+    return picture("main-effects", "Over the parameters that matter most", alt, 2.8, draw)
