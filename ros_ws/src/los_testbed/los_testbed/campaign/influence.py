@@ -81,7 +81,8 @@ class PairEffect:
     ----------
     parameters : tuple of str
     share : float
-        Of the variance (the second-order Sobol index, by cells with their own noise taken off); 0 to 1.
+        Of the variance (the second-order Sobol index, by cells with their own noise taken off); zero where chance can
+        make as much.
     """
 
     parameters: tuple[str, str]
@@ -105,10 +106,12 @@ def pair_effects(parameters: FloatArray, metric: FloatArray) -> list[PairEffect]
         return []
     places = np.argsort(np.argsort(x, axis=0, kind="stable"), axis=0, kind="stable") * bins // len(y)
     alone = [_share(places[:, i], y) for i in range(x.shape[1])]
+    chance = 2.0 * np.sqrt(2.0) * bins / len(y)  # twice the scatter of a share of nothing
     found = []
     for i, j in combinations(range(x.shape[1]), 2):
         both = _share(places[:, i] * bins + places[:, j], y)
-        found.append(PairEffect((COLUMNS[i], COLUMNS[j]), max(both - alone[i] - alone[j], 0.0)))
+        share = both - alone[i] - alone[j]
+        found.append(PairEffect((COLUMNS[i], COLUMNS[j]), share if share > chance else 0.0))
     return sorted(found, key=lambda effect: -effect.share)
 
 
