@@ -51,4 +51,4 @@ def test_harmonics_of_a_cooler_are_tones_and_what_is_left_is_the_noise(
     assert quiet.budget.found == () and quiet.budget.fast == 0.0
     assert with_cooler.budget.noise == pytest.approx(quiet.budget.noise, rel=0.1), "and the ringing of its start"
     page = render([run])
-    assert page.count("dB above the noise") == 2 and "found lines" in page
+    assert page.count("dB above the noise") == 2
