@@ -48,24 +48,24 @@ if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
 
-NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.55, 1.95, 0.52
+NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.9, 2.2, 0.58
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
 with both controllers."""
 
 TOTAL_NOISE = 0.265
 """Share of the noise (rms) with both controllers; the rest is for tones."""
 
-TONE = 0.4448
+TONE = 0.4486
 """Share of the amplitude of a slow tone that keeps the limit beside this noise, :func:`largest_tone` to four digits:
 every bag holds the budget, and the search would take most of the time that a recorder needs to start."""
 
-APE_NOISE = 0.145
+APE_NOISE = 0.14
 """Share of the limit of the absolute error that noise may take (rms), in both stages with fine control."""
 
-APE_TONE = 0.7544
+APE_TONE = 0.7641
 """Share of a tone's absolute error beside it, :func:`largest_tone` of that noise for 99.7 % of the instants."""
 
-ON_AXIS, ABSOLUTE_ON_AXIS = 0.75, 0.6
+ON_AXIS, ABSOLUTE_ON_AXIS = 0.74, 0.6
 """Part of the noise's power that the budgets of the relative and of the absolute error put on the axis of the tone."""
 
 MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
