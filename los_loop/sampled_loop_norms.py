@@ -122,7 +122,7 @@ def sampled_loop_metrics(
     los = float(largest_gains(response[:, ape.rows]).max())
     angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
     worst = float(relative.max())
-    rms = _noise(closed, parameters, sensors) if noise else (float("nan"), float("nan"))
+    rms = _rms(_noise(closed, parameters, sensors)) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
         los / ape.limit(parameters, both),
         worst / rpe.limit(parameters, mirrors),
@@ -351,8 +351,11 @@ def noise_metrics(
 
     The arguments are those of :func:`sampled_loop_metrics`.
     """
-    found = noise_covariances(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=frame_ticks, sensors=sensors)
-    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in found)
+    return _rms(noise_covariances(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=frame_ticks, sensors=sensors))
+
+
+def _rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
+    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
     return plain, relative
 
 

@@ -238,10 +238,19 @@ def error_budget(parameters: Parameters) -> ErrorBudget:
     limit = float(parameters["weights"]["rpe_limit_fine"])
     requirements = telescope_requirements(parameters)
     tone = _tone_share(TOTAL_NOISE, TONE, window_probability(requirements), ON_AXIS)
-    relative = (share * limit for share in (NOISE, SLOW, FAST_MIRROR, FAST, TOTAL_NOISE, tone))
     absolute_tone = _tone_share(APE_NOISE, APE_TONE, instant_probability(requirements), ABSOLUTE_ON_AXIS)
     ape = float(parameters["weights"]["ape_limit"])
-    return ErrorBudget(limit, *relative, APE_NOISE * ape, absolute_tone * ape)
+    return ErrorBudget(
+        limit=limit,
+        noise=NOISE * limit,
+        slow=SLOW * limit,
+        fast_mirror=FAST_MIRROR * limit,
+        fast=FAST * limit,
+        total_noise=TOTAL_NOISE * limit,
+        tone=tone * limit,
+        ape_noise=APE_NOISE * ape,
+        ape_tone=absolute_tone * ape,
+    )
 
 
 def _tone_share(noise: float, known: float, probability: float, on_axis: float) -> float:
