@@ -44,7 +44,7 @@ Limit = Callable[[Parameters, str], float]
 """From telescope parameters and stage."""
 
 TUNED = 0.985
-"""Part of the limits of APE, mirror and force that is tuned for."""
+"""Part of the limits of mirror and force that is tuned for."""
 
 FORCE_SHARE = 0.5
 """Part of the actuators' authority that a design may ask for."""
@@ -178,9 +178,7 @@ def _always(value: float) -> Limit:
 
 _MIRROR, _FORCE = COMMANDED
 _NOISE = _share(lambda budget: budget.noise, lambda budget: budget.total_noise)
-_APE = FigureOfMerit(
-    "APE", LINE_OF_SIGHT, (DISTURBANCE,), _ape, STAGES, MIRROR_STAGES, target=_part(TUNED, _absolute_tone)
-)
+_APE = FigureOfMerit("APE", LINE_OF_SIGHT, (DISTURBANCE,), _ape, STAGES, MIRROR_STAGES, target=_absolute_tone)
 _RPE = replace(_APE, name="RPE", limit=_rpe, stages=(), target=None, relative=True)
 
 FIGURES = (

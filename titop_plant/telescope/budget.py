@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
 
-NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 0.9, 2.2, 0.58
+NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.58
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
 with both controllers."""
 
