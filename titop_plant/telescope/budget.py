@@ -48,24 +48,24 @@ if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
 BAND_EDGE = 85.0
 """Frequency [rad/s] between slow and fast tones."""
 
-NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.58
+NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.5
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
 with both controllers."""
 
 TOTAL_NOISE = 0.265
 """Share of the noise (rms) with both controllers; the rest is for tones."""
 
-TONE = 0.4486
+TONE = 0.464
 """Share of the amplitude of a slow tone that keeps the limit beside this noise, :func:`largest_tone` to four digits:
 every bag holds the budget, and the search would take most of the time that a recorder needs to start."""
 
-APE_NOISE = 0.14
+APE_NOISE = 0.138
 """Share of the limit of the absolute error that noise may take (rms), in both stages with fine control."""
 
-APE_TONE = 0.7641
+APE_TONE = 0.7485
 """Share of a tone's absolute error beside it, :func:`largest_tone` of that noise for 99.7 % of the instants."""
 
-ON_AXIS, ABSOLUTE_ON_AXIS = 0.74, 0.6
+ON_AXIS, ABSOLUTE_ON_AXIS = 0.7, 0.7
 """Part of the noise's power that the budgets of the relative and of the absolute error put on the axis of the tone."""
 
 MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
