@@ -10,6 +10,7 @@ import pytest
 from los_design.verification.error_sums import ALL_CHANNELS, error_sums
 from los_design.verification.figure_texts import bound_text, margin_text
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
+from titop_plant.telescope.budget import ON_AXIS
 from titop_plant.telescope.parameters import load_parameters
 
 TONES = {"APE": 6.9 * RAD_PER_ARCSEC, "slow": 19.0 * RAD_PER_MAS, "fast": 20.0 * RAD_PER_MAS}
@@ -26,7 +27,7 @@ def test_tones_and_noise_are_below_the_sum_as_often_as_is_asked() -> None:
     bound = found["RPE, slow and fast tone, norm 1 in all, and noise"]
     rng = np.random.default_rng(0)
     count = 400_000
-    noise = rng.normal(size=(count, 2)) * 11.0 * np.sqrt([0.75, 0.25])
+    noise = rng.normal(size=(count, 2)) * 11.0 * np.sqrt([ON_AXIS, 1.0 - ON_AXIS])
     phases = np.sin(rng.uniform(0.0, 2.0 * math.pi, size=(count, 2)))
     for share in np.linspace(0.0, 1.0, 9):
         tone = 19.0 * share * phases[:, 0] + 20.0 * math.sqrt(1.0 - share**2) * phases[:, 1]

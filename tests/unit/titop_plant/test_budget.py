@@ -94,8 +94,9 @@ def test_the_bands_divide_the_power_at_their_edge() -> None:
 def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> None:
     parameters = load_parameters()
     budget = error_budget(parameters)
-    alone = combined_level(max(budget.slow, budget.fast_mirror), budget.noise, PROBABILITY, turn=1.7)
-    assert alone <= parameters["weights"]["rpe_limit"]
+    for tone, omega in ((budget.slow, 0.0), (budget.fast_mirror, 250.0)):
+        alone = combined_level(tone, budget.noise, PROBABILITY, turn=0.02 * omega)
+        assert alone <= parameters["weights"]["rpe_limit"]
     assert combined_level(budget.tone, budget.total_noise, PROBABILITY) == pytest.approx(budget.limit, rel=1e-3)
     assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0, PROBABILITY), abs=1e-4) == TONE
     assert pytest.approx(largest_tone(APE_NOISE, 1.0, PROBABILITY, ABSOLUTE_ON_AXIS), abs=1e-4) == APE_TONE
