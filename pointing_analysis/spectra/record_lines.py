@@ -19,6 +19,9 @@ from pointing_analysis.spectra.spectra import without_lines
 LONGEST = 1 << 19
 """Samples of a part."""
 
+LEAST = 1e-4
+"""Of the record's standard deviation: what the named tones leave below it is no noise but the errors of their fit."""
+
 NAMED = 2.0
 """Lines so close to a named tone, in 1 / T, are what its fit leaves of it."""
 
@@ -35,6 +38,9 @@ def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tupl
     named : (k,) frequencies of the named tones [rad/s]
     """
     rest = without_lines(error, dt, named) if np.size(named) else error
+    some = slice(None, None, max(1, len(error) // LONGEST))
+    if np.size(named) and np.nanstd(rest[some]) <= LEAST * np.nanstd(error[some]):
+        return (), rest
     count = max(1, -(-len(rest) // LONGEST))
     edges = np.linspace(0, len(rest), count + 1).round().astype(int)
     found: list[list[FoundLine]] = []

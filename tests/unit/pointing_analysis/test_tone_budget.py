@@ -107,3 +107,11 @@ def test_long_records_are_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> 
     assert found[0].amplitude[0] == pytest.approx(10.0, rel=0.02)
     assert found[1].amplitude[1] == pytest.approx(20.0 / math.sqrt(2.0), rel=0.02)
     assert np.isnan(rest[7]).all() and np.nanstd(rest) == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_the_fit_of_named_tones_leaves_of_a_record_without_noise_is_no_line() -> None:
+    time = 1e-3 * np.arange(10_000)
+    tones = np.column_stack([np.sin(100.0 * time), np.cos(333.0 * time)])
+    crumbs = 1e-6 * np.column_stack([np.sin(200.0 * time), np.sin(250.0 * time)])
+    found, rest = record_lines.unnamed_lines(tones + crumbs, 1e-3, np.array([100.0, 333.0]))
+    assert found == () and np.abs(rest).max() < 1e-4
