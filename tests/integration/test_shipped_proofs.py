@@ -41,8 +41,8 @@ from titop_plant.telescope.parameters import load_parameters
 
 ROOT = Path(__file__).parents[2]
 WHOLE = (0.0, NYQUIST)
-BANDS = {"APE": WHOLE, "slow": (0.0, BAND_EDGE), "fast": (BAND_EDGE, NYQUIST), "mirror": WHOLE, "force": WHOLE}
-NAMES = {"slow": "RPE, slow tone", "fast": "RPE, fast tone"}
+BANDS = {"APE": WHOLE, "slow": (0.0, BAND_EDGE), "mirror": WHOLE, "force": WHOLE}
+NAMES = {"slow": "RPE, slow tone"}
 """Figures as the page on certificates calls them, where it has another name."""
 
 

@@ -102,7 +102,7 @@ def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> 
     assert pytest.approx(largest_tone(APE_NOISE, 1.0, PROBABILITY, ABSOLUTE_ON_AXIS), abs=1e-4) == APE_TONE
     absolute = combined_level(budget.ape_tone, budget.ape_noise, PROBABILITY, ABSOLUTE_ON_AXIS)
     assert absolute == pytest.approx(parameters["weights"]["ape_limit"], rel=1e-3)
-    fast = combined_level(budget.fast, budget.total_noise, PROBABILITY, turn=0.02 * 145.0)
+    fast = combined_level(budget.fast, budget.total_noise, PROBABILITY, turn=0.02 * 160.0)
     assert fast <= budget.limit and budget.fast < budget.fast_mirror
     weight = band_error_weight(parameters, "fast").to_control()
     assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)
