@@ -116,6 +116,10 @@ class FoundLine:
         """Mean square, both axes."""
         return 0.5 * float(np.sum(self.amplitude**2))
 
+    def times(self, unit: float) -> FoundLine:
+        """The line of a record in another unit."""
+        return replace(self, phasor=unit * self.phasor, lower=unit * self.lower, upper=unit * self.upper)
+
     @property
     def is_sideband(self) -> bool:
         """Whether it belongs to a stronger line."""
@@ -151,9 +155,13 @@ def find_lines(
     n = len(e)
     if n < FEWEST_SAMPLES or present.sum() < (1.0 - MOST_MISSING) * n:
         return ()
+    largest = float(np.abs(e[present]).max())
+    if not largest > 0.0:
+        return ()
+    unit = 2.0 ** math.floor(math.log2(largest))  # squares of all values are numbers then, and no value is rounded
+    e = e / unit
     fitted = fit_sinusoids(e, present, dt, np.empty(0))
-    scale = float(np.abs(fitted.rest).max())
-    if not scale > 0.0:
+    if not np.abs(fitted.rest).max() > 0.0:
         return ()
     for _ in range(PASSES):
         background = _Background.of(fitted.rest, dt)
@@ -165,7 +173,8 @@ def find_lines(
         fitted = _significant(fitted, e, present, dt, false_lines)
         if fitted.omega.size <= before:
             break
-    return with_carriers(_lines(fitted, dt, confidence, present), n * dt)
+    lines = with_carriers(_lines(fitted, dt, confidence, present), n * dt)
+    return tuple(line.times(unit) for line in lines)
 
 
 @dataclass(frozen=True)

@@ -138,10 +138,14 @@ def largest_tone(noise: float, limit: float, probability: float, on_axis: float 
     --------
     >>> [round(largest_tone(noise, 40.0, 0.997)) for noise in (8.0, 10.0, 12.0, 14.0)]
     [25, 20, 15, 9]
+    >>> round(combined_level(largest_tone(11.0, 40.0, 0.6), 11.0, 0.6), 9)
+    40.0
     """
     if combined_level(0.0, noise, probability, on_axis) >= limit:
         return 0.0
     high = 1.01 * limit / np.sin(0.5 * np.pi * probability)
+    while combined_level(high, noise, probability, on_axis) < limit:  # noise can help at a small probability
+        high *= 2.0
     return _root(lambda tone: combined_level(tone, noise, probability, on_axis) - limit, high)
 
 

@@ -9,6 +9,12 @@ from lftkit.support import progress
 from lftkit.support.progress import Progress, choose_output
 
 
+@pytest.fixture(autouse=True)
+def as_at_the_start():
+    """The choice of a process is that of its last command: other tests have run commands that are quiet."""
+    choose_output()
+
+
 @pytest.mark.parametrize("shown", [True, False])
 def test_the_standard_output_stays_free_and_lines_stay_only_when_shown(capsys, shown):
     with Progress("tuning", shown) as bar:
