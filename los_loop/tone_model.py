@@ -230,12 +230,13 @@ def _together(tones: Tones) -> tuple[FloatArray, ComplexArray]:
 
 
 def compare_tones(
-    run: Run, model: ToneModel, transient: float | None = None, stop: float = math.inf, taper: bool = False
+    run: Run, model: ToneModel, transient: float | None = None, stop: float = math.inf
 ) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
     """Amplitudes in the record and in the simulated record from the same start, and the fitted part of the run [s].
 
-    Tones that the run cannot resolve are fitted as one in both; those beyond half the sampling rate and those with less
-    than one period are omitted.
+    Both are fitted with Hann weights: drift, noise and the images of other tones in the camera's frames stay out of a
+    tone. Tones that the run cannot resolve are fitted as one in both; those beyond half the sampling rate and those
+    with less than 2.5 periods are omitted.
 
     Parameters
     ----------
@@ -246,9 +247,6 @@ def compare_tones(
         Seconds of start-up to omit.
     stop : float
         End of the fitted part [s]. The simulation costs a step of Python for each tick before it.
-    taper : bool
-        Fit both with Hann weights, which suppress drift and noise at lower frequencies than the tone; tones with less
-        than 2.5 periods in the part are omitted, too.
     """
     series = performance_error(run, transient)
     first = round(series.start / series.dt)
@@ -259,13 +257,13 @@ def compare_tones(
         record = model.record(first + len(measured))[first:]
         if not np.isfinite(record).all():
             raise ValueError("the model of the loop diverges")
-        pairs = [lines(values, series.dt, model.omega, WINDOW, taper) for values in (measured, record)]
+        pairs = [lines(values, series.dt, model.omega, WINDOW, taper=True) for values in (measured, record)]
         noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
     expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
     found = [
         ToneComparison(line.omega, line.merged, expected[line.omega], float(np.hypot(*line.amplitude)), float(floor))
         for line, floor in zip(pairs[0], noise)
-        if line.omega in expected and not (taper and np.isnan(floor))
+        if line.omega in expected and not np.isnan(floor)
     ]
     seconds = (series.start, series.start + series.dt * len(measured))
     return tuple(sorted(found, key=lambda tone: tone.omega)), seconds

@@ -295,10 +295,11 @@ def _taper(n: int) -> FloatArray:
 def _chance(power: FloatArray, noise: FloatArray, d: FloatArray) -> FloatArray:
     """Probability that noise (k, 4) of d independent transforms (k,) has a larger statistic than powers (k, 4)."""
     x, y, re, im = noise.T
-    floor = 1e-12 * (x + y) + 1e-300  # an axis without noise
+    floor = 1e-12 * (x + y) + 1e-60  # an axis without noise; the record is near one
     x, y = x + floor, y + floor
     px, py, p_re, p_im = power.T
-    t = (px * y + py * x - 2.0 * (p_re * re + p_im * im)) / (x * y - re**2 - im**2)
+    determinant = np.maximum(x * y - re**2 - im**2, 1e-12 * x * y)  # both axes alike
+    t = (px * y + py * x - 2.0 * (p_re * re + p_im * im)) / determinant
     u = 1.0 / (1.0 + np.maximum(t, 0.0) / d)
     return np.asarray(np.exp((d - 1.0) * np.log(u)) * (1.0 + (d - 1.0) * (1.0 - u)))
 

@@ -57,8 +57,8 @@ def test_open_stages_have_no_noise_in_the_line_of_sight(compared) -> None:
 def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
     """The record of the nodes' cores against matrices of the closed loop: another route to the same motion.
 
-    The run begins in the steady state. Weak tones are left out there, for neighbours that 2 s do not separate leak into
-    them.
+    The run begins in the steady state. Weak tones are left out there: beside them are images of strong ones in the
+    camera's frames, which the model does not have.
     """
     tones = select(compared[1], "imbalance", loop, "disturbance")["nominal"].tones
     assert len(tones) > 10
@@ -66,7 +66,7 @@ def test_measured_transmissibility_is_that_of_the_model(compared, loop) -> None:
     for tone in tones:
         assert tone.measured == pytest.approx(tone.expected, rel=1e-6, abs=1e-9 * strongest)
         if tone.model > 0.1 * strongest:
-            assert tone.model == pytest.approx(tone.expected, rel=1e-3, abs=3e-4 * strongest)
+            assert tone.model == pytest.approx(tone.expected, rel=5e-4)
 
 
 def test_the_tables_hold_all_stages(compared) -> None:

@@ -73,7 +73,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         if value_of(parts.family.name(parts.physical)) != known:
             raise ValueError("the telescope's figures are no longer those of the run")
         model = parts.tone_model()
-        tones, (first, last) = compare_tones(run, model, transient, LONGEST, taper=True)
+        tones, (first, last) = compare_tones(run, model, transient, LONGEST)
     except (ValueError, TypeError, OSError, OverflowError) as error:
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)
         return Prediction(note=text)
