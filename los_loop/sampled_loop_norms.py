@@ -122,7 +122,7 @@ def sampled_loop_metrics(
     los = float(largest_gains(response[:, ape.rows]).max())
     angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
     worst = float(relative.max())
-    rms = _rms(_noise(closed, parameters, sensors)) if noise else (float("nan"), float("nan"))
+    rms = noise_rms(_noise(closed, parameters, sensors)) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
         los / ape.limit(parameters, both),
         worst / rpe.limit(parameters, mirrors),
@@ -337,28 +337,6 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
     return places
 
 
-def noise_metrics(
-    plant: System,
-    k_fsm: SampledSystem,
-    k_pma: SampledSystem,
-    parameters: Parameters,
-    *,
-    loop: str,
-    frame_ticks: int = FRAME_TICKS,
-    sensors: str | None = None,
-) -> tuple[float, float]:
-    """Line of sight due to sensor noise [rad rms, both axes], plain and as relative error; infinite if unstable.
-
-    The arguments are those of :func:`sampled_loop_metrics`.
-    """
-    return _rms(noise_covariances(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=frame_ticks, sensors=sensors))
-
-
-def _rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
-    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
-    return plain, relative
-
-
 def noise_covariances(
     plant: System,
     k_fsm: SampledSystem,
@@ -369,12 +347,21 @@ def noise_covariances(
     frame_ticks: int = FRAME_TICKS,
     sensors: str | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariances (2, 2) [rad^2] of what :func:`noise_metrics` is the root of the trace of; infinite if unstable."""
+    """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
+
+    The arguments are those of :func:`sampled_loop_metrics`; infinite if the loop is unstable.
+    """
     sensitivity = float(parameters["fsm"]["los_sensitivity"])
     closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     if closed.spectral_radius() < 1.0:
         return _noise(closed, parameters, sensors)
     return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
+
+
+def noise_rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
+    """Root mean squares [rad, both axes] of :func:`noise_covariances`."""
+    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
+    return plain, relative
 
 
 def largest_part(covariance: FloatArray) -> float:

@@ -32,7 +32,7 @@ from los_design.verification.certify import (
 )
 from los_design.verification.loop_models import NYQUIST, Box, box_of, noise_model
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT
 
@@ -69,7 +69,7 @@ def certify_noise(
     """
     model, box, limit = noise_model(loop), box_of(loop), float(loop.parameters["weights"]["ape_limit"])
     values = {p.name: p.nominal for p in loop.system.parameters}
-    lower = noise_metrics(loop.system.at({}), *loop.pair, loop.parameters, loop=loop.stage)[0] / limit
+    lower = noise_rms(noise_covariances(loop.system.at({}), *loop.pair, loop.parameters, loop=loop.stage))[0] / limit
     whole = (0.0, NYQUIST)
     if not nominal_stable(loop):
         return FigureBounds(loop.stage, NOISE, lower, math.inf, values, 0.0, "unstable", [whole])

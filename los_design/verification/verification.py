@@ -23,7 +23,7 @@ from los_loop.figures_of_merit import figure, gain_figures, paper_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margin, rounded
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_metrics
+from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_rms
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
@@ -267,9 +267,9 @@ def check_implemented(
     nominal, noise, on_axis = system.at({}), {}, {}
     for stage in MIRROR_STAGES:
         plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage)
-        noise[stage] = float(np.sqrt(np.trace(plain))), float(np.sqrt(np.trace(relative)))
+        noise[stage] = noise_rms((plain, relative))
         on_axis[stage] = largest_part(plain), largest_part(relative)
-    platform = noise_metrics(nominal, *pair, parameters, loop=MIRROR_STAGES[-1], sensors="platform")
+    platform = noise_rms(noise_covariances(nominal, *pair, parameters, loop=MIRROR_STAGES[-1], sensors="platform"))
     delay = _delays(open_loop, pair, points)
     return ImplementedCheck(alone, both, noise, on_axis, platform[0], delay, parameters)
 

@@ -171,7 +171,9 @@ def noise(k_fsm: SampledSystem) -> dict[str, object]:
         ("shared", k_fsm, PARAMETERS),
         ("shared, louder", k_fsm, louder),
     ):
-        found[name] = sampled_loop_norms.noise_metrics(plant, k, K_PMA, parameters, loop=STAGE)[1]
+        found[name] = sampled_loop_norms.noise_rms(
+            sampled_loop_norms.noise_covariances(plant, k, K_PMA, parameters, loop=STAGE)
+        )[1]
     k_fsm.to_file("shared.json")
     for name, settings in (("stored", {}), ("shared", {"k_fsm": "shared.json"})):
         sources = testbed_sources((), {"loop": STAGE, "part": "noise", "settings": settings}, 1.0)

@@ -60,6 +60,11 @@ class _OfChannel:
         return (index,)
 
 
+def _check_unit(unit: float) -> None:
+    if not (np.isfinite(unit) and unit > 0.0):
+        raise ValueError(f"unit must be positive, got {unit}")
+
+
 @dataclass(frozen=True)
 class Passivity(_OfChannel):
     """Energy goes into a channel: ``int z'w >= input_index int w'w + output_index int z'z`` from rest.
@@ -111,8 +116,7 @@ class Passivity(_OfChannel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (np.isfinite(self.unit) and self.unit > 0.0):
-            raise ValueError(f"unit must be positive, got {self.unit}")
+        _check_unit(self.unit)
         if not (np.isfinite(self.input_index) and np.isfinite(self.output_index) and self.output_index >= 0.0):
             raise ValueError(
                 "input_index must be finite and output_index finite and not negative, got "
@@ -172,8 +176,7 @@ class ConicSector(_OfChannel):
         super().__post_init__()
         if not self.low < self.high or (np.isinf(self.low) and np.isinf(self.high)):
             raise ValueError(f"low must be below high, one of them finite, got {self.low} and {self.high}")
-        if not (np.isfinite(self.unit) and self.unit > 0.0):
-            raise ValueError(f"unit must be positive, got {self.unit}")
+        _check_unit(self.unit)
 
     @property
     def fraction(self) -> Fraction:

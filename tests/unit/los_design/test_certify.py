@@ -33,7 +33,7 @@ from los_design.verification.loop_models import (
 from los_design.verification.noise_certificate import ABOVE, seen_gain
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 212.0)
@@ -152,7 +152,7 @@ def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, 
         axis = dataclasses.replace(model, rows=(row,))
         power += [float(member_gains(axis, float(w), zero)[0]) ** 2 for w in omega]
     found = model.scale * math.sqrt(model.dt / math.pi * trapezoid(power, omega))
-    exact = noise_metrics(own.system.at({}), *pair, parameters, loop=stage)[0]
+    exact = noise_rms(noise_covariances(own.system.at({}), *pair, parameters, loop=stage))[0]
     assert found == pytest.approx(exact, rel=0.01)
 
 

@@ -23,7 +23,7 @@ from los_design.synthesis.pair_problem import (
 from los_design.synthesis.store import continuous, load_designs
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
@@ -84,7 +84,7 @@ def test_noise_is_that_of_the_sampled_loop(parameters, open_loop, pair, x) -> No
     shares = {"fsm": (budget.ape_noise, budget.noise), "fsm+pma": (budget.ape_noise, budget.total_noise)}
     values = np.reshape(problem.noise(x), (2, 2))
     for found, (stage, share) in zip(values, shares.items()):
-        exact = noise_metrics(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS)
+        exact = noise_rms(noise_covariances(plant, *pair, parameters, loop=stage, frame_ticks=FRAME_TICKS))
         assert found[1] * share[1] == pytest.approx(exact[1], rel=1e-3)
         assert 0.97 * exact[0] < found[0] * share[0] < exact[0]
 

@@ -4,7 +4,7 @@ Everything is read from the responses of :class:`los_testbed.campaign.model_loop
 
 * **Gains.** Largest singular values; between three points of the grid around a maximum the inverse square of the gain
   is a parabola (exactly so for one mode), whose vertex is the peak. Sidebands of the camera's frame rate are left out.
-* **Noise.** That of the nominal loop is exact (:func:`los_loop.sampled_loop_norms.noise_metrics`); what a member
+* **Noise.** That of the nominal loop is exact (:func:`los_loop.sampled_loop_norms.noise_covariances`); what a member
   changes is the integral of the difference of the two power densities.
 * **Stability.** The telescope without fine control is stable, so the loop is stable if the return difference
   ``det(I - K P) = 1 / det(S)`` does not encircle the origin. Where its angle turns by more than :data:`TURN` from one
@@ -23,7 +23,7 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
-from los_loop.sampled_loop_norms import noise_metrics
+from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
 from los_testbed.campaign.model_loop import ModelLoop
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -220,7 +220,7 @@ def _exact_noise(
     stage: str,
     values: Mapping[str, float],
 ) -> tuple[float, float]:
-    return noise_metrics(system.at(values), *controllers, parameters, loop=stage)
+    return noise_rms(noise_covariances(system.at(values), *controllers, parameters, loop=stage))
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:
