@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.run_start import RunStart
+from los_testbed.run_start import START_FILE, RunStart
 from support.true_los import true_los
 
+from lftkit.support.threads import THREADS
+from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.metrics import radial, windows
+from pointing_analysis.read.run import Run
 from titop_plant.interface import DT, FRAME_TICKS, STAGES
 
 WHEELS = (300.0, -200.0, 150.0, -400.0)
@@ -76,3 +83,14 @@ def test_a_loop_that_is_not_stable_starts_at_rest_and_says_so(tmp_path) -> None:
     start = RunParts(RunConfig(loop="fsm"), {**chosen, "k_fsm": wild}).start
     assert start.states is None and start.tone is not None
     assert "must be stable" in start.note and "rest" in start.note
+
+
+def test_a_command_starts_with_the_bits_of_one_thread_whatever_the_environment(tmp_path: Path) -> None:
+    """Numpy reads its number of threads when it is imported, and nobody who types a command has set it."""
+    environment = {name: value for name, value in os.environ.items() if name != THREADS}
+    line = ["--mode", "inprocess", "--duration", "0.1", "--scenario", "imbalance", "--no-report", "--output", "bag"]
+    command = [sys.executable, "-m", "los_testbed", "run", *line]
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, timeout=300)
+    run = Run.open(tmp_path / "bag")
+    config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml"))
+    assert RunParts(config).start.to_bytes() == run.attachments[START_FILE]

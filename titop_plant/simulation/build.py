@@ -14,6 +14,7 @@ from scipy import linalg
 
 from lftkit import System
 from lftkit.arrays import FloatArray
+from lftkit.support.threads import one_thread
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -36,8 +37,9 @@ DESIGN_TABLES = ("design_scenario", "weights", "sadm")
 
 @lru_cache(maxsize=4)
 def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
-    """The assembled telescope of a parameter file (kept for the next call)."""
-    return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
+    """The assembled telescope of a parameter file (kept for the next call, so its bits are those of one thread)."""
+    with one_thread():
+        return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
 
 
 @dataclass(frozen=True)
@@ -241,15 +243,17 @@ def _circumstances(
 
 @lru_cache(maxsize=2)
 def _isolated_loop(path: str | None) -> System:
-    return control_loop_plant(telescope(path, True), load_parameters(path or REFERENCE))
+    with one_thread():
+        return control_loop_plant(telescope(path, True), load_parameters(path or REFERENCE))
 
 
 @lru_cache(maxsize=2)
 def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
     """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
-    plant = ModalPlant.of(_isolated_loop(path).at(dict(values)))  # that of the run, unless the run has no isolator
-    los = plant.response.part(slice(MEASUREMENTS, None), slice(None))
-    tones = design_tones(json.loads(tables), los, _phases(seed))
+    with one_thread():
+        plant = ModalPlant.of(_isolated_loop(path).at(dict(values)))  # that of the run, unless the run has no isolator
+        los = plant.response.part(slice(MEASUREMENTS, None), slice(None))
+        tones = design_tones(json.loads(tables), los, _phases(seed))
     for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
         array.flags.writeable = False
     return tones

@@ -153,7 +153,6 @@ def main(arguments: list[str] | None = None) -> int:
 
     SIGINT, SIGTERM and SIGHUP end a command alike: what it was writing is removed or completed, the exit code is 130.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if arguments is None:  # this is the program: what ends it is ours to tell
         os.environ[SUPERVISED] = "1"
     for number in (signal.SIGTERM, signal.SIGHUP):
