@@ -167,8 +167,19 @@ CHANGED = ("plant", "nonlinear", "disturbance_source", "disturbance_files")
 """Fields that change the plant itself; part of its hash where they are set."""
 
 
+def is_library(text: str) -> bool:
+    """Whether the name of a controller is that of a flight library.
+
+    Examples
+    --------
+    >>> is_library("build/liblos_flight.so"), is_library("my.laws:Observer")
+    (True, False)
+    """
+    return text.endswith(".so")
+
+
 def is_code(text: str | None) -> bool:
-    """Whether the name of a controller is that of code, MODULE:NAME or an entry point, and not that of a file.
+    """Whether a controller is code: MODULE:NAME, an entry point or a flight library, and not a file of numbers.
 
     Examples
     --------
@@ -177,6 +188,8 @@ def is_code(text: str | None) -> bool:
     """
     if text is None:
         return False
+    if is_library(text):
+        return True
     return bool(re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*|[A-Za-z_][\w-]*", text)) and not Path(text).is_file()
 
 

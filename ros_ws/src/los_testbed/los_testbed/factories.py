@@ -19,6 +19,7 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
+from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, needs_tone, with_tones
 from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
@@ -364,7 +365,7 @@ class RunParts:
 
 
 def compare_with_telescope(
-    controllers: Mapping[str, SampledSystem | UserBlock], telescope: DesignBasis, loop: str
+    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw], telescope: DesignBasis, loop: str
 ) -> tuple[str, ...]:
     """Compare controllers with the telescope of a run; one line for each made for other parameters or limits.
 
@@ -382,7 +383,7 @@ def compare_with_telescope(
 
 
 def assemble_controller(
-    controllers: Mapping[str, SampledSystem | UserBlock], telescope: DesignBasis, loop: str
+    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw], telescope: DesignBasis, loop: str
 ) -> FsmPmaController:
     """Mirror and proof-mass laws.
 

@@ -17,7 +17,7 @@ from types import FrameType, MappingProxyType
 from typing import Any
 
 import pointing_analysis
-from los_testbed.config import RunConfig, is_code
+from los_testbed.config import RunConfig, is_code, is_library
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -132,7 +132,7 @@ def source_hashes(config: RunConfig) -> dict[str, str]:
         if not text or (setting.startswith("k_") and not is_code(text)):
             continue
         try:
-            file = inspect.getsourcefile(load(text, setting))
+            file = text if is_library(text) else inspect.getsourcefile(load(text, setting))
         except TypeError:  # built in, or an object without a file
             file = None
         hashes[setting] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file and Path(file).is_file() else ""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -25,7 +26,7 @@ from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from lftkit.systems.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import RunConfig
+from los_testbed.config import RunConfig, is_library
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
@@ -214,7 +215,13 @@ def make_law(config: RunConfig, setting: str) -> UserBlock:
         It cannot be made, or breaks the contract.
     """
     text = getattr(config, setting)
-    block = _linear_law(setting, text, load(text, setting)) or make(config, setting)
+    block: Any
+    if is_library(text):
+        from los_testbed.flight_library import LibraryLaw
+
+        block = LibraryLaw(Path(text), setting)
+    else:
+        block = _linear_law(setting, text, load(text, setting)) or make(config, setting)
     made = UserBlock(setting, text, block, *LAWS[setting])
     made.check()
     return made

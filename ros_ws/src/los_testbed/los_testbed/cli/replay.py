@@ -53,8 +53,10 @@ ROWS = (
 
 def replay(
     bag: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
-    k_fsm: Annotated[Path | None, typer.Option(help="Observer file instead of the recorded one.")] = None,
-    k_pma: Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the recorded one.")] = None,
+    k_fsm: Annotated[
+        Path | None, typer.Option(help="Observer (file or flight library) instead of the recorded one.")
+    ] = None,
+    k_pma: Annotated[Path | None, typer.Option(help="Proof-mass law, likewise.")] = None,
     loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
     transient: Transient = None,

@@ -22,7 +22,9 @@ from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
+from los_testbed.config import is_library
 from los_testbed.factories import assemble_controller, compare_with_telescope
+from los_testbed.flight_library import LibraryLaw
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory_file import memory_file
@@ -63,7 +65,7 @@ class Controllers:
     Parameters
     ----------
     files : mapping of str to bytes
-        Contents of ``k_fsm.json`` and ``k_pma.json``.
+        Contents of ``k_fsm.json`` and ``k_pma.json``, or ``.so`` for those of a flight library.
     loop : str
         Stage.
     as_recorded : bool
@@ -77,7 +79,7 @@ class Controllers:
     files: Mapping[str, bytes]
     loop: str
     as_recorded: bool
-    estimator: LosEstimator
+    estimator: LosEstimator | LibraryLaw
     controller: FsmPmaController
     warnings: tuple[str, ...] = ()
 
@@ -119,19 +121,37 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
-    fsm, fsm_file = controller_of(run, "k_fsm", k_fsm)
-    pma, pma_file = controller_of(run, "k_pma", k_pma)
+    fsm, fsm_file = _law_of(run, "k_fsm", k_fsm)
+    pma, pma_file = _law_of(run, "k_pma", k_pma)
     chosen, telescope = {"k_fsm": fsm, "k_pma": pma}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
     controller = assemble_controller(chosen, _completed(telescope), stage)
-    files = {"k_fsm.json": fsm_file, "k_pma.json": pma_file}
+    files = {_file_name(name, law): data for (name, law), data in zip(chosen.items(), (fsm_file, pma_file))}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
-    estimator, states = LosEstimator(fsm), _states(run)
-    if states is not None and same["k_fsm.json"]:
+    estimator, states = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm), _states(run)
+    if states is not None and _starts_as_recorded(fsm, same, "k_fsm.json", states.k_fsm):
         estimator.start_at(states.k_fsm, states.camera)
-    if states is not None and same["k_pma.json"] and stage == recorded:
+    if states is not None and _starts_as_recorded(pma, same, "k_pma.json", states.k_pma) and stage == recorded:
         controller.start_at(states.k_pma)
     return Controllers(files, stage, stage == recorded and all(same.values()), estimator, controller, warnings)
+
+
+def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | LibraryLaw, bytes]:
+    """:func:`controller_of`, or a law of a flight library and its file."""
+    if given is not None and is_library(str(given)):
+        return LibraryLaw(given, name), given.read_bytes()
+    return controller_of(run, name, given)
+
+
+def _file_name(name: str, law: SampledSystem | LibraryLaw) -> str:
+    return f"{name}.so" if isinstance(law, LibraryLaw) else f"{name}.json"
+
+
+def _starts_as_recorded(
+    law: SampledSystem | LibraryLaw, same: Mapping[str, bool], file: str, state: FloatArray | tuple[float, ...]
+) -> bool:
+    """Whether the recorded state is one of this law: it is the recorded one, or a library of the same order."""
+    return law.order == len(state) if isinstance(law, LibraryLaw) else same[file]
 
 
 def _states(run: Run) -> LoopStart | None:
@@ -246,7 +266,8 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
         metadata["controller_warnings"] = "; ".join(chosen.warnings)
     others = {name: data for name, data in run.attachments.items() if name not in chosen.files}
     files = {name: ("application/octet-stream", data) for name, data in others.items()}
-    files.update({name: ("application/json", data) for name, data in chosen.files.items()})
+    kinds = {".json": "application/json", ".so": "application/octet-stream"}
+    files.update({name: (kinds[Path(name).suffix], data) for name, data in chosen.files.items()})
     write_signal_bag(path, metadata, signals, files)
 
 

@@ -1,0 +1,96 @@
+"""Laws of a compiled flight library (``liblos_flight.so``) in the places of the laws of a file."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from titop_plant.interface import ESTIMATES, FORCES, HELD, MEASUREMENTS, PLATFORM
+
+SIZES: Mapping[str, tuple[int, ...]] = MappingProxyType(
+    {
+        "k_fsm": (MEASUREMENTS, HELD.size, ESTIMATES),
+        "k_pma": (PLATFORM.stop - PLATFORM.start, FORCES.stop - FORCES.start),
+    }
+)
+"""What follows the order in ``los_k_fsm_sizes`` and ``los_k_pma_sizes``: inputs, held values, outputs."""
+
+LARGEST_ORDER = 10_000
+
+
+class FlightLibraryError(ValueError):
+    """A file that is no flight library of this telescope's ports and this processor."""
+
+
+class LibraryLaw:
+    """K_FSM or K_PMA of a flight library, stepped in its own arithmetic.
+
+    Parameters
+    ----------
+    path : Path
+        Shared library of the units that ``los-testbed export c`` writes. Its code runs in this process.
+    setting : {"k_fsm", "k_pma"}
+
+    Raises
+    ------
+    FlightLibraryError
+        It cannot be loaded, lacks a function, or has other ports.
+    """
+
+    def __init__(self, path: Path, setting: str) -> None:
+        self.name, self.design_basis = f"{setting} {path}", MappingProxyType(dict[str, Any]())
+        try:
+            self._library = ctypes.CDLL(str(path.resolve()))
+        except OSError as error:
+            raise FlightLibraryError(
+                f"{setting} {path} must be a shared library for this processor, got {error}"
+            ) from None
+        prefix, sizes = f"los_{setting}", SIZES[setting]
+        names = (f"{prefix}_{what}" for what in ("init", "reset", "reset_to", "step", "sizes", "tables_sha256"))
+        missing = [name for name in names if not hasattr(self._library, name)]
+        if missing:
+            raise FlightLibraryError(
+                f"{setting} {path} must have the functions of `los-testbed export c`, got none of {', '.join(missing)}"
+            )
+        found = tuple((ctypes.c_int * (1 + len(sizes))).in_dll(self._library, f"{prefix}_sizes"))
+        self.order = found[0]
+        if found[1:] != sizes or not 0 <= self.order <= LARGEST_ORDER:
+            raise FlightLibraryError(f"{setting} {path} must have the sizes (order, {sizes}), got {found}")
+        self.tables_sha256 = (ctypes.c_char * 65).in_dll(self._library, f"{prefix}_tables_sha256").value.decode()
+        self._step, self._reset_to = (getattr(self._library, f"{prefix}_{what}") for what in ("step", "reset_to"))
+        self._self = np.zeros(self.order + sum(sizes[:-1]))
+        self._held = tuple(np.zeros(size) for size in sizes[1:-1])
+        self._start = np.zeros(self.order)
+        getattr(self._library, f"{prefix}_init")(_pointer(self._self))
+
+    def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
+        """Nothing: the sizes were compared when the library was loaded."""
+
+    def start_at(self, state: FloatArray, camera: FloatArray) -> None:
+        """Say where the next reset of K_FSM leads to: `state` (order,), held values `camera` (h,)."""
+        for given, kept in zip((state, camera), (self._start, *self._held)):
+            if np.shape(given) != kept.shape:
+                raise FlightLibraryError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
+            kept[:] = given
+
+    def reset(self, state: FloatArray | None = None) -> None:
+        """Back to the start, or to `state` (order,)."""
+        if state is not None and np.shape(state) != self._start.shape:
+            raise FlightLibraryError(f"{self.name}: state must have shape {self._start.shape}, got {np.shape(state)}")
+        start = self._start if state is None else np.ascontiguousarray(state, dtype=float)
+        self._reset_to(_pointer(self._self), _pointer(start), *map(_pointer, self._held))
+
+    def step(self, values: FloatArray, out: FloatArray) -> None:
+        """Write the output of this tick; `values` are the measurement, or the accelerations of the platform."""
+        self._step(_pointer(self._self), _pointer(np.ascontiguousarray(values)), _pointer(out))
+
+
+def _pointer(values: FloatArray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(values.ctypes.data)
