@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -137,6 +138,10 @@ class BeamFrame:
 
     def divided(self) -> BeamFrame:
         """The same frame with every beam divided into its elements, the inner nodes named ``start-end:k``."""
+        return self._divided
+
+    @cached_property
+    def _divided(self) -> BeamFrame:
         nodes, beams = dict(self.nodes), []
         for beam in self.beams:
             start, end = self.nodes[beam.start], self.nodes[beam.end]
@@ -166,10 +171,13 @@ def assemble(frame: BeamFrame) -> tuple[tuple[str, ...], FloatArray, FloatArray]
         start, end = fine.nodes[beam.start], fine.nodes[beam.end]
         axes = beam_axes(start, end, beam.up, f"{frame.name}: beam {beam.start}-{beam.end}")
         stiffness, mass = element_matrices(beam.section, float(np.sqrt((end - start) @ (end - start))))
-        turn = block_diag(axes, axes, axes, axes)
-        index = np.r_[first[beam.start] : first[beam.start] + 6, first[beam.end] : first[beam.end] + 6]
-        K[np.ix_(index, index)] += turn.T @ stiffness @ turn
-        M[np.ix_(index, index)] += turn.T @ mass @ turn
+        turn = np.zeros((12, 12))
+        for k in range(0, 12, 3):
+            turn[k : k + 3, k : k + 3] = axes
+        index = np.add.outer((first[beam.start], first[beam.end]), np.arange(6)).ravel()
+        rows = index[:, None]
+        K[rows, index] += turn.T @ stiffness @ turn
+        M[rows, index] += turn.T @ mass @ turn
     for lump in fine.masses:
         index = np.arange(first[lump.node], first[lump.node] + 6)
         M[np.ix_(index, index)] += lump.matrix()
