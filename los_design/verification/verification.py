@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,17 @@ class ImplementedCheck:
 
     def total(self, stage: str) -> float:
         """Relative error that the required part of the windows keeps beside the worst tone [mas]."""
-        return max(self._beside_noise(stage, tone, omega) for tone, omega in self._tones(stage))
+        return self._totals[stage]
+
+    @cached_property
+    def _totals(self) -> dict[str, float]:
+        return {stage: self._total(stage) for stage in MIRROR_STAGES}
+
+    def _total(self, stage: str) -> float:
+        level = 0.0
+        for tone, omega in self._tones(stage):
+            level = self._beside_noise(stage, tone, omega, level)
+        return level
 
     def _tones(self, stage: str) -> list[tuple[float, float]]:
         """Amplitudes [mas] and frequencies [rad/s] of tones: the slow one, and of the fast ones all that may matter."""
@@ -124,10 +135,11 @@ class ImplementedCheck:
         found = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
         return [(self.tone(stage, "slow"), 0.0), (self.tone(stage, "fast"), check.worst["fast"].omega), *found]
 
-    def _beside_noise(self, stage: str, tone: float, omega: float = 0.0) -> float:
+    def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
         turn = omega * float(self.parameters["weights"]["rpe_window"])
         probability = window_probability(telescope_requirements(self.parameters))
-        return _level(tone, self.noise[stage][1] / MAS, probability, max(ON_AXIS, self.on_axis[stage][1]), turn)
+        on_axis = max(ON_AXIS, self.on_axis[stage][1])
+        return _level(tone, self.noise[stage][1] / MAS, probability, on_axis, turn, least)
 
     def total_together(self, stage: str) -> float:
         """The same beside a slow and a fast tone at once, of norm 1 in all [mas]: at most, whatever their shares."""
@@ -226,8 +238,11 @@ class ImplementedCheck:
         }
 
 
-def _level(tone: float, noise: float, probability: float, on_axis: float, turn: float = 0.0) -> float:
-    return combined_level(tone, noise, probability, on_axis, turn) if math.isfinite(tone + noise) else math.inf
+def _level(
+    tone: float, noise: float, probability: float, on_axis: float, turn: float = 0.0, least: float = 0.0
+) -> float:
+    known = math.isfinite(tone + noise + least)
+    return combined_level(tone, noise, probability, on_axis, turn, least) if known else math.inf
 
 
 def check_implemented(

@@ -87,7 +87,9 @@ REACH = 8.5
 """Standard deviations of that noise that the integral has."""
 
 
-def combined_level(tone: float, noise: float, probability: float, on_axis: float = ON_AXIS, turn: float = 0.0) -> float:
+def combined_level(
+    tone: float, noise: float, probability: float, on_axis: float = ON_AXIS, turn: float = 0.0, least: float = 0.0
+) -> float:
     """Level that a part of the windows (or instants) keeps with a tone and noise together.
 
     Parameters
@@ -102,11 +104,13 @@ def combined_level(tone: float, noise: float, probability: float, on_axis: float
         Part of the noise's power that is on the axis of the tone, 0.1 to 1.
     turn : float
         Angle that the tone turns in a window [rad], omega T; 0: of a slow tone, or of instants.
+    least : float
+        A level of interest: where it is kept it is the result, which is found much sooner than the level itself.
 
     Returns
     -------
     float
-        In the same unit.
+        In the same unit, `least` or more.
 
     Raises
     ------
@@ -126,8 +130,10 @@ def combined_level(tone: float, noise: float, probability: float, on_axis: float
         raise ValueError(f"on_axis must be from {LEAST_ON_AXIS:g} to 1, got {on_axis}")
     if noise <= NEGLIGIBLE * tone:
         modulation, _ = _in_window(turn)
-        return float(tone * np.sqrt(0.5 * (1.0 - abs(modulation) * np.cos(np.pi * probability))))
+        return max(least, float(tone * np.sqrt(0.5 * (1.0 - abs(modulation) * np.cos(np.pi * probability)))))
     window = partial(_outside, tone=tone, noise=noise, on_axis=on_axis, turn=turn)
+    if least > 0.0 and window(least) <= 1.0 - probability:
+        return least
     return _root(lambda level: window(level) - (1.0 - probability), 1.5 * tone + 5.0 * noise)
 
 

@@ -80,6 +80,16 @@ def test_closed_forms_at_the_ends() -> None:
     assert combined_level(10.0, 0.0, PROBABILITY, turn=400.0) == pytest.approx(10.0 / np.sqrt(2.0), rel=5e-3)
 
 
+def test_the_largest_level_of_several_is_found_beside_the_largest_so_far() -> None:
+    tones = [(10.0, 0.0), (24.0, 8.0), (24.1, 8.0), (9.0, 3.0), (0.0, 0.0), (25.0, 7.0), (4000.0, 2.0), (30.0, 0.0)]
+    alone = [combined_level(tone, 3.0, PROBABILITY, turn=turn) for tone, turn in tones]
+    level = 0.0
+    for k, (tone, turn) in enumerate(tones):
+        level = combined_level(tone, 3.0, PROBABILITY, turn=turn, least=level)
+        assert level == max(alone[: k + 1])
+    assert alone[2] > alone[1] > alone[0] > alone[3]
+
+
 def test_the_bands_divide_the_power_at_their_edge() -> None:
     """Butterworth: the squares of both add up to one at every frequency, and are equal at the edge."""
     slow, fast = (band_weight(band).at({}).to_control() for band in ("slow", "fast"))
