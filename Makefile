@@ -59,8 +59,9 @@ style: $(READY)
 types: $(READY)
 	$(BESIDE) $(BIN)/mypy
 
-types-of-tests: $(READY)
-	$(BESIDE) $(BIN)/mypy --config-file tests/mypy.ini --cache-dir .mypy_cache/tests tests
+# after those of the packages, whose cache it reads
+types-of-tests: types
+	$(BESIDE) $(BIN)/mypy --config-file tests/mypy.ini tests
 
 # style and types take what the tests leave of the processors
 test: $(READY)
