@@ -36,6 +36,12 @@ def recorded(folder: Path, bag: Path, duration: float) -> Path:
     return bag
 
 
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    return recorded(folder, folder / "bag", 3.0)
+
+
 @pytest.mark.parametrize("small", [500], indirect=True)
 def test_a_run_keeps_what_was_written_and_tells_how_to_get_it(tmp_path: Path, small: Path) -> None:
     with pytest.raises(OSError, match="No space left") as told:
@@ -56,9 +62,8 @@ def test_a_run_whose_first_second_does_not_fit_leaves_nothing(tmp_path: Path, sm
 @pytest.mark.parametrize("small", [12], indirect=True)
 @pytest.mark.parametrize("command", ["analyse {} --report={}", "report {} --output={}", "replay {} --output={}"])
 def test_an_output_that_does_not_fit_is_named_and_not_left(
-    tmp_path: Path, small: Path, command: str, capsys: pytest.CaptureFixture[str]
+    bag: Path, small: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = recorded(tmp_path, tmp_path / "bag", 3.0)
     with pytest.raises(SystemExit) as stop:
         app.main(command.format(bag, small / "output").split())
     err = capsys.readouterr().err
