@@ -171,7 +171,8 @@ def test_hdf5_reads_nothing_outside_of_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "gap"), [(60, 1), (60, 103), pytest.param(3600, 1, marks=pytest.mark.slow), (3600, 103)]
+    ("seconds", "gap"),
+    [(60, 1), (60, 103), (900, 103), *(pytest.param(3600, gap, marks=pytest.mark.slow) for gap in (1, 103))],
 )
 def test_times_of_six_decimals_at_512_hz(tmp_path: Path, seconds: int, gap: int) -> None:
     n = seconds * 512
