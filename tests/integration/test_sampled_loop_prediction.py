@@ -50,7 +50,16 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     return np.concatenate(los)
 
 
-@pytest.mark.parametrize(("omega", "frame_ticks"), [(60.0, 1), (145.0, 1), (440.0, 1), (60.0, 20), (440.0, 20)])
+@pytest.mark.parametrize(
+    ("omega", "frame_ticks"),
+    [
+        (60.0, 1),
+        pytest.param(145.0, 1, marks=pytest.mark.slow),
+        (440.0, 1),
+        pytest.param(60.0, 20, marks=pytest.mark.slow),
+        (440.0, 20),
+    ],
+)
 def test_a_tone_has_the_predicted_amplitude(case, omega: float, frame_ticks: int) -> None:
     """Camera at every tick, where the loop is time-invariant, and at 50 Hz. Within 2 %."""
     _, data, k_fsm, k_pma = case
