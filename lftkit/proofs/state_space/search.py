@@ -311,13 +311,18 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     table = {p.name: o for p, o in zip(system.parameters, offset)}
     per_channel = np.array([table[c] for c in system.channels])
     q = len(per_channel)
+    looped = bool(system.D[:q, :q].any())
 
     def unstable(factor: float) -> bool:
         delta = factor * per_channel
+        if not looped:
+            return not_stable(system.A + system.B[:, :q] @ (delta[:, None] * system.C[:q]))
         loop = np.eye(q) - system.D[:q, :q] * delta
         if not float(linalg.det(loop)) > 0.0:  # one at the nominal member; zero where the LFT is singular
             return True
-        A = system.A + system.B[:, :q] @ (delta[:, None] * linalg.solve(loop, system.C[:q]))
+        return not_stable(system.A + system.B[:, :q] @ (delta[:, None] * linalg.solve(loop, system.C[:q])))
+
+    def not_stable(A: FloatArray) -> bool:
         return bool(system.order and linalg.eigvals(A).real.max() >= 0.0)
 
     return _first_true(unstable, largest)
