@@ -13,9 +13,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
+import numpy as np  # scipy where it computes: every command imports this module, and few of them need scipy
 from numpy.typing import ArrayLike
-from scipy import fft, special
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, present, release
@@ -33,6 +32,8 @@ def _probability(p: float) -> float:
 
 def exceedance_upper(exceedances: int, samples: int, confidence: float) -> float:
     """Clopper-Pearson upper bound on the probability of exceeding, one-sided, from independent samples."""
+    from scipy import special
+
     if exceedances >= samples:
         return 1.0
     return float(special.betaincinv(exceedances + 1, samples - exceedances, confidence))
@@ -40,6 +41,8 @@ def exceedance_upper(exceedances: int, samples: int, confidence: float) -> float
 
 def exceedance_lower(exceedances: int, samples: int, confidence: float) -> float:
     """Clopper-Pearson lower bound on the probability of exceeding, one-sided, from independent samples."""
+    from scipy import special
+
     if exceedances <= 0:
         return 0.0
     return float(special.betaincinv(exceedances, samples - exceedances + 1, 1 - confidence))
@@ -53,6 +56,8 @@ def samples_needed(probability: float, confidence: float, exceedances: int = 0) 
     >>> [samples_needed(0.997, 0.95, k) for k in (0, 1, 2, 5)]
     [998, 1580, 2097, 3502]
     """
+    from scipy import special
+
     p, c = 1 - _probability(probability), _probability(confidence)
     low, high = exceedances, max(exceedances, 1)
     while special.bdtr(exceedances, high, p) > 1 - c:
@@ -132,6 +137,8 @@ def autocorrelation_time(values: ArrayLike) -> float:
 
 def _autocorrelation(x: FloatArray) -> Iterator[tuple[int, FloatArray]]:
     """Sums of x[i] x[i + lag] over i, by lag: some lags at a time, with the first of them."""
+    from scipy import fft
+
     n = len(x)
     block = min(n, LAGS)
     size = fft.next_fast_len(2 * block, real=True)
@@ -174,6 +181,8 @@ class Quantile:
 
 def _binomial_quantile(q: float, n: int, p: float) -> int:
     """Smallest k with P(Binomial(n, p) <= k) >= q (scipy.stats has it too, at the cost of a slow, large import)."""
+    from scipy import special
+
     k = max(math.ceil(special.bdtrik(q, n, p)), 1)
     return k - 1 if special.bdtr(k - 1, n, p) >= q else k
 

@@ -54,11 +54,11 @@ def test_modules_have_telling_names(case: tuple[str, Path]) -> None:
     assert case[1].stem not in {"statistics", "utils", "core", "misc", "helpers", "common"}
 
 
-def test_importing_a_runtime_module_does_not_load_scipy() -> None:
+def test_importing_a_runtime_module_or_the_command_line_does_not_load_scipy() -> None:
     import subprocess
 
     code = (
-        "import sys, los_estimator.runtime, fsm_pma_controller.runtime, titop_plant.interface\n"
+        "import sys, los_estimator.runtime, fsm_pma_controller.runtime, titop_plant.interface, los_testbed.cli.app\n"
         "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(m.RunParts(c.RunConfig()))\n"
         "print([m for m in ('scipy', 'control', 'matplotlib') if m in sys.modules])"
     )
