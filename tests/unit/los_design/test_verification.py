@@ -303,7 +303,7 @@ def hand_closed_gains(plant: System, parameters, pair: tuple[SampledSystem, Samp
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("variant", ["paper", "paper_nominal"])
+@pytest.mark.parametrize("variant", ["paper", pytest.param("paper_nominal", marks=pytest.mark.slow)])
 def test_paper_gammas_are_those_of_the_loop_closed_by_hand(variant: str, parameters) -> None:
     """Worst of two points; peaks on a grid reach the certified norms and do not exceed them."""
     pair, system = load_designs(variant), control_loop_plant(telescope(), parameters)

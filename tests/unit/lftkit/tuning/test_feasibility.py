@@ -82,7 +82,7 @@ def test_infeasible_has_the_least_violation_whatever_the_start() -> None:
         assert result.soft == pytest.approx(2.0 / 3.0, rel=5e-3)
 
 
-@pytest.mark.parametrize("start", [0.5, -1e3])
+@pytest.mark.parametrize("start", [0.5, pytest.param(-1e3, marks=pytest.mark.slow)])
 def test_value_that_does_not_depend_on_the_parameters_is_infeasible(start: float) -> None:
     """The sum of the poles is -0.2 whatever the gain is: no decay of 10 rad/s."""
     plant = System(

@@ -63,8 +63,18 @@ STRUCTURES = {
 }
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05])
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize(
+    ("name", "delay"),
+    [
+        *((name, 0.05) for name in STRUCTURES),
+        *((name, 0.0) for name in ("static", "full order 2")),
+        *(
+            pytest.param(name, 0.0, marks=pytest.mark.slow)
+            for name in STRUCTURES
+            if name not in ("static", "full order 2")
+        ),
+    ],
+)
 def test_gradient_equals_central_differences(name: str, delay: float) -> None:
     structure = STRUCTURES[name]
     problem = Problem([random_model(0), random_model(1)], REQUIREMENTS, structure, loop_delay=delay)
