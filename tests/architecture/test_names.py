@@ -90,7 +90,7 @@ def relative(path: Path) -> str:
 
 def test_no_former_name_is_left() -> None:
     """Only a file in which one of them stands as a word is parsed."""
-    found = []
+    found: list[str] = []
     for path in CODE:
         text, names = path.read_text("utf-8"), former_names(path)
         if re.search(rf"\b({'|'.join(sorted(names))})\b", text):
