@@ -1,7 +1,7 @@
 """Response of the implemented loop as a linear fractional function of the parameters, with gradients.
 
 At one frequency the loop of the sampled controllers is closed around the telescope's LFT; what remains is a small
-matrix with the 48 Delta channels, and every response at any parameter values is a solution of order 48::
+matrix with the 32 Delta channels, and every response at any parameter values is a solution of order 32::
 
     T(w, Delta) = T11 + T12 Delta (I - M Delta)^-1 T21
     d sigma / d Delta_c = Re( (sigma-left vector side)_c (right vector side)_c )
@@ -26,7 +26,7 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import gain_figures
-from los_loop.open_loop import OpenLoop, closed_lft
+from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from los_loop.spec import (
     ADDED,
@@ -140,8 +140,8 @@ class ImplementedLoop:
         """Parameter values of a point of the unit cube."""
         return self.open.values(point)
 
-    def delta(self, point: FloatArray) -> FloatArray:
-        """Entries of Delta, shape (..., 48), from points of the unit cube, shape (..., 7)."""
+    def delta(self, point: FloatArray) -> ComplexArray:
+        """Entries of Delta, shape (..., 32), from points of the unit cube, shape (..., 7)."""
         return self.open.delta(point)
 
     def control(self, omega: float) -> ComplexArray:
@@ -161,17 +161,27 @@ class ImplementedLoop:
 
     def at(self, omega: float) -> ClosedAt:
         """Close the loop at a frequency [rad/s]."""
-        lft = self.open.at(np.array([omega]))[0]
+        return self.at_each(np.array([omega]))[0]
+
+    def at_each(self, omega: FloatArray) -> list[ClosedAt]:
+        """Close the loop at each of some frequencies (N,) [rad/s]."""
+        return self.around(self.open.at(omega), omega)
+
+    def around(self, lft: ComplexArray, omega: FloatArray) -> list[ClosedAt]:
+        """Close the loop around the telescope's LFT at N frequencies (:meth:`los_loop.open_loop.OpenLoop.at`)."""
         q = self.open.channels
-        y, u = q + MEASUREMENTS, lft.shape[1] - COMMANDS
-        K, held, into = self.control(omega), lft[:, u:], lft[:, :u]
-        returned = np.asarray(np.eye(COMMANDS) - K @ held[q:y], dtype=complex)
-        given = np.asarray(np.hstack([K, np.eye(COMMANDS)]), dtype=complex)
-        command = solve(returned[None], given[None])[0]
-        applied = np.hstack([command[:, :MEASUREMENTS] @ into[q:y], command[:, MEASUREMENTS:]])
-        whole = np.vstack([np.hstack([into, np.zeros((len(into), COMMANDS))]) + held @ applied, applied])
-        rows = np.r_[y : y + TRUTH, len(into) : len(into) + COMMANDS]
-        return ClosedAt(omega, whole[:q, :q], whole[rows, :q], whole[:q, q:], whole[rows, q:], lft, K)
+        y, u = q + MEASUREMENTS, lft.shape[2] - COMMANDS
+        K, held, into = self.controls(omega), lft[:, :, u:], lft[:, :, :u]
+        unit = np.broadcast_to(np.eye(COMMANDS, dtype=complex), (len(omega), COMMANDS, COMMANDS))
+        command = solve(np.asarray(unit - K @ held[:, q:y]), np.concatenate([K, unit], axis=2))
+        applied = np.concatenate([command[:, :, :MEASUREMENTS] @ into[:, q:y], command[:, :, MEASUREMENTS:]], axis=2)
+        whole = np.concatenate([held @ applied, applied], axis=1)
+        whole[:, : lft.shape[1], :u] += into
+        rows = np.r_[y : y + TRUTH, lft.shape[1] : whole.shape[1]]
+        return [
+            ClosedAt(float(w), T[:q, :q], T[rows, :q], T[:q, q:], T[rows, q:], own, law)
+            for w, T, own, law in zip(omega, whole, lft, K)
+        ]
 
     def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
         """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency.
@@ -190,8 +200,8 @@ class ImplementedLoop:
         z = linalg.lu_solve(loop, T21 @ right, check_finite=False)
         outer = left @ inner
         row = left @ T12 + outer @ M
-        slope = scale * np.real(row * z)
-        gradient = np.bincount(self.open.channel, slope, minlength=len(self.names)) * self.open.width
+        slope = scale * np.real(row * z * self.open.delta_slope(point))
+        gradient = np.bincount(self.open.channel, slope, minlength=len(self.names))
         change = scale * self._change(closed, metric, (left, outer), (right, np.asarray(z * delta)))
         weights = [self.scale(metric, closed.omega * float(np.exp(step))) for step in (STEP, -STEP)]
         return value, np.asarray(gradient), (change + value * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
@@ -228,26 +238,39 @@ class ImplementedLoop:
         U, s, Vh = linalg.svd(T, full_matrices=False)
         return float(s[0]) * self.scale(metric, closed.omega), U[:, 0], Vh[0].conj()
 
-    def responses(self, closed: ClosedAt, metric: LoopMetric, delta: FloatArray) -> ComplexArray:
-        """Responses of a metric for N values of Delta (N, 48): shape (N, rows, columns), not normalised."""
-        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
-        return closed_lft(closed.M, T12, T21, T11, delta)
+    def responses(self, closed: ClosedAt, metric: LoopMetric, delta: ComplexArray) -> ComplexArray:
+        """Responses of a metric for N values of Delta (N, 32): shape (N, rows, columns), not normalised."""
+        return self.some_responses(closed, delta, metric.rows, metric.columns)
 
-    def all_responses(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
-        """Responses of all outputs to all inputs at N points (N, 7) of the unit cube: shape (N, 10, 30)."""
-        return closed_lft(closed.M, closed.T12, closed.T21, closed.T11, self.delta(points))
+    def all_responses(
+        self,
+        closed: ClosedAt,
+        points: FloatArray,
+        rows: slice = slice(None),
+        columns: slice = slice(None),
+    ) -> ComplexArray:
+        """Responses of all or some outputs to inputs at N points (N, 7) of the unit cube: shape (N, 10, 30)."""
+        return self.some_responses(closed, self.delta(points), rows, columns)
+
+    def some_responses(self, closed: ClosedAt, delta: ComplexArray, rows: slice, columns: slice) -> ComplexArray:
+        """What :meth:`all_responses` gives, for N values of Delta (N, 32)."""
+        T12, T21, T11 = closed.T12[rows], closed.T21[:, columns], closed.T11[rows][:, columns]
+        return self.open.closed(closed.M, T12, T21, T11, delta)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
-        return closed_lft(
-            closed.M, closed.T12[APPLIED], closed.T21[:, ADDED], closed.T11[APPLIED, ADDED], self.delta(points)
-        )
+        return self.all_responses(closed, points, APPLIED, ADDED)
 
     def sampled_at(self, values: Mapping[str, float]) -> tuple[System, SampledLoop]:
         """The continuous plant at parameter values, and the exact periodic loop around it."""
-        plant, sensitivity = self.system.at(values), float(self.parameters["fsm"]["los_sensitivity"])
-        return plant, sampled_loop(
-            plant, *self.pair, loop=self.stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity
+        plant = self.system.at(values)
+        return plant, self.sampled_around(plant)
+
+    def sampled_around(self, plant: System, step: FloatArray | None = None) -> SampledLoop:
+        """The exact periodic loop around a plant; `step` as for :func:`los_loop.sampled_loop.sampled_loop`."""
+        sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
+        return sampled_loop(
+            plant, *self.pair, loop=self.stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity, step=step
         )
 
     def scale(self, metric: LoopMetric, omega: float) -> float:

@@ -3,6 +3,9 @@
 A command in force is held for a tick. Its fundamental, with the factor ``h = (1 - exp(-i w dt)) / (i w dt)``, drives
 the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the **nominal** telescope: they are above
 4700 rad/s for tones below 1500 rad/s, and what the parameters change there is below 1e-4 of the loop.
+
+Of the channels of Delta those of the arrays' angle are half as many as the telescope has
+(:mod:`los_loop.angle_channels`): 32 in place of 48.
 """
 
 from __future__ import annotations
@@ -15,9 +18,13 @@ from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.build import modal
+from los_loop.angle_channels import ANGLE, AngleClosed, half_turn, half_turn_slope, kept_channels
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
 from titop_plant.telescope.parameters import Parameters
+
+MANY = 40
+"""Points from which on the eigenvectors of the angle's channels take less time than they save."""
 
 
 class OpenLoop:
@@ -34,15 +41,20 @@ class OpenLoop:
     def __init__(self, system: System, parameters: Parameters) -> None:
         self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
         self.names = tuple(p.name for p in system.parameters)
-        self.channels = len(system.channels)
-        self.channel = np.array([self.names.index(c) for c in system.channels])
+        kept = kept_channels(system)
+        self.channels = len(kept)
+        self.channel = np.array([self.names.index(system.channels[k]) for k in kept])
+        self.angle = np.array([system.channels[k] == ANGLE for k in kept]) & (len(kept) < len(system.channels))
         self.nominal = np.array([p.nominal for p in system.parameters])
         self.low = np.array([p.lower for p in system.parameters])
         self.width = np.array([p.upper for p in system.parameters]) - self.low
-        self._response = FrequencyResponse.of(system.A, system.B, system.C, system.D)
+        rows, columns = (np.r_[kept, len(system.channels) : size] for size in system.D.shape)
+        B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
+        self._response = FrequencyResponse.of(system.A, B, C, D)
         self._u = slice(self.channels, self.channels + COMMANDS)
+        self._D = D[self.channels :, self._u]
         # eigenvectors of metres beside microradians: a plain solution with them has errors of 5e-7
-        self._poles, self._right, self._left = modal(system.A, system.B[:, self._u], system.C[self.channels :])
+        self._poles, self._right, self._left = modal(system.A, B[:, self._u], C[self.channels :])
         self._flow, self._growth = _held(self._poles)
 
     def point(self, values: dict[str, float]) -> FloatArray:
@@ -55,9 +67,21 @@ class OpenLoop:
         """Parameter values of a point of the unit cube."""
         return dict(zip(self.names, (self.low + np.clip(point, 0.0, 1.0) * self.width).tolist()))
 
-    def delta(self, point: FloatArray) -> FloatArray:
+    def delta(self, point: FloatArray) -> ComplexArray:
         """Entries of Delta, shape (..., channels), from points of the unit cube, shape (..., 7)."""
-        return np.asarray((self.low + point * self.width - self.nominal)[..., self.channel])
+        values = self.low + point * self.width
+        found = np.asarray((values - self.nominal)[..., self.channel], dtype=complex)
+        if self.angle.any():
+            found[..., self.angle] = half_turn(values[..., self.names.index(ANGLE)])[..., None]
+        return found
+
+    def delta_slope(self, point: FloatArray) -> ComplexArray:
+        """Derivatives of the entries of :meth:`delta` by their own coordinate of the point, shape (..., channels)."""
+        values = self.low + point * self.width
+        found = np.array(np.broadcast_to(self.width, values.shape)[..., self.channel], dtype=complex)
+        if self.angle.any():
+            found[..., self.angle] *= half_turn_slope(values[..., self.names.index(ANGLE)])[..., None]
+        return found
 
     def modes(self, point: FloatArray, low: float, high: float) -> FloatArray:
         """Frequencies [rad/s] of the telescope's own modes between two frequencies, at a point of the unit cube."""
@@ -78,15 +102,16 @@ class OpenLoop:
         G = self._response.at(omega)
         out = np.empty((len(omega), q + MEASUREMENTS + TRUTH, q + CHANNELS + COMMANDS), complex)
         size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
-        D = self.system.D[q:, self._u]
         images, holds = self._images(omega), _hold(omega)
         for k, hold in enumerate(holds):
             held = G[k][:, self._u] * hold
             # images of the held command through the nominal telescope; the direct path is sampled as it is
-            held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * D
+            held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * self._D
             out[k, :, :q] = G[k][:, :q]
             out[k, :, q : q + CHANNELS] = G[k][:, self._u.stop :] * size[k]
             out[k, :, q + CHANNELS :] = held
+        turned = np.flatnonzero(self.angle)
+        out[:, turned, turned] -= 1j
         return out
 
     def between(self, omega: FloatArray, row: ComplexArray, column: ComplexArray) -> ComplexArray:
@@ -104,8 +129,9 @@ class OpenLoop:
         columns[self._u] = commands[:, None] * hold
         columns[self._u.stop :] = column[q : q + CHANNELS, None] * weight_amplitudes(self.parameters, omega).T
         images = self._images(omega) @ (row[q:] @ self._left * (self._right @ commands))
-        direct = row[q:] @ self.system.D[q:, self._u] @ commands
-        return np.asarray(self._response.between(omega, row, columns) + images + (1.0 - hold) * direct)
+        direct = row[q:] @ self._D @ commands
+        turned = 1j * (row[:q][self.angle] @ column[:q][self.angle])
+        return np.asarray(self._response.between(omega, row, columns) + images + (1.0 - hold) * direct - turned)
 
     def _images(self, omega: FloatArray) -> ComplexArray:
         """Factors of the nominal telescope's modes in the images of held commands, shape (N, modes)."""
@@ -127,11 +153,18 @@ class OpenLoop:
         ndarray, complex, shape (N, 24, 30)
         """
         q = self.channels
-        return closed_lft(lft[:q, :q], lft[q:, :q], lft[:q, q:], lft[q:, q:], self.delta(points))
+        return self.closed(lft[:q, :q], lft[q:, :q], lft[:q, q:], lft[q:, q:], self.delta(points))
+
+    def closed(
+        self, M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: ComplexArray
+    ) -> ComplexArray:
+        """What :func:`closed_lft` gives; for many diagonals of Delta the angle is closed for all of them at once."""
+        many = AngleClosed.of((M, T12, T21, T11), self.angle) if len(delta) >= MANY and self.angle.any() else None
+        return closed_lft(M, T12, T21, T11, delta) if many is None else many.responses(delta)
 
 
 def closed_lft(
-    M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: FloatArray
+    M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: ComplexArray
 ) -> ComplexArray:
     """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns)."""
     # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory

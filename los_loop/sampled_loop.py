@@ -201,6 +201,7 @@ def sampled_loop(
     loop: str,
     frame_ticks: int = FRAME_TICKS,
     los_sensitivity: float | None = None,
+    step: FloatArray | None = None,
 ) -> SampledLoop:
     """Close the sampled loop around a plant at given parameter values.
 
@@ -217,13 +218,16 @@ def sampled_loop(
     los_sensitivity : float, optional
         Of the telescope's mirror: the mirror law divides by it where the file of K_FSM does not say for which one it
         was made.
+    step : ndarray, shape (n + 24, n + 8), optional
+        Of the plant, as :func:`titop_plant.simulation.plant_step.step_matrix` makes it without tones, if it is known.
 
     Raises
     ------
     ValueError
         The mirror's loop is closed and nothing says a sensitivity.
     """
-    step = held_step(plant) if isinstance(plant, ModalPlant) else step_matrix(plant, no_tones())
+    if step is None:
+        step = held_step(plant) if isinstance(plant, ModalPlant) else step_matrix(plant, no_tones())
     n = step.shape[1] - COMMANDS
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)

@@ -28,7 +28,8 @@ from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.strips import Interval, Strip, packed, unpacked
 from lftkit.proofs.verdict import ProofError
 from los_design.search.worst_points import WorstPoint
-from los_design.verification.loop_models import ANGLE, Box, box_of, figures_of, provable, telescope_model
+from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
+from los_loop.angle_channels import ANGLE
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT

@@ -15,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.strips import Interval
+from los_loop.angle_channels import ANGLE, kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import ADDED, LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, MEASUREMENTS, sample_ticks
@@ -23,7 +24,6 @@ from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks
 
 Box = tuple[Interval, ...]
-ANGLE = "solar_array.tau"
 NYQUIST = math.pi / DT
 HALVED, LATER = "gain x0.5", "one more tick"
 RETURNED, LIMITS = {HALVED: 1, LATER: 2}, {HALVED: 2.0, LATER: 1.0}
@@ -76,16 +76,13 @@ def _disturbances(parameters: Parameters) -> FloatArray:
 def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, **outcome: Any) -> LoopModel:
     """The loop from disturbances, from noise of the measurements `noisy`, or from signals added to commands.
 
-    The rotation by theta is the square of a Cayley map in tan(theta / 4); the first of the two factors, in tan(theta /
-    2), is the whole rotation: 16 of the 32 occurrences are left.
+    Of the 32 occurrences of the arrays' angle 16 are left (:mod:`los_loop.angle_channels`).
     """
     system = loop.system
     names, q = system.channels, len(system.channels)
-    angles = [k for k, name in enumerate(names) if name == ANGLE]
-    dropped = {channel for number, channel in enumerate(angles) if number % 4 >= 2}
-    kept = [channel for channel in range(q) if channel not in dropped]
     if any(abs(p.nominal) > 0.0 for p in system.parameters if p.name == ANGLE):
         raise ValueError(f"the nominal value of {ANGLE} must be 0")
+    kept = kept_channels(system).tolist()
     rows = [*kept, *range(q, system.C.shape[0])]
     columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
     poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])

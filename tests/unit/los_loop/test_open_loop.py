@@ -16,7 +16,8 @@ def test_held_commands_reach_every_output_as_through_each_mode(omega: float) -> 
     parameters = load_parameters()
     system = control_loop_plant(telescope(), parameters)
     q = len(system.channels)
-    held = OpenLoop(system, parameters).at(np.array([omega]))[0][q:, -COMMANDS:]
+    open_loop = OpenLoop(system, parameters)
+    held = open_loop.at(np.array([omega]))[0][open_loop.channels :, -COMMANDS:]
     B, C, D = system.B[:, q : q + COMMANDS], system.C[q:], system.D[q:, q : q + COMMANDS]
     modes = FrequencyResponse.of(system.A, B, C, D)
     assert modes.modal
