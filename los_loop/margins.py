@@ -22,6 +22,8 @@ from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, HELD, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
+BOUND_ROUNDING = 1e-9
+"""Of the norm of a power, relative."""
 GAINS = (0.5, 2.0)
 """Factors of the loop gain that the loop must bear, all channels alike and one at a time."""
 
@@ -95,27 +97,53 @@ def change_names(stage: str) -> list[str]:
     return names
 
 
-def doubtful(sensitivity: ComplexArray, omega: float, stage: str) -> BoolArray:
+def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -> BoolArray:
     """Whether a change could meet -1 at a frequency, for N sensitivities (N, 8, 8): shape (N, changes).
+
+    `omega` [rad/s] is that of all of them, or has one for each, shape (N,).
 
     A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from
     1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` is below 1 for what lies
     between the frequencies of a grid; its second number holds above :data:`NARROW_FROM`, where modes are narrow.
-    Eigenvalues are computed only where a norm does not exclude the doubt.
+    Eigenvalues are computed only where norms do not exclude the doubt.
     """
-    size, (low, high), certain = len(_channels(stage)), GAINS, CERTAIN[int(omega > NARROW_FROM)]
-    S = sensitivity[:, :size, :size]
-    turned = 2.0 * abs(math.sin(0.5 * min(omega * DT, math.pi)))
-    T_all = np.sqrt(np.sum(np.abs(S - np.eye(size)) ** 2, axis=(1, 2)))
-    S_all = np.sqrt(np.sum(np.abs(S) ** 2, axis=(1, 2)))
-    near = np.maximum.reduce([S_all * (high - 1.0) / high, (1.0 - low) * T_all, turned * T_all]) >= certain
-    if near.any():
-        eigen = np.asarray(eigenvalues(S[near]))
-        T_all[near], S_all[near] = np.abs(eigen - 1.0).max(axis=1), np.abs(eigen).max(axis=1)
+    size, (low, high) = len(_channels(stage)), GAINS
+    S, at = sensitivity[:, :size, :size], np.broadcast_to(omega, len(sensitivity))
+    certain = np.where(at > NARROW_FROM, CERTAIN[1], CERTAIN[0])
+    turned = 2.0 * np.abs(np.sin(0.5 * np.minimum(at * DT, math.pi)))
+    least_T, least_S = certain / np.maximum(1.0 - low, turned), certain * high / (high - 1.0)
+    found, whole = _balanced(S), np.eye(size)
+    T_all, S_all = (np.sqrt(np.sum(np.abs(part) ** 2, axis=(1, 2))) for part in (found - whole, found))
+    for bounds, least, part in ((T_all, least_T, whole), (S_all, least_S, 0.0 * whole)):
+        near = np.flatnonzero(bounds >= least)
+        bounds[near] = _radius_bounds(found[near] - part)
+        near = near[bounds[near] >= least[near]]
+        if near.size:
+            bounds[near] = np.abs(np.asarray(eigenvalues(S[near] - part))).max(axis=1)
     own = np.diagonal(S, axis1=1, axis2=2)
     T = np.column_stack([T_all, np.abs(own - 1.0)])
     raised = np.column_stack([S_all, np.abs(own)]) * (high - 1.0) / high
-    return np.asarray(np.column_stack([turned * T_all, (1.0 - low) * T, raised]) >= certain)
+    return np.asarray(np.column_stack([turned * T_all, (1.0 - low) * T, raised]) >= certain[:, None])
+
+
+def _balanced(S: ComplexArray) -> ComplexArray:
+    """Similar matrices (N, k, k) in which what angles do to forces has the size of what forces do to angles."""
+    if S.shape[1] <= MIRROR.stop:
+        return S
+    found, first, last = S.copy(), slice(0, MIRROR.stop), slice(MIRROR.stop, None)
+    there, back = (np.sum(np.abs(part) ** 2, axis=(1, 2)) for part in (S[:, first, last], S[:, last, first]))
+    ratio = np.where((there > 0.0) & (back > 0.0), np.maximum(there, 1e-300) / np.maximum(back, 1e-300), 1.0) ** 0.25
+    found[:, first, last] /= ratio[:, None, None]
+    found[:, last, first] *= ratio[:, None, None]
+    return found
+
+
+def _radius_bounds(M: ComplexArray) -> FloatArray:
+    """Upper bounds of the spectral radius of each matrix of a stack (N, k, k): norms of their powers."""
+    square = M @ M
+    fourth = square @ square
+    norm = np.sqrt(np.sum(np.abs(fourth @ fourth) ** 2, axis=(1, 2)))
+    return np.asarray((1.0 + BOUND_ROUNDING) * norm**0.125)
 
 
 def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, Callable[[], SampledLoop]]]:
