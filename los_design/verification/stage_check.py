@@ -1,17 +1,18 @@
-"""One stage of the implemented loop at many parameter points: gammas with refined peaks, stability, kept margins.
+"""Stages of the implemented loop at many parameter points: gammas with refined peaks, stability, kept margins.
 
-All points share the frequencies of one grid: at each of them the loop is closed once and every point costs a solution
-of order 48 (:mod:`los_loop.implemented_loop`). Each point has, besides, the frequencies of its loop's slow modes:
-they are narrower than the steps of the grid. Peaks near the largest of a metric are refined between the grid's
-frequencies. Stability is that of the eigenvalues of the exact periodic loop at every point. One more tick of delay and
-other gains are checked by them where the sensitivities leave a doubt (:func:`los_loop.margins.doubtful`).
+All points share the frequencies of one grid (:mod:`los_design.verification.sweep`). Each point has, besides, the
+frequencies of its loop's slow modes: they are narrower than the steps of the grid. Peaks near the largest of a metric
+are refined between the grid's frequencies. Stability is that of the eigenvalues of the exact periodic loop at every
+point. One more tick of delay and other gains are checked by them where the sensitivities leave a doubt
+(:func:`los_loop.margins.doubtful`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from typing import TypeVar
 
 import numpy as np
 import scipy.optimize
@@ -21,12 +22,16 @@ from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
-from los_loop.margins import change_names, changed_loops, doubtful
+from los_design.verification.sweep import Reach, Sweep, joined, sweep
+from los_loop.implemented_loop import HIGHEST, LOWEST, ClosedAt, ImplementedLoop, LoopMetric
+from los_loop.margins import changed_loops
 from los_loop.sampled_loop import radius_of
-from los_loop.spec import ADDED, APPLIED
+from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.plant_step import step_matrix
 
 Values = Mapping[str, float]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
 FINE_FROM, FINE_TO = 60.0, 1000.0
@@ -34,11 +39,14 @@ NEAR = 0.8
 """Peaks above this part of the largest one of their metric are refined."""
 RISE, SAME = 2.0, 1e-5
 """Not those that stay below the largest one with this many times the slope at their value, up to the end of their
-bracket, unless a second singular value is near it, too; peaks that differ by less than the last part are one."""
+bracket, or to the next slope of the other sign, unless a second singular value is near it, too; peaks that differ by
+less than the last part are one."""
+TANGENTS = 4
+"""Frequencies at which slopes say whether a peak is to be refined, at most."""
 ACCURACY = 1e-6
 """Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
-CHUNK = 75
-"""Parameter points that a process looks at together."""
+CHUNK, BLOCKS = 75, 24
+"""Parameter points that a process looks at together, and parts of the grid, each over its whole range."""
 DRIFTS: FloatArray = np.asarray(np.geomspace(1e-5, 1e-2, 19)[:-1], dtype=float)
 """Frequencies [rad/s] below the grid: a change that makes a slow pole of a controller unstable shows there."""
 NARROW, AROUND = 0.01, 3e-3
@@ -95,154 +103,192 @@ def check_stage(
     tick: Callable[[], None] = lambda: None,
     workers: Workers | None = None,
 ) -> StageCheck:
-    """Evaluate a stage at parameter points.
+    """Evaluate a stage at parameter points; the arguments are those of :func:`check_stages`."""
+    return check_stages([loop], points, changes=changes, tick=tick, workers=workers)[0]
+
+
+def check_stages(
+    loops: Sequence[ImplementedLoop],
+    points: Sequence[Values],
+    *,
+    changes: bool = True,
+    tick: Callable[[], None] = lambda: None,
+    workers: Workers | None = None,
+) -> list[StageCheck]:
+    """Evaluate stages of the same controllers at parameter points.
 
     Parameters
     ----------
-    loop : ImplementedLoop
-        Of the stage ``isolator``, ``fsm`` or ``fsm+pma``.
+    loops : sequence of ImplementedLoop
+        Of the stages ``isolator``, ``fsm`` or ``fsm+pma``, around one open loop.
     points : sequence of mapping
     changes : bool
         Check the changed loops, too.
     tick : callable
-        Called once for each point.
+        Called once for each point and stage.
     workers : Workers, optional
         Processes; the result does not depend on them.
     """
     if not points:
         raise ValueError("points must hold at least one parameter point, got none")
-    workers = workers or Workers()
-    search = Search(loop)
-    chunks = [_Chunk(points[k : k + CHUNK], changes, k == 0) for k in range(0, len(points), CHUNK)]
-    parts: list[_Part] = []
-    for part in workers.each(partial(_look, search), chunks):
-        parts.append(part)
-        for _ in part.stable:
-            tick()
-    stable = np.concatenate([part.stable for part in parts])
-    brackets = {name: [b for part in parts for b in part.brackets[name]] for name in search.metrics}
-    found = workers.map(partial(_worst, search), list(brackets.items()) if stable.any() else [])
-    unstable = [names for part in parts for names in part.unstable_changes]
-    envelope = {name: np.max([part.envelope[name] for part in parts], axis=0) for name in search.metrics}
-    return StageCheck(loop.stage, dict(zip(search.metrics, found)), stable, unstable, envelope)
+    workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], _all_frequencies()
+    chunks = [slice(k, k + CHUNK) for k in range(0, len(points), CHUNK)]
+    blocks = [np.arange(k, len(omega), BLOCKS) for k in range(BLOCKS)]
+    told = _Told(tick, len(points) * len(loops), 2 * len(chunks) + len(blocks))
+    motions = told.each(workers, partial(_motions, loops), [points[chunk] for chunk in chunks])
+    stable = [np.concatenate([part[k].stable for part in motions]) for k in range(len(loops))]
+    cube = np.array([loops[0].point(dict(values)) for values in points])
+    reaches = [Reach(search.loop, search.metrics, changes) for search in searches]
+    parts = told.each(workers, partial(_swept, reaches, omega, cube, stable), blocks)
+    swept = [joined(stage) for stage in zip(*parts)]
+    for found in swept:
+        found.doubt[0] = changes  # one point is checked by eigenvalues, whatever its responses say
+    items = [
+        _Closely(points[chunk], cube[chunk], part, [found.doubt[chunk] for found in swept])
+        for chunk, part in zip(chunks, motions)
+    ]
+    closely = told.each(workers, partial(_looked_closely, reaches), items)
+    brackets = [
+        (k, name, _brackets(metric, omega, swept[k], cube) + narrow)
+        for k, search in enumerate(searches)
+        for name, metric in search.metrics.items()
+        for narrow in [[b for part in closely for b in part[k][0][name]]]
+        if stable[k].any()
+    ]
+    worst = workers.map(partial(_worst_of, searches), brackets)
+    return [
+        StageCheck(
+            loop.stage,
+            {name: found for (stage, name, _), found in zip(brackets, worst) if stage == k},
+            stable[k],
+            [names for part in closely for names in part[k][1]],
+            {name: values[len(DRIFTS) :] for name, values in swept[k].envelope.items()},
+        )
+        for k, loop in enumerate(loops)
+    ]
+
+
+def _all_frequencies() -> FloatArray:
+    """Those of :func:`grid`, and the drifts below them, at which no metric counts."""
+    return np.concatenate([DRIFTS, grid()])
+
+
+class _Told:
+    """Tells of a number of steps as parts of the work are done."""
+
+    def __init__(self, tick: Callable[[], None], steps: int, parts: int) -> None:
+        self._tick, self._steps, self._parts, self._done = tick, steps, parts, 0
+
+    def each(self, workers: Workers, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """Results of a function for the items, each of which is a part."""
+        results = []
+        for result in workers.each(function, items):
+            results.append(result)
+            before = self._steps * self._done // self._parts
+            self._done += 1
+            for _ in range(self._steps * self._done // self._parts - before):
+                self._tick()
+        return results
 
 
 @dataclass(frozen=True)
-class _Chunk:
-    """Parameter points that are looked at together, whether with changed loops, and whether they are the first ones."""
-
-    points: Sequence[Values]
-    changes: bool
-    first: bool
-
-
-@dataclass(frozen=True)
-class _Part:
-    """What :class:`StageCheck` holds, for a chunk, with brackets of the largest values of each metric."""
+class _Motions:
+    """Of a stage at some points: whether it is stable, and its slow modes [rad/s]."""
 
     stable: BoolArray
-    brackets: dict[str, list[Bracket]]
-    unstable_changes: list[list[str]]
-    envelope: dict[str, FloatArray]
+    modes: list[FloatArray]
 
 
-def _look(search: Search, chunk: _Chunk) -> _Part:
-    """Stability, largest values and changed loops of a chunk of points."""
-    found, modes = [], list[FloatArray]()
-    for values in chunk.points:
-        loop = search.loop.sampled_at(values)[1]
-        multipliers = loop.multipliers()
-        found.append(radius_of(multipliers, loop.frame_ticks) < 1.0)
-        modes.append(loop.slow_modes(multipliers, FINE_FROM, NARROW))
-    stable = np.array(found)
-    cube = np.array([search.loop.point(dict(values)) for values in chunk.points])
-    metrics, omega = search.metrics, grid()
-    doubt = np.zeros((len(cube), len(change_names(search.loop.stage))), dtype=bool)
-    doubt[0] |= chunk.first  # one point is checked by eigenvalues, whatever its responses say
-    for w in DRIFTS:
-        doubt |= doubtful(search.loop.sensitivities(search.loop.at(float(w)), cube), float(w), search.loop.stage)
-    peaks, envelope = _largest(search.loop, metrics, omega, cube, stable, doubt)
-    narrow = _at_modes(search.loop, metrics, modes, cube, stable, doubt)
-    unstable = [_lost(search, values, doubt[i]) if chunk.changes else [] for i, values in enumerate(chunk.points)]
-    brackets = {name: _brackets(metrics[name], omega, *peaks[name], cube) + narrow[name] for name in metrics}
-    return _Part(stable, brackets, unstable, envelope)
+def _motions(loops: Sequence[ImplementedLoop], points: Sequence[Values]) -> list[_Motions]:
+    """Stability and slow modes of each stage, by the eigenvalues of the exact periodic loop."""
+    found: list[tuple[list[bool], list[FloatArray]]] = [([], []) for _ in loops]
+    for values in points:
+        plant = loops[0].system.at(values)
+        step = step_matrix(plant, no_tones())
+        for loop, (stable, modes) in zip(loops, found):
+            sampled = loop.sampled_around(plant, step)
+            multipliers = sampled.multipliers()
+            stable.append(radius_of(multipliers, sampled.frame_ticks) < 1.0)
+            modes.append(sampled.slow_modes(multipliers, FINE_FROM, NARROW))
+    return [_Motions(np.array(stable), modes) for stable, modes in found]
 
 
-def _lost(search: Search, values: Values, doubt: BoolArray) -> list[str]:
+def _swept(
+    reaches: Sequence[Reach], omega: FloatArray, cube: FloatArray, stable: Sequence[BoolArray], places: IntArray
+) -> list[Sweep]:
+    return sweep(reaches, omega, places, cube, stable)
+
+
+@dataclass(frozen=True)
+class _Closely:
+    """Points that are looked at one by one: as values and of the unit cube, their motions and doubts by stage."""
+
+    points: Sequence[Values]
+    cube: FloatArray
+    motions: Sequence[_Motions]
+    doubts: Sequence[BoolArray]
+
+
+def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[tuple[dict[str, list[Bracket]], list[list[str]]]]:
+    """For each stage the values at slow modes, by metric, and the changes that make each point unstable."""
+    found = []
+    for reach, motions, doubts in zip(reaches, item.motions, item.doubts):
+        doubt = doubts.copy()
+        narrow = _at_modes(reach, motions, item.cube, doubt)
+        found.append((narrow, [_lost(reach.loop, v, own) for v, own in zip(item.points, doubt)]))
+    return found
+
+
+def _lost(loop: ImplementedLoop, values: Values, doubt: BoolArray) -> list[str]:
     """Those changes of gain and delay in doubt that make the loop unstable at a point."""
     if not doubt.any():
         return []
-    changed = zip(doubt, changed_loops(search.loop.sampled_at(values)[1], search.loop.stage))
+    changed = zip(doubt, changed_loops(loop.sampled_at(values)[1], loop.stage))
     return [name for doubted, (name, make) in changed if doubted and not make().spectral_radius() < 1.0]
 
 
-def _largest(
-    loop: ImplementedLoop,
-    metrics: Mapping[str, LoopMetric],
-    omega: FloatArray,
-    cube: FloatArray,
-    stable: BoolArray,
-    doubt: BoolArray,
-) -> tuple[dict[str, tuple[FloatArray, IntArray]], dict[str, FloatArray]]:
-    """For each metric the largest value of every point with its place in the grid, and the envelope; marks `doubt`."""
-    value: dict[str, FloatArray] = {name: np.zeros(len(cube)) for name in metrics}
-    place: dict[str, IntArray] = {name: np.zeros(len(cube), dtype=np.intp) for name in metrics}
-    envelope: dict[str, FloatArray] = {name: np.zeros(len(omega)) for name in metrics}
-    for k, w in enumerate(omega):
-        closed = loop.at(float(w))
-        T = loop.all_responses(closed, cube)
-        doubt |= doubtful(T[:, APPLIED, ADDED], float(w), loop.stage)
-        for name, metric in metrics.items():
-            if metric.band[0] <= w <= metric.band[1]:
-                gains = largest_gains(T[:, metric.rows, metric.columns]) * loop.scale(metric, float(w))
-                gains = np.where(stable, gains, 0.0)
-                higher = gains > value[name]
-                value[name] = np.where(higher, gains, value[name])
-                place[name] = np.where(higher, k, place[name])
-                envelope[name][k] = float(gains.max())
-    return {name: (value[name], place[name]) for name in metrics}, envelope
-
-
-def _at_modes(
-    loop: ImplementedLoop,
-    metrics: Mapping[str, LoopMetric],
-    modes: Sequence[FloatArray],
-    cube: FloatArray,
-    stable: BoolArray,
-    doubt: BoolArray,
-) -> dict[str, list[Bracket]]:
+def _at_modes(reach: Reach, motions: _Motions, cube: FloatArray, doubt: BoolArray) -> dict[str, list[Bracket]]:
     """For each metric its values at the slow modes of every stable point; marks `doubt`."""
-    found: dict[str, list[Bracket]] = {name: [] for name in metrics}
-    for i in np.flatnonzero(stable):
-        for w in modes[i]:
-            closed = loop.at(float(w))
-            doubt[i] |= doubtful(loop.sensitivities(closed, cube[i][None]), float(w), loop.stage)[0]
-            for name, metric in metrics.items():
-                if metric.band[0] <= w <= metric.band[1]:
-                    value = float(loop.gains(closed, metric, cube[i][None])[0])
-                    found[name].append(Bracket(value, float(w), (w * (1.0 - AROUND), w * (1.0 + AROUND)), cube[i]))
+    found: dict[str, list[Bracket]] = {name: [] for name in reach.metrics}
+    delta = reach.loop.delta(cube)
+    for i in np.flatnonzero(motions.stable):
+        modes, point = motions.modes[i], cube[i]
+        if not len(modes):
+            continue
+        T = np.concatenate([reach.responses(closed, delta[[i]]) for closed in reach.loop.at_each(modes)])
+        doubt[i] |= reach.doubt(T, modes).any(axis=0)
+        gains = {(rows.start, columns.start): largest_gains(T[:, rows, columns]) for rows, columns, _ in reach.blocks}
+        for k, w in enumerate(modes.tolist()):
+            for rows, columns, factors in reach.here(w):
+                gain = float(gains[rows.start, columns.start][k])
+                for name, factor in factors.items():
+                    found[name].append(Bracket(gain * factor, w, (w * (1.0 - AROUND), w * (1.0 + AROUND)), point))
     return found
 
 
-def _brackets(
-    metric: LoopMetric, omega: FloatArray, value: FloatArray, place: IntArray, cube: FloatArray
-) -> list[Bracket]:
+def _brackets(metric: LoopMetric, omega: FloatArray, found: Sweep, cube: FloatArray) -> list[Bracket]:
     """The largest value of each point on the grid, with the neighbouring frequencies."""
-    found = []
+    value, place = found.value[metric.name], np.maximum(found.place[metric.name], len(DRIFTS))
+    brackets = []
     for v, k, point in zip(value, place, cube):
         low, high = np.clip([omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]], *metric.band)
-        found.append(Bracket(float(v), float(omega[k]), (float(low), float(high)), point))
-    return found
+        brackets.append(Bracket(float(v), float(omega[k]), (float(low), float(high)), point))
+    return brackets
+
+
+def _worst_of(searches: Sequence[Search], item: tuple[int, str, Sequence[Bracket]]) -> WorstPoint:
+    return _worst(searches[item[0]], item[1:])
 
 
 def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     """Worst point of a metric, its peak and those near it refined."""
     name, brackets = item
     metric, best = search.metrics[name], (0.0, 0.0, search.loop.point({}))
+    closed = cache(search.loop.at)  # many points have their largest value at one frequency of the grid
     for bracket in sorted(brackets, key=lambda b: -b.value):
         if bracket.value < NEAR * best[0]:
             break
-        if _reach(search, metric, bracket, best[0]) <= (1.0 + SAME) * best[0]:
+        if not _may_exceed(search, metric, bracket, best[0], closed):
             continue
         point = bracket.point[None]
 
@@ -257,15 +303,30 @@ def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
     return search.confirmed(metric, *best[1:])
 
 
-def _reach(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> float:
-    """What the peak in a bracket may reach by the slope at its value; a resonance's rise is below its tangent.
+def _may_exceed(
+    search: Search, metric: LoopMetric, bracket: Bracket, largest: float, closed: Callable[[float], ClosedAt]
+) -> bool:
+    """Whether the peak in a bracket may exceed the largest one, by slopes; a resonance's rise is below its tangent.
 
-    Infinite if a second singular value is near the largest peak: it may rise where the first one does not.
+    From the value on, the peak is sought by its slopes for :data:`TANGENTS` frequencies at most. It may exceed if a
+    second singular value is near the largest peak: that one may rise where the first one does not.
     """
-    closed = search.loop.at(bracket.omega)
-    values = search.loop.all_gains(closed, metric, bracket.point)
-    if len(values) > 1 and values[1] >= NEAR * largest:
-        return np.inf
-    value, _, slope = search.loop.gain(closed, metric, bracket.point)
-    end = bracket.ends[1] if slope > 0.0 else bracket.ends[0]
-    return float(value * np.exp(RISE * slope / value * np.log(end / bracket.omega)))
+    ends = np.log(np.clip(bracket.ends, *metric.band)).tolist()
+    x, omega = float(np.log(bracket.omega)), bracket.omega
+    sides: list[tuple[float, float]] = [(0.0, 0.0), (0.0, 0.0)]
+    for _ in range(TANGENTS):
+        at = closed(omega) if omega == bracket.omega else search.loop.at(omega)
+        values = search.loop.all_gains(at, metric, bracket.point)
+        value, _, slope = search.loop.gain(at, metric, bracket.point)
+        if not 0.0 < value <= (1.0 + SAME) * largest or (len(values) > 1 and values[1] >= NEAR * largest):
+            return True
+        side = int(slope <= 0.0)
+        ends[side], sides[side] = x, (value, slope / value)
+        width = ends[1] - ends[0]
+        if min(v * np.exp(RISE * abs(rate) * width) for v, rate in sides if v) <= (1.0 + SAME) * largest:
+            return False
+        rise, fall = sides[0][1], -sides[1][1]
+        part = rise / (rise + fall) if sides[0][0] and sides[1][0] and rise + fall > 0.0 else 0.5
+        x = ends[0] + float(np.clip(part, 0.1, 0.9)) * width
+        omega = float(np.exp(x))
+    return True

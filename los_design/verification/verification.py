@@ -18,7 +18,7 @@ from lftkit.support.workers import Workers
 from lftkit.tuning import certify
 from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
-from los_design.verification.stage_check import StageCheck, check_stage, grid
+from los_design.verification.stage_check import StageCheck, check_stages, grid
 from los_estimator.problem import observer_plant
 from los_loop.figures_of_merit import figure, gain_figures, paper_figures
 from los_loop.implemented_loop import ImplementedLoop
@@ -275,10 +275,8 @@ def check_implemented(
         Processes; the result does not depend on them.
     """
     points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters)
-    alone, both = (
-        check_stage(ImplementedLoop(open_loop, *pair, stage), points, changes=changes, tick=tick, workers=workers)
-        for stage in MIRROR_STAGES
-    )
+    loops = [ImplementedLoop(open_loop, *pair, stage) for stage in MIRROR_STAGES]
+    alone, both = check_stages(loops, points, changes=changes, tick=tick, workers=workers)
     nominal, noise, on_axis = system.at({}), {}, {}
     for stage in MIRROR_STAGES:
         plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage)

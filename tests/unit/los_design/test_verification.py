@@ -15,7 +15,7 @@ from small_loop import small_controllers, small_family, small_plant
 
 from lftkit import SampledSystem, System
 from los_design.synthesis.store import load_designs
-from los_design.verification import stage_check, verification
+from los_design.verification import stage_check, sweep, verification
 from los_design.verification.verification import (
     ImplementedCheck,
     broken_requirements,
@@ -209,9 +209,7 @@ def test_changes_that_make_a_loop_unstable_are_counted(parameters, monkeypatch) 
         yield "twice", lambda: replace(loop, hold=2.0 * loop.hold)
         yield "same", lambda: loop
 
-    monkeypatch.setattr(
-        stage_check, "doubtful", lambda S, omega, stage: np.ones((len(S), len(change_names(stage))), bool)
-    )
+    monkeypatch.setattr(sweep, "doubtful", lambda S, omega, stage: np.ones((len(S), len(change_names(stage))), bool))
     monkeypatch.setattr(stage_check, "changed_loops", changes)
     found = checked(POINTS, parameters)
     assert found.lost_margins() == [f"{stage}: twice unstable at 3 points" for stage in ("fsm", "fsm+pma")]

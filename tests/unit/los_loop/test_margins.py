@@ -91,6 +91,26 @@ def test_a_loop_of_small_gain_leaves_no_doubt() -> None:
     assert not doubtful(sensitivity[None].astype(complex), 700.0, "fsm+pma").any()
 
 
+@pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
+def test_doubt_is_that_of_the_eigenvalues_of_every_matrix(stage: str) -> None:
+    """Sensitivities in radians and newtons, of all sizes: norms of powers in balanced units change no answer."""
+    rng, size = np.random.default_rng(4), 2 if stage == "fsm" else COMMANDS
+    units = np.repeat([1e-6, 1.0], [2, 6])
+    S = rng.standard_normal((300, COMMANDS, COMMANDS)) + 1j * rng.standard_normal((300, COMMANDS, COMMANDS))
+    S = np.eye(COMMANDS) + np.geomspace(1e-2, 1.0, 300)[:, None, None] * S * units[:, None] / units
+    omega = rng.uniform(1.0, 3000.0, 300)
+    expected = []
+    for matrix, w in zip(S[:, :size, :size], omega):
+        own, radii = np.diagonal(matrix), [np.abs(np.linalg.eigvals(matrix - k * np.eye(size))).max() for k in (1, 0)]
+        T, raised = np.array([radii[0], *np.abs(own - 1.0)]), 0.5 * np.array([radii[1], *np.abs(own)])
+        turned = 2.0 * abs(math.sin(0.5 * w * 1e-3))
+        expected.append(np.concatenate([[turned * T[0]], 0.5 * T, raised]) >= (0.9 if w > 60.0 else 0.98))
+    found = doubtful(S, omega, stage)
+    np.testing.assert_array_equal(found, expected)
+    assert 0 < found[:, 0].sum() < 300
+    np.testing.assert_array_equal(found[7], doubtful(S[7:8], float(omega[7]), stage)[0])
+
+
 def test_changes_that_make_the_loop_unstable_are_named() -> None:
     """A loop whose first command drives itself: x+ = 0.8 v, v+ = x diverges with a gain of 2 and with nothing else."""
     n = 1

@@ -1,0 +1,165 @@
+"""Largest values of the stages' metrics over a grid of frequencies, at all parameter points together.
+
+At each frequency the telescope's response is computed once for all stages, each stage's loop is closed once, and every
+point costs a solution of the order of the channels beside those of the arrays' angle
+(:mod:`los_loop.angle_channels`). Singular values of more than two rows are computed where a norm does not show that
+they change nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from los_loop.implemented_loop import ClosedAt, ImplementedLoop, LoopMetric
+from los_loop.margins import change_names, doubtful
+from los_loop.spec import ADDED, APPLIED
+from titop_plant.interface import FORCE_STAGES, MIRROR
+
+ROUNDING = 1e-12
+"""Relative rounding of a norm that bounds a singular value."""
+
+
+class Reach:
+    """Responses of a stage that its metrics and its changed loops need.
+
+    Parameters
+    ----------
+    loop : ImplementedLoop
+    metrics : mapping of str to LoopMetric
+    changes : bool
+        Whether changed loops are looked at.
+    """
+
+    def __init__(self, loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], changes: bool = True) -> None:
+        self.loop, self.metrics, self.changes = loop, dict(metrics), changes
+        commands = (APPLIED.stop - APPLIED.start) if loop.stage in FORCE_STAGES else MIRROR.stop
+        self.rows = slice(0, max([APPLIED.start + commands, *(m.rows.stop for m in metrics.values())]))
+        self.columns = slice(0, max([ADDED.start + commands, *(m.columns.stop for m in metrics.values())]))
+        blocks: dict[tuple[int, int, int, int], list[str]] = {}
+        for name, m in metrics.items():
+            blocks.setdefault((m.rows.start, m.rows.stop, m.columns.start, m.columns.stop), []).append(name)
+        self.blocks = [(slice(a, b), slice(c, d), names) for (a, b, c, d), names in blocks.items()]
+
+    def responses(self, closed: ClosedAt, delta: ComplexArray) -> ComplexArray:
+        """For N diagonals of Delta (N, 32): the first rows and columns of the loop's response."""
+        return self.loop.some_responses(closed, delta, self.rows, self.columns)
+
+    def doubt(self, T: ComplexArray, omega: float | FloatArray) -> BoolArray:
+        """What :func:`los_loop.margins.doubtful` says of responses, shape (N, changes); without changes nothing."""
+        if not self.changes:
+            return np.zeros((len(T), len(change_names(self.loop.stage))), dtype=bool)
+        return doubtful(T[:, APPLIED, ADDED], omega, self.loop.stage)
+
+    def here(self, omega: float) -> list[tuple[slice, slice, dict[str, float]]]:
+        """Blocks of the response with the metrics whose band has a frequency, and their factors there."""
+        found = []
+        for rows, columns, names in self.blocks:
+            own = [self.metrics[name] for name in names]
+            factors = {m.name: self.loop.scale(m, omega) for m in own if m.band[0] <= omega <= m.band[1]}
+            if factors:
+                found.append((rows, columns, factors))
+        return found
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a stage has at some of the frequencies of a grid.
+
+    Parameters
+    ----------
+    value : dict of str to ndarray, shape (points,)
+        By metric, the largest value of each point; 0 at unstable ones.
+    place : dict of str to ndarray of int, shape (points,)
+        Its place in the grid.
+    envelope : dict of str to ndarray, shape (frequencies,)
+        By metric, the largest value over the points at each frequency of the grid; 0 at those not looked at.
+    doubt : ndarray of bool, shape (points, changes)
+        Changes of the loop that could make it unstable.
+    """
+
+    value: dict[str, FloatArray]
+    place: dict[str, IntArray]
+    envelope: dict[str, FloatArray]
+    doubt: BoolArray
+
+
+def sweep(
+    reaches: Sequence[Reach], omega: FloatArray, places: IntArray, cube: FloatArray, stable: Sequence[BoolArray]
+) -> list[Sweep]:
+    """Look at some frequencies of a grid.
+
+    Parameters
+    ----------
+    reaches : sequence of Reach
+        Of stages around the same open loop.
+    omega : ndarray
+        The grid [rad/s].
+    places : ndarray of int
+        Places in it that are looked at, in this order.
+    cube : ndarray, shape (points, parameters)
+        Of the unit cube.
+    stable : sequence of ndarray of bool, shape (points,)
+        For each stage.
+    """
+    found = [_nothing(reach, len(cube), len(omega)) for reach in reaches]
+    open_loop, at = reaches[0].loop.open, omega[places]
+    delta, lft = open_loop.delta(cube), open_loop.at(at)
+    for reach, own, there in zip(reaches, found, stable):
+        for k, w, closed in zip(places, at.tolist(), reach.loop.around(lft, at)):
+            T = reach.responses(closed, delta)
+            own.doubt[:] |= reach.doubt(T, w)
+            for rows, columns, factors in reach.here(w):
+                known = np.min([own.value[name] / factor for name, factor in factors.items()], axis=0)
+                gains = _gains_above(T[:, rows, columns], known, there)
+                for name, factor in factors.items():
+                    _keep(own, name, gains * factor, int(k))
+    return found
+
+
+def joined(parts: Sequence[Sweep]) -> Sweep:
+    """Of several parts of a grid."""
+    value, place = dict[str, FloatArray](), dict[str, IntArray]()
+    for name in parts[0].value:
+        values, places = (np.array([getattr(part, field)[name] for part in parts]) for field in ("value", "place"))
+        best = np.lexsort((places, -values), axis=0)[0]
+        each = np.arange(values.shape[1])
+        value[name], place[name] = values[best, each], places[best, each]
+    envelope = {name: np.max([part.envelope[name] for part in parts], axis=0) for name in value}
+    return Sweep(value, place, envelope, np.any([part.doubt for part in parts], axis=0))
+
+
+def _nothing(reach: Reach, points: int, frequencies: int) -> Sweep:
+    return Sweep(
+        {name: np.zeros(points) for name in reach.metrics},
+        {name: np.zeros(points, dtype=np.intp) for name in reach.metrics},
+        {name: np.zeros(frequencies) for name in reach.metrics},
+        np.zeros((points, len(change_names(reach.loop.stage))), dtype=bool),
+    )
+
+
+def _gains_above(T: ComplexArray, known: FloatArray, stable: BoolArray) -> FloatArray:
+    """Largest singular values at stable points, where they exceed what is `known`, or all others; else zero."""
+    if min(T.shape[1:]) <= 2:
+        return np.where(stable, largest_gains(T), 0.0)
+    bound = (1.0 + ROUNDING) * np.sqrt(np.sum(T.real**2 + T.imag**2, axis=(1, 2))) * stable
+    floor = largest_gains(T[[int(bound.argmax())]])[0]
+    near = stable & ((bound > known) | (bound >= floor))
+    gains = np.zeros(len(T))
+    gains[near] = largest_gains(T[near])
+    return gains
+
+
+def _keep(own: Sweep, name: str, values: FloatArray, place: int) -> None:
+    """Enter the values of a metric at a place of the grid."""
+    higher = values > own.value[name]
+    own.value[name][higher] = values[higher]
+    own.place[name][higher] = place
+    own.envelope[name][place] = float(values.max())
+
+
+__all__ = ["Reach", "Sweep", "joined", "sweep"]
