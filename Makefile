@@ -119,6 +119,7 @@ campaign-pictures: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
+	$(BIN)/python benchmarks/verification.py --points 8 --json
 	$(BIN)/python benchmarks/campaign.py --members 3 --json
 	$(BIN)/python benchmarks/tick.py --json
 	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json

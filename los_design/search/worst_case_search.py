@@ -181,8 +181,9 @@ class Search:
         """For each metric the three best points at each frequency."""
         names, drawn = item
         tables: dict[str, list[Found]] = {name: [] for name in names}
-        for omega, points in drawn:
-            responses = self.loop.all_responses(self.loop.at(omega), points)
+        closings = self.loop.at_each(np.array([omega for omega, _ in drawn]))
+        for closed, (omega, points) in zip(closings, drawn):
+            responses = self.loop.all_responses(closed, points)
             for name in names:
                 metric = self.metrics[name]
                 if metric.band[0] <= omega < metric.band[1]:
@@ -196,14 +197,15 @@ class Search:
         """Values of each metric close to the slow modes of a point, which are narrower than the steps of the grid."""
         names, point = item
         tables: dict[str, list[Found]] = {name: [] for name in names}
-        for mode in self.loop.open.modes(point, *MODES):
-            for offset in MODE_OFFSETS:
-                omega = float(mode * (1.0 + offset))
-                closed = self.loop.at(omega)
-                for name in names:
-                    metric = self.metrics[name]
-                    if metric.band[0] <= omega < metric.band[1]:
-                        tables[name].append((float(self.loop.gains(closed, metric, point[None])[0]), omega, point))
+        modes = self.loop.open.modes(point, *MODES)
+        omega = np.concatenate([modes * (1.0 + offset) for offset in MODE_OFFSETS])
+        for closed in self.loop.at_each(np.sort(omega)):
+            responses = self.loop.all_responses(closed, point[None])
+            for name in names:
+                metric = self.metrics[name]
+                if metric.band[0] <= closed.omega < metric.band[1]:
+                    value = float(largest_gains(responses[:, metric.rows, metric.columns])[0])
+                    tables[name].append((value * self.loop.scale(metric, closed.omega), closed.omega, point))
         return tables
 
     def _climbs(self, item: tuple[str, Sequence[Pair]]) -> list[Found]:
