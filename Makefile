@@ -2,8 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 MINUTES ?= 10
-CASES ?= 200
-SEED ?= 0
+CASES ?=
+SEED ?=
 READY := .venv/.ready
 SKIPPED := .venv/skipped-tests.txt
 LANES := -n 2 --dist loadfile --no-loadscope-reorder
@@ -21,8 +21,9 @@ help:
 	@echo "make test       style, types, all tests of ordinary length; at the end what was skipped and how to get it"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
-	@echo "make attacks CASES=200 SEED=0  runs beside random strangers on their domain (some seconds each)"
+	@echo "make attacks MINUTES=10  runs beside random strangers on their domain; CASES=200: so many instead"
 	@echo "make faults MINUTES=10  runs with signals, full disks, too little memory ..., and what is left of them"
+	@echo "                SEED=N repeats what one of these three has found: they print it"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
@@ -78,10 +79,10 @@ test-slow: $(READY)
 	$(BIN)/pytest -m slow tests
 
 fuzz: $(READY)
-	$(BIN)/python tests/fuzz/fuzz_for.py $(MINUTES)
+	$(BIN)/python tests/fuzz/fuzz_for.py $(MINUTES) $(SEED:%=--seed=%)
 
 attacks: $(READY)
-	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(CASES) $(SEED)
+	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(or $(CASES:%=--cases=%),--minutes=$(MINUTES)) $(SEED:%=--seed=%)
 
 faults: $(READY)
 	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import importlib.util
 import os
 import random
 import re
@@ -29,6 +30,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config import NAMESPACE
 from los_testbed.exit_codes import ExitCode
@@ -37,6 +39,7 @@ from mcap.reader import NonSeekingReader
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
+from titop_plant.interface import TICK_NS
 
 HANG_S = 300.0
 """Wall time in which a run must end, also on a busy machine."""
@@ -47,7 +50,12 @@ MARK = "FAULT_CASE"
 CLOCK_SOURCE = Path(__file__).parents[1] / "support" / "clock_step.c"
 HOUR_S = 3600
 MCAP0_MAGIC = b"\x89MCAP0\r\n"
-NODES = ("plant", "estimator", "controller", "recorder")
+LOOP = ("plant", "estimator", "controller")
+NODES = (*LOOP, "recorder", *(("live",) if importlib.util.find_spec("foxglove") else ()))
+"""Its processes; the server for viewers runs where it is the one that is chosen."""
+UNANSWERED = (signal.SIGKILL, signal.SIGSEGV, signal.SIGABRT)
+PAUSE_TICKS = 800
+"""Commands that a loop misses while a node of it is started again, at least; it is never so long without a fault."""
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSEGV, signal.SIGABRT)
 COLUMNS = ("cases", "survived", "reported", "orphans", "unreadable bags", "wrong exit codes")
 OK, FAILED, MISTAKE = ExitCode.FINISHED, ExitCode.FAILED, ExitCode.USER_ERROR
@@ -67,6 +75,8 @@ class Case:
     act : does the fault while the run goes on
     prepare : limits of the process, set before the program begins
     variables : of the environment of the program
+    options : of the program
+    crashed : a node of the loop that was ended by a signal that it cannot answer
     bag : where it is written
     """
 
@@ -78,6 +88,8 @@ class Case:
     act: Callable[[subprocess.Popen[str]], None] = lambda process: None
     prepare: Callable[[], None] = lambda: None
     variables: dict[str, str] = field(default_factory=dict)
+    options: tuple[str, ...] = ()
+    crashed: str = ""
     bag: Path = field(init=False)
     outputs: list[tuple[int, str]] = field(default_factory=list)
 
@@ -100,6 +112,7 @@ def processes_of(folder: Path, command: str = "") -> list[int]:
 def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--mode={case.mode}", f"--duration={DURATION_S:g}"]
     command += [f"--output={bag}", "--no-report", f"--domain={domain}", "--max-missed=100", "--start=rest"]
+    command += case.options
     variables = {**os.environ, MARK: str(case.folder), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "400"}
     variables |= case.variables
     return subprocess.Popen(
@@ -139,14 +152,17 @@ def signal_to_node(rng: random.Random, folder: Path) -> Case:
     allowed = {OK: "", ExitCode.RESTARTED: named, FAILED: f"{named}|{before}"}
     case = Case(f"{number.name} to a node", f"{number.name} to {node}", folder, allowed)
     case.mode = rng.choice(("realtime", "realtime", "lockstep"))
-    hits: list[int] = []
+    if node == "live":
+        case.options = ("--live=0",)
+        case.allowed = {OK: "", FAILED: f"server for viewers|{node}|{before}"}
 
     def act(process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
         for pid in processes_of(folder, f"nodes.{node}")[:1]:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, number)
-                hits.append(pid)
+                if node in LOOP and number in UNANSWERED:
+                    case.crashed = node
 
     case.act = act
     return case
@@ -156,6 +172,7 @@ def pause_of_process(rng: random.Random, folder: Path) -> Case:
     name, pause = rng.choice((*NODES, "runner")), rng.uniform(0.05, 2.0)
     case = Case("SIGSTOP", f"SIGSTOP to {name} for {pause:.2f} s", folder, {OK: ""})
     case.mode = rng.choice(("realtime", "lockstep"))
+    case.options = ("--live=0",) if name == "live" else ()
 
     def act(process: subprocess.Popen[str]) -> None:
         moment(case, process, rng)
@@ -349,11 +366,22 @@ def wrong_end(case: Case, code: int, out: str) -> str:
     whole = [bag for bag in case.folder.glob("bag*") if bag.is_dir()]
     if code == OK and case.bag.parent == case.folder and (not whole or Run.open(case.bag).problems):
         return "exit code 0 without a whole bag"
+    if code == OK and case.crashed and "before the run began" not in out and (lost := missing_commands(case.bag)):
+        return f"exit code 0 though {lost} commands in a row are missing after the end of {case.crashed}"
     for other, text in case.outputs:
         over = other == OK and "domain" in case.kind  # the first one had not begun, or was over
         if not over and (other != MISTAKE or "must" not in text):
             return f"exit code {other} of the second run: {text}"
     return ""
+
+
+def missing_commands(bag: Path) -> int:
+    """The largest number of ticks in a row without a mirror command, if a node that was started again explains it."""
+    run = Run.open(bag)
+    first, last = run["truth/los"].stamp[[0, -1]]
+    stamps = run["fsm/command"].stamp if "fsm/command" in run.topics else np.array([], np.int64)
+    longest = int(np.diff(np.concatenate([[first], stamps, [last]])).max()) // TICK_NS
+    return longest if longest > PAUSE_TICKS else 0
 
 
 def orphans(case: Case) -> list[int]:

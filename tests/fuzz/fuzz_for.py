@@ -1,4 +1,7 @@
-"""Run the fuzz tests with random examples for some minutes: ``python tests/fuzz/fuzz_for.py 10``.
+"""Run the fuzz tests with random examples for some minutes: ``python tests/fuzz/fuzz_for.py 10 [--seed=N] [FILE ...]``.
+
+The seed, random without the option, gives the examples of all rounds; it is printed at the end, below a table of how
+many examples each test had. How many rounds there are is a matter of the machine.
 
 The rounds are in one process, so that the imports are done once, and this one keeps the time and answers signals: the
 code that is fuzzed has answers to signals of its own. At the end of the time, at SIGINT, SIGTERM and SIGHUP the example
@@ -8,8 +11,10 @@ came, 1 (or that of pytest) something found.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -20,10 +25,12 @@ ROUND = 20
 """Examples of each test in one round."""
 HANG_S = 600
 """Wall time in which a test of one round must end, also on a busy machine; else the stacks are printed."""
+SEEDS = 10**6
+"""Seeds of rounds for each seed."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def rounds(files: list[str]) -> int:
+def rounds(seed: int, files: list[str]) -> int:
     """Rounds until the time is over or something was found; the exit code of the last one."""
     import pytest
     from _pytest.config import ExitCode
@@ -41,16 +48,20 @@ def rounds(files: list[str]) -> int:
     count, code = 0, ExitCode.OK
     while not fuzz_profile.over() and not code:
         count += 1
-        code = ExitCode(pytest.main([*options, *files], plugins=[NoMore()]))
+        own = f"--hypothesis-seed={seed * SEEDS + count}"
+        code = ExitCode(pytest.main([*options, own, *files], plugins=[NoMore()]))
     word = "something was found" if code else "nothing found"
+    examples = fuzz_profile.Count.examples
+    table = "".join(f"{name:60}{number:10d}\n" for name, number in sorted(examples.items()))
+    sys.stdout.write(f"\n{'test':60}{'examples':>10}\n{table}")
     sys.stdout.write(
-        f"{fuzz_profile.Count.examples} examples in {count} rounds of {ROUND} examples of each test, "
+        f"{sum(examples.values())} examples in {count} rounds of {ROUND} examples of each test, seed {seed}, "
         f"{time.process_time():.0f} s of processor time: {word}\n"
     )
     return int(code)
 
 
-def main(minutes: float, files: list[str]) -> int:
+def main(minutes: float, seed: int, files: list[str]) -> int:
     """Start the rounds, and close the pipe to them at the end of the time or at a signal; the exit code."""
     end, came = time.monotonic() + 60 * minutes, list[int]()
     for number in SIGNALS:
@@ -60,7 +71,10 @@ def main(minutes: float, files: list[str]) -> int:
     path = os.pathsep.join([str(tests), *filter(None, [os.environ.get("PYTHONPATH")])])
     variables = {**os.environ, "FUZZ_EXAMPLES": str(ROUND), "FUZZ_STOP": str(reading), "PYTHONPATH": path}
     child = subprocess.Popen(
-        [sys.executable, __file__, "--rounds", *files], pass_fds=[reading], start_new_session=True, env=variables
+        [sys.executable, __file__, "--rounds", str(seed), *files],
+        pass_fds=[reading],
+        start_new_session=True,
+        env=variables,
     )
     os.close(reading)
     while child.poll() is None and not came and time.monotonic() < end:
@@ -83,6 +97,11 @@ def main(minutes: float, files: list[str]) -> int:
 
 if __name__ == "__main__":
     if sys.argv[1] == "--rounds":
-        sys.exit(rounds(sys.argv[2:]))
-    found = sorted(Path(__file__).parent.glob("test_fuzz_*.py"))
-    sys.exit(main(float(sys.argv[1]), sys.argv[2:] or [str(file) for file in found]))
+        sys.exit(rounds(int(sys.argv[2]), sys.argv[3:]))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("minutes", type=float)
+    parser.add_argument("files", nargs="*")
+    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(SEEDS))
+    given = parser.parse_args()
+    found = given.files or [str(file) for file in sorted(Path(__file__).parent.glob("test_fuzz_*.py"))]
+    sys.exit(main(given.minutes, given.seed, found))

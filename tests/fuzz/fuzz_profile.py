@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import os
 import select
+from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -26,9 +27,9 @@ def over() -> bool:
 
 
 class Count:
-    """How many examples this process has started."""
+    """How many examples this process has started, by the name of the test."""
 
-    examples = 0
+    examples: ClassVar[Counter[str]] = Counter()
 
 
 def _one_more(test: Test) -> Test:
@@ -38,7 +39,7 @@ def _one_more(test: Test) -> Test:
     def example(*values: Any, **named: Any) -> None:
         if over():
             pytest.skip("the time of the fuzzing is over")
-        Count.examples += 1
+        Count.examples[test.__name__] += 1
         test(*values, **named)
 
     return example

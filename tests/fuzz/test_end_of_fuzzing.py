@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -41,12 +42,12 @@ def test_two(number):
 WAIT = "    while not over():\n        time.sleep(0.01)\n"
 
 
-def started(folder: Path, minutes: float, body: str) -> subprocess.Popen[str]:
+def started(folder: Path, minutes: float, body: str, *options: str) -> subprocess.Popen[str]:
     """The fuzzing of a file of two tests, of which the first does this."""
     (folder / "test_fuzz_one.py").write_text(BEGIN + body + END)
     script = Path(__file__).with_name("fuzz_for.py")
     return subprocess.Popen(
-        [sys.executable, str(script), str(minutes), str(folder / "test_fuzz_one.py")],
+        [sys.executable, str(script), str(minutes), *options, str(folder / "test_fuzz_one.py")],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -111,3 +112,25 @@ def test_what_is_found_ends_it(tmp_path: Path, body: str, words: str) -> None:
     out, _ = process.communicate(timeout=250)
     assert process.returncode == 1 and words in out, out
     assert not examples_of(tmp_path, "two")
+
+
+def test_the_seed_gives_the_examples_and_a_table_counts_them(tmp_path: Path) -> None:
+    body = """
+    with (FOLDER / "numbers").open("a") as file:
+        file.write(f"{number},")
+    while len((FOLDER / "one").read_text()) > 9 and not over():
+        time.sleep(0.01)
+"""
+    drawn = []
+    for name, seed in (("first", 7), ("again", 7), ("other", 8)):
+        folder = tmp_path / name
+        folder.mkdir()
+        process = started(folder, 60, body, f"--seed={seed}")
+        while examples_of(folder, "one") < 10:
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=250)
+        assert f", seed {seed}, " in out and re.search(r"\ntest_one +10\n", out), out
+        drawn.append((folder / "numbers").read_text())
+    assert drawn[0] == drawn[1] != drawn[2]

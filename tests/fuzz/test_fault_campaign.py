@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fuzz import fault_campaign
-from fuzz.fault_campaign import MARK, Case, orphans, unreadable, wrong_end
+from fuzz.fault_campaign import MARK, PAUSE_TICKS, Case, orphans, unreadable, wrong_end
+
+from pointing_analysis.indices.synthetic import write_bag
 
 
 def case_in(folder: Path, allowed: dict[int, str]) -> Case:
@@ -53,3 +56,15 @@ def test_a_bag_that_cannot_be_read_is_found_and_one_without_a_message_is_none(tm
 def test_exit_codes_and_words_are_judged(tmp_path: Path, code: int, out: str, words: str) -> None:
     found = wrong_end(case_in(tmp_path, {0: "", 1: r"recorder ended unexpectedly \(signal 9\)"}), code, out)
     assert words in found and bool(found) == bool(words)
+
+
+@pytest.mark.parametrize("missing", [0, PAUSE_TICKS - 10, PAUSE_TICKS + 10])
+def test_a_node_that_was_killed_and_is_not_told_of_is_found_by_its_commands(tmp_path: Path, missing: int) -> None:
+    """Exit code 0 is right where the signal came after the last tick."""
+    truth, commands = np.zeros((2000, 2)), np.zeros((2000, 2))
+    write_bag(tmp_path / "bag", {"truth/los": truth, "fsm/command": commands[: 2000 - missing]})
+    case = case_in(tmp_path, {0: ""})
+    assert not wrong_end(case, 0, ""), "nothing was killed"
+    case.crashed = "controller"
+    assert ("commands in a row are missing" in wrong_end(case, 0, "")) == (missing > PAUSE_TICKS)
+    assert not wrong_end(case, 0, "controller was started again before the run began")

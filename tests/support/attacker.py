@@ -2,7 +2,8 @@
 
     python attacker.py DOMAIN CASE        CASE as JSON, see :class:`Case`
 
-It writes a line when it listens and, where it is early, one when it begins to send; it ends on SIGTERM.
+Or it is a reader that asks for lost messages and takes none. It writes a line when it listens and, where it
+is early, one when it begins to send; it ends on SIGTERM.
 """
 
 from __future__ import annotations
@@ -14,11 +15,17 @@ import subprocess
 import sys
 import time
 from dataclasses import asdict, dataclass
+from typing import IO
 
 import numpy as np
 
-STAMPS = ("future", "past", "hold", "off_grid", "next", "repeated")
-"""Stamps relative to those of the run: 1000 s ahead, 1000 s back, zero, between two ticks, of the next tick, equal."""
+STAMPS = ("future", "past", "hold", "off_grid", "next", "repeated", "ahead")
+"""Stamps relative to those of the run: 1000 s ahead, 1000 s back, zero, between two ticks, of the next tick, equal, a
+few ticks ahead."""
+
+CLOCK = "/clock"
+SILENT = "silent reader"
+"""In place of a topic: a reliable reader of all topics of the loop that takes nothing, not even from its sockets."""
 
 TRANSITIONS = {"unknown": 250, "activate": 3, "deactivate": 4, "cleanup": 2, "shutdown": 7}
 PARAMETERS = {
@@ -58,7 +65,8 @@ class Case:
 
     Attributes
     ----------
-    topic : name of a topic of the loop, or of ``recorder/progress``, or a diagnostics topic; or of a service
+    topic : name of a topic of the loop, or of ``recorder/progress``, a diagnostics topic or CLOCK; or of a service; or
+        SILENT
     name, namespace : of its node
     stamps : one of STAMPS
     rate : messages a second
@@ -83,26 +91,45 @@ class Case:
         """Full name of its node."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
+    @property
+    def path(self) -> str:
+        """Full name of its topic or service."""
+        return self.topic if self.topic.startswith("/") else f"/telescope/{self.topic}"
+
 
 class Attacker:
     """The process of a case."""
 
     def __init__(self, domain: int, case: Case) -> None:
         command = [sys.executable, __file__, str(domain), json.dumps(asdict(case))]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ
+        )
+        begins = b"begins" if case.begin == EARLY else b"listens"  # a run may be over before a process has started
+        while (line := self._output.readline().strip()) != begins:
+            assert line, f"it has ended: {self._errors.read().decode()}"
+
+    @property
+    def _output(self) -> IO[bytes]:
         assert self.process.stdout is not None
-        begins = "begins" if case.begin == EARLY else "listens"  # a run may be over before a process has started
-        while (line := self.process.stdout.readline().strip()) != begins:
-            assert line, "it has ended"
+        return self.process.stdout
+
+    @property
+    def _errors(self) -> IO[bytes]:
+        assert self.process.stderr is not None
+        return self.process.stderr
 
     def close(self) -> str:
         """End it; what it said since."""
-        self.process.terminate()
-        try:
-            return str(self.process.communicate(timeout=20.0)[0])
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return str(self.process.communicate()[0])
+        self.process.send_signal(signal.SIGCONT)
+        self.process.send_signal(signal.SIGTERM)
+        end = time.monotonic() + 20.0
+        while self.process.poll() is None:
+            time.sleep(0.01)
+            if time.monotonic() > end:
+                self.process.kill()
+        with self._output as output, self._errors:
+            return output.read().decode()
 
 
 def _stamp(kind: str, newest: int, count: int, start: int) -> int:
@@ -115,11 +142,17 @@ def _stamp(kind: str, newest: int, count: int, start: int) -> int:
         "off_grid": newest + 123_457,
         "next": newest + TICK_NS,
         "repeated": newest or start,
+        "ahead": newest + 3 * TICK_NS,
     }[kind]
 
 
-def main(domain: int, case: Case) -> None:
-    """Perform the case."""
+def main() -> None:
+    """Perform the case of the command line."""
+    attack(int(sys.argv[1]), Case(**json.loads(sys.argv[2])))
+
+
+def attack(domain: int, case: Case) -> None:
+    """Perform a case."""
     from los_testbed.bags.cdr import stamp_of
     from los_testbed.nodes.support.middleware import choose_middleware
     from los_testbed.nodes.support.raw_topics import RawSubscription
@@ -152,7 +185,7 @@ def main(domain: int, case: Case) -> None:
     while not ended and case.begin != EARLY and not (first and newest >= first + case.begin * 1_000_000):
         listen()
         time.sleep(0.002)
-    act = call or _sender(node, case)
+    act = call or (_silent_reader(node, lambda: count_heard) if case.topic == SILENT else _sender(node, case))
     if case.begin == EARLY:
         sys.stdout.write("begins\n")
         sys.stdout.flush()
@@ -180,9 +213,13 @@ def _messages(name):
     from los_testbed.nodes.support.raw_topics import MESSAGES
     from los_testbed.topics import PROGRESS_TOPIC, TOPICS
 
-    from pointing_analysis.read.messages.cdr import Encoder
+    from pointing_analysis.read.messages.cdr import STAMP, Encoder
     from pointing_analysis.read.messages.message_types import HEADER
 
+    if name == CLOCK:
+        from rosgraph_msgs.msg import Clock
+
+        return Clock, lambda stamp: b"\0\1\0\0" + STAMP.pack(stamp // 10**9, stamp % 10**9)
     if name == PROGRESS_TOPIC:
         return MESSAGES[HEADER], Encoder(HEADER, 0, "").encode
     topic = next((topic for topic in TOPICS if topic.name == name), None)
@@ -198,7 +235,7 @@ def _sender(node, case):
     from rclpy.qos import QoSProfile
 
     message, encode = _messages(case.topic)
-    publisher = node.create_publisher(message, f"/telescope/{case.topic}", QoSProfile(depth=1000))
+    publisher = node.create_publisher(message, case.path, QoSProfile(depth=1000))
 
     def send(stamp: int) -> None:
         data = bytes(encode(stamp))
@@ -207,10 +244,24 @@ def _sender(node, case):
     return send
 
 
+def _silent_reader(node, heard):
+    """A function that stops this process as soon as the run is heard; its readers ask for every message again."""
+    from los_testbed.nodes.support.raw_topics import RawSubscription
+    from los_testbed.topics import TOPICS
+
+    readers = [RawSubscription(node, f"/telescope/{topic.name}", topic.type_name, 5000) for topic in TOPICS]
+
+    def stop(stamp: int) -> None:
+        if heard() and readers:
+            os.kill(os.getpid(), signal.SIGSTOP)
+
+    return stop
+
+
 def _caller(node, case):
     """A function that sends a request."""
     client_of, request = _request(case)
-    client = node.create_client(client_of, f"/telescope/{case.topic}")
+    client = node.create_client(client_of, case.path)
 
     def call(stamp: int) -> None:
         if client.service_is_ready():
@@ -239,4 +290,4 @@ def _request(case):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Case(**json.loads(sys.argv[2])))
+    main()

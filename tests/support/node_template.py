@@ -31,7 +31,7 @@ from typing import Any
 PACKAGE = "los_testbed.nodes"
 NODES = {
     **{("-m", f"{PACKAGE}.{name}"): f"{PACKAGE}.{name}" for name in ("plant", "estimator", "controller", "recorder")},
-    (str(Path(__file__).with_name("simple_telescope.py")),): "simple_telescope",
+    **{(str(Path(__file__).with_name(f"{name}.py")),): name for name in ("simple_telescope", "attacker")},
 }
 """Modules with a `main`, by the arguments of the interpreter that start them."""
 
@@ -116,7 +116,11 @@ class NodeTemplate:
             command = [sys.executable, __file__, str(other.fileno())]
             self._early = early(variables)
             self._process = subprocess.Popen(
-                command, env=dict(variables), stdin=subprocess.DEVNULL, pass_fds=[other.fileno()]
+                command,
+                env=dict(variables),
+                stdin=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                start_new_session=True,  # it ends with this process: a key of the terminal is not for it
             )
 
     def _copy(self, module: str, arguments: list[str], variables: Mapping[str, str], passed: Sequence[int]) -> Copy:
