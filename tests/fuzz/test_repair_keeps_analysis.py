@@ -130,6 +130,16 @@ def test_a_chunk_that_stands_twice(recorded: Recorded, number: int, trusted: boo
     assert any("stands twice" in problem for problem in Run.open(recorded.folder / "new").problems)
 
 
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_chunk_that_is_gone(recorded: Recorded, number: int) -> None:
+    """What is lost stands at the same times, also where the first message of the new bag is a later one."""
+    found = taken_apart(recorded.data)
+    del found[[at for at, (op, _) in enumerate(found) if op == OP_CHUNK][number]]
+    check(recorded, put_together(found, True))
+    before, after = (Run.open(recorded.folder / name) for name in ("changed", "new"))
+    assert before.losses and [str(loss) for loss in after.losses] == [str(loss) for loss in before.losses]
+
+
 @pytest.mark.parametrize("same", [True, False])
 def test_messages_that_stand_twice_in_other_chunks(recorded: Recorded, same: bool) -> None:
     """The same ones, or others under the same numbers."""

@@ -12,11 +12,13 @@ import pytest
 pytest.importorskip("rclpy")
 from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
+from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES as CHANGING
 from los_testbed.run.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from los_testbed.topics import TOPICS
+from mcap.reader import make_reader
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -48,6 +50,7 @@ class Observer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnostics = []
+        self.frames: set[str] = set()
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
         self.statistics: dict[str, list[Any]] = {name: [] for name in NODES}
         for name, messages in self.statistics.items():
@@ -55,6 +58,7 @@ class Observer:
 
     def _keep(self, message):
         self.diagnostics += message.status
+        self.frames.add(message.header.frame_id)
 
     def call(self, kind, service, request):
         client = self.node.create_client(kind, service)
@@ -106,7 +110,7 @@ def seen(tmp_path_factory):
             found["topics"] = dict(user.node.get_topic_names_and_types())
             found["nodes"] = set(user.node.get_node_names_and_namespaces())
             user.spin_until(lambda: all(len(user.reports(name)) >= 3 and user.statistics[name] for name in NODES))
-            found["diagnostics"] = list(user.diagnostics)
+            found["diagnostics"], found["frames"] = list(user.diagnostics), user.frames
             found["statistics"] = user.statistics
         finally:
             user.close()
@@ -155,6 +159,14 @@ def test_diagnostics_come_once_a_second_from_each_node(seen):
     changes = sum(before != after for before, after in itertools.pairwise(faded))  # each is told at once
     assert ticks[0] > 300 and len(ticks) <= 2 + changes + 2 * (ticks[-1] - ticks[0]) / 1000
     assert float(reports[-1]["latency_median_us"]) > 0
+
+
+def test_a_report_names_no_frame(seen):
+    """The state of a node has none, live and in the bag."""
+    assert seen[0]["frames"] == {""}
+    with next(seen[1].bag.glob("*.mcap")).open("rb") as stream:
+        found = make_reader(stream).iter_messages(topics=["/diagnostics"])
+        assert {read_diagnostics(message.data)[0] for _, _, message in found} == {""}
 
 
 def test_looking_does_not_disturb_the_loop(seen):

@@ -25,6 +25,8 @@ REPEATED = "repeated"
 """Entry in the record of a repair: by topic, messages of the new bag whose number others of it have as well."""
 NUMBERED = "los-testbed"
 """Begin of the name of the library whose files number the messages of each topic."""
+ORIGIN = "origin"
+"""Entry in the record of a repair: log time [ns] from which the times of its losses count."""
 ENDS = "ends"
 """Entry in the record of a repair of a bag without such numbers: by topic, what it lost before and after the others."""
 MAX_PIECES = 10_000
@@ -156,10 +158,11 @@ def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
 
 
 def repair_entries(
-    infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int]
+    infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int], origin: int
 ) -> dict[str, str]:
     """What the record of a repair says to those who read the new bag: losses, repeated numbers, contradictions."""
     found: dict[str, object] = {
+        ORIGIN: origin,
         REPEATED: repeated,
         CONTRADICTIONS: contradictions(infos)[:MAX_TOLD],
         "lost": {loss.topic: loss.missing for loss in losses},
@@ -198,6 +201,16 @@ class LossLedger:
                 kept = self._topics.setdefault(channel.topic, _Numbers())
                 kept.add(rows["sequence"].astype(np.int64), rows["log"].astype(np.int64))
 
+    def origin_of(self, infos: Sequence[FileInfo]) -> int:
+        """Log time [ns] from which the times of losses count: of the first message that is known of.
+
+        A repair knew of earlier ones than those it could copy.
+        """
+        origins = [e.first for info in infos for e in info.expected.values()]
+        told = value_of(merged(infos, REPAIR_NAME)[0].get(ORIGIN, "null"))
+        origins += [told] if type(told) is int and told > 0 else []
+        return min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
+
     def losses(self, infos: Sequence[FileInfo], counts: Mapping[str, int]) -> tuple[TopicLoss, ...]:
         """What is missing, topic by topic; topics that lack nothing are left out.
 
@@ -206,8 +219,7 @@ class LossLedger:
         infos : of the files of the bag
         counts : messages of each topic by metadata.yaml, for files whose own summary is damaged or missing
         """
-        origins = [e.first for info in infos for e in info.expected.values()]
-        origin = min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
+        origin = self.origin_of(infos)
         # A file whose channels are lost: metadata.yaml names the topics.
         topics = {c.topic: None for info in infos for c in info.channels.values()} | dict.fromkeys(counts)
         found = []

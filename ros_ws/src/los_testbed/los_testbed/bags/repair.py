@@ -121,7 +121,7 @@ def _copy(
             bag.end_chunk()
         info.problems += problems
         result.losses, result.repeated = ledger.losses([info], counts), ledger.repeated([info])
-        bag.close({REPAIR_NAME: _record(file, info, result)})
+        bag.close({REPAIR_NAME: _record(file, info, result, ledger.origin_of([info]))})
     return result
 
 
@@ -143,14 +143,14 @@ def _namespace(beside: FileInfo) -> str | None:
     return next(iter(found)) if len(found) == 1 else None
 
 
-def _record(file: Path, info: FileInfo, result: RepairResult) -> Mapping[str, str]:
+def _record(file: Path, info: FileInfo, result: RepairResult, origin: int) -> Mapping[str, str]:
     """What every later reader of the new bag shows."""
     notes = [*(str(loss) for loss in result.losses), *info.problems]
     return {
         "source": file.name,
         "messages": str(result.messages),
         "finished": json.dumps(info.finished),
-        **repair_entries([info], result.losses, result.repeated),
+        **repair_entries([info], result.losses, result.repeated, origin),
         **{f"note_{i:03d}": text for i, text in enumerate(notes[:200])},
     }
 

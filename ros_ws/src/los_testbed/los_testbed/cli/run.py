@@ -127,6 +127,7 @@ def run(
         given |= _disturbance(disturbance, no_disturbance)
         chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
         if only is not None:
+            _watch_code_of_user(chosen)
             _run_alone(only, chosen, sign_key is not None, isolated)
         if isolated and chosen.mode == "inprocess":
             raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
@@ -136,10 +137,15 @@ def run(
             from los_testbed.bags.signature import private_key
 
             key = private_key("--sign-key", sign_key)
-        if SUPERVISED in os.environ and code_of_user(chosen):
-            del os.environ[SUPERVISED]
-            supervise(chosen)
+        _watch_code_of_user(chosen)
         _run_and_tell(chosen, Nodes(viewers, isolated, not free), max_missed, report, json_, key)
+
+
+def _watch_code_of_user(config: RunConfig) -> None:
+    """In a program that calls code of the user: go on in a process of its own, whose end is watched."""
+    if SUPERVISED in os.environ and code_of_user(config):
+        del os.environ[SUPERVISED]
+        supervise(config)
 
 
 @dataclass(frozen=True)
