@@ -102,6 +102,6 @@ if __name__ == "__main__":
     parser.add_argument("minutes", type=float)
     parser.add_argument("files", nargs="*")
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(SEEDS))
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     found = given.files or [str(file) for file in sorted(Path(__file__).parent.glob("test_fuzz_*.py"))]
     sys.exit(main(given.minutes, given.seed, found))

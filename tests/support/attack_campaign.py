@@ -200,8 +200,8 @@ def main(cases: int, first: int = 0, minutes: float = math.inf) -> int:
     words = f"seeds of errors: {errors}" if errors else "nothing found"
     if came:
         words += f"; ended by {signal.Signals(came[0]).name} before the time was over"
-    number, took = sum(row.total() for row in table.values()), (time.monotonic() - begin) / 60
-    sys.stdout.write(f"first seed {first}, {number} cases in {took:.1f} min: {words}\n")
+    done, took = sum(row.total() for row in table.values()), (time.monotonic() - begin) / 60
+    sys.stdout.write(f"first seed {first}, {done} cases in {took:.1f} min: {words}\n")
     return 1 if errors else 130 if came else 0
 
 

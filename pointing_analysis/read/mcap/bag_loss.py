@@ -27,6 +27,8 @@ NUMBERED = "los-testbed"
 """Begin of the name of the library whose files number the messages of each topic."""
 ORIGIN = "origin"
 """Entry in the record of a repair: log time [ns] from which the times of its losses count."""
+LAST = "last"
+"""Entry in the record of a repair: by topic, log time [ns] of the last message that is known of."""
 ENDS = "ends"
 """Entry in the record of a repair of a bag without such numbers: by topic, what it lost before and after the others."""
 MAX_PIECES = 10_000
@@ -132,6 +134,11 @@ def _is_count(value: object) -> bool:
     return isinstance(value, int) and 0 <= value < 1 << 48
 
 
+def _is_time(value: object) -> bool:
+    """Whether this can be a log time [ns]."""
+    return type(value) is int and 0 < value < 1 << 63
+
+
 def _of_repair(infos: Sequence[FileInfo], name: str) -> dict[str, Any]:
     """A table by topic in the record of a repair."""
     table = value_of(merged(infos, REPAIR_NAME)[0].get(name, "{}"))
@@ -157,12 +164,25 @@ def _repeated_in_repair(infos: Sequence[FileInfo], topic: str) -> int:
     return count if _is_count(count) else 0
 
 
+def _last_of(infos: Sequence[FileInfo], topic: str) -> int | None:
+    """Log time [ns] of the last message of a topic by the manifests, or by those of the bag that was repaired."""
+    found = [
+        info.expected[number].last
+        for info in infos
+        for number, channel in info.channels.items()
+        if channel.topic == topic and number in info.expected
+    ]
+    told = _of_repair(infos, LAST).get(topic)
+    return max([*found, *([told] if _is_time(told) else [])], default=None)
+
+
 def repair_entries(
     infos: Sequence[FileInfo], losses: Sequence[TopicLoss], repeated: Mapping[str, int], origin: int
 ) -> dict[str, str]:
     """What the record of a repair says to those who read the new bag: losses, repeated numbers, contradictions."""
     found: dict[str, object] = {
         ORIGIN: origin,
+        LAST: {loss.topic: last for loss in losses if (last := _last_of(infos, loss.topic)) is not None},
         REPEATED: repeated,
         CONTRADICTIONS: contradictions(infos)[:MAX_TOLD],
         "lost": {loss.topic: loss.missing for loss in losses},
@@ -208,7 +228,7 @@ class LossLedger:
         """
         origins = [e.first for info in infos for e in info.expected.values()]
         told = value_of(merged(infos, REPAIR_NAME)[0].get(ORIGIN, "null"))
-        origins += [told] if type(told) is int and told > 0 else []
+        origins += [told] if _is_time(told) else []
         return min([*origins, *([self.origin] if self.origin is not None else [])], default=0)
 
     def losses(self, infos: Sequence[FileInfo], counts: Mapping[str, int]) -> tuple[TopicLoss, ...]:
@@ -281,7 +301,8 @@ class LossLedger:
         before = spans[0].messages if spans and not np.isfinite(spans[0].start) else 0
         after = max(total - number, 0)
         if after:
-            stop = max([(e.last - origin) / NANO for e in expected], default=float("inf"))
+            last_of_all = _last_of(infos, topic)
+            stop = float("inf") if last_of_all is None else (last_of_all - origin) / NANO
             spans.append(Span(time, stop if stop > time else float("inf"), after))
         missing = sum(span.messages for span in spans)
         recovered = max(total, number) - missing
