@@ -172,8 +172,10 @@ def _last_of(infos: Sequence[FileInfo], topic: str) -> int | None:
         for number, channel in info.channels.items()
         if channel.topic == topic and number in info.expected
     ]
-    told = _of_repair(infos, LAST).get(topic)
-    return max([*found, *([told] if _is_time(told) else [])], default=None)
+    told: Any = _of_repair(infos, LAST).get(topic)
+    if _is_time(told):
+        found.append(int(told))
+    return max(found, default=None)
 
 
 def repair_entries(
