@@ -42,8 +42,8 @@ from lftkit.tuning import state_space
 from lftkit.tuning.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, OPTICAL_NOISE, control_plant
 from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS
+from titop_plant.telescope.control_plant import OPTICAL_NOISE, control_plant, disturbances_of
 from titop_plant.telescope.parameters import Parameters
 
 MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
@@ -114,7 +114,7 @@ def actuator_plant(
     total = static_gain(np.eye(mirror.size), [mirror], [mirror])
     systems = {"plant": plant, "observer": observer, "law": law, "late": late, "noise": noise, "total": total}
     wires: list[Connection] = [
-        *((name, f"plant.{name}") for name in (*DISTURBANCES, OPTICAL_NOISE.name, "pma_force")),
+        *((name, f"plant.{name}") for name in (*disturbances_of(plant), OPTICAL_NOISE.name, "pma_force")),
         (n_base.name, "noise.platform"),
         (n_mirrors.name, "noise.mirrors"),
         (f"noise.{together.name}", f"plant.{together.name}"),
@@ -124,7 +124,7 @@ def actuator_plant(
         (("late.fsm_command", ADDED_COMMAND.name), "total.fsm_command"),
         ("total.fsm_command", "plant.fsm_command"),
     ]
-    inputs = [plant.input_port(n) for n in (*DISTURBANCES, OPTICAL_NOISE.name)]
+    inputs = [plant.input_port(n) for n in (*disturbances_of(plant), OPTICAL_NOISE.name)]
     inputs += [n_base, n_mirrors, ADDED_COMMAND, FORCE]
     closed = connect(
         systems,

@@ -37,7 +37,7 @@ from lftkit.tuning.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
 from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, NOISE_PORTS, control_plant
+from titop_plant.telescope.control_plant import NOISE_PORTS, control_plant, disturbances_of
 from titop_plant.telescope.parameters import Parameters
 
 NOISE = tuple(dict.fromkeys(NOISE_PORTS.values()))
@@ -87,7 +87,7 @@ def observer_plant(
     """
     plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
     mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
-    inputs = (*DISTURBANCES, *NOISE, "fsm_command")
+    inputs = (*disturbances_of(plant), *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})
     command, applied = COMMAND_PORTS[0], f"sum.{ESTIMATE.name}"
     law, total = static_gain(mirror, [ESTIMATE], [command]), static_gain(np.eye(2), [ESTIMATE], [ESTIMATE])

@@ -25,9 +25,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-
-ANGLE = "solar_array.tau"
-"""Name of the parameter tan(theta / 4)."""
+from titop_plant.telescope.layout import ANGLE
 
 FACTORS = 4
 """Channels of a rotation in a plane; the first half of them is kept."""
@@ -130,4 +128,4 @@ class AngleClosed:
         return out
 
 
-__all__ = ["ANGLE", "AngleClosed", "half_turn", "half_turn_slope", "kept_channels"]
+__all__ = ["AngleClosed", "half_turn", "half_turn_slope", "kept_channels"]

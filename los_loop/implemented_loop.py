@@ -218,7 +218,7 @@ class ImplementedLoop:
         `left`, `right`: singular vector of the metric (left: conjugate), and signals at outputs and inputs of Delta.
         """
         measured = slice(len(closed.M), len(closed.M) + MEASUREMENTS)
-        inputs: ComplexArray = np.zeros(ADDED.stop, complex)
+        inputs: ComplexArray = np.zeros(closed.T11.shape[1], complex)
         outputs: ComplexArray = np.zeros(APPLIED.stop, complex)
         inputs[metric.columns], outputs[metric.rows] = right[0], left[0]
         commands = closed.T12[APPLIED] @ right[1] + closed.T11[APPLIED] @ inputs

@@ -18,9 +18,10 @@ from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.build import modal
-from los_loop.angle_channels import ANGLE, AngleClosed, half_turn, half_turn_slope, kept_channels
+from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kept_channels
 from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
-from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.parameters import Parameters
 
 MANY = 40
@@ -53,6 +54,7 @@ class OpenLoop:
         self._response = FrequencyResponse.of(system.A, B, C, D)
         self._u = slice(self.channels, self.channels + COMMANDS)
         self._D = D[self.channels :, self._u]
+        self.disturbances = B.shape[1] - self._u.stop
         # eigenvectors of metres beside microradians: a plain solution with them has errors of 5e-7
         self._poles, self._right, self._left = modal(system.A, B[:, self._u], C[self.channels :])
         self._flow, self._growth = _held(self._poles)
@@ -95,12 +97,12 @@ class OpenLoop:
         Returns
         -------
         ndarray, complex
-            Shape (N, channels + 24, channels + 30): from Delta, normalised disturbances (22) and held commands (8) to
-            Delta, measurements (22) and the controlled line of sight (2).
+            Shape (N, channels + 24, channels + m + 8): from Delta, m normalised disturbances (22 for the reference)
+            and held commands (8) to Delta, measurements (22) and the controlled line of sight (2).
         """
-        q = self.channels
+        q, m = self.channels, self.disturbances
         G = self._response.at(omega)
-        out = np.empty((len(omega), q + MEASUREMENTS + TRUTH, q + CHANNELS + COMMANDS), complex)
+        out = np.empty((len(omega), q + MEASUREMENTS + TRUTH, q + m + COMMANDS), complex)
         size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
         images, holds = self._images(omega), _hold(omega)
         for k, hold in enumerate(holds):
@@ -108,8 +110,8 @@ class OpenLoop:
             # images of the held command through the nominal telescope; the direct path is sampled as it is
             held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * self._D
             out[k, :, :q] = G[k][:, :q]
-            out[k, :, q : q + CHANNELS] = G[k][:, self._u.stop :] * size[k]
-            out[k, :, q + CHANNELS :] = held
+            out[k, :, q : q + m] = G[k][:, self._u.stop :] * size[k]
+            out[k, :, q + m :] = held
         turned = np.flatnonzero(self.angle)
         out[:, turned, turned] -= 1j
         return out
@@ -120,14 +122,14 @@ class OpenLoop:
         Parameters
         ----------
         omega : ndarray, shape (N,)
-        row, column : ndarray, complex, shapes (channels + 24,) and (channels + 30,)
+        row, column : ndarray, complex, shapes (channels + 24,) and (channels + m + 8,)
         """
-        q, hold = self.channels, _hold(omega)
-        commands = column[q + CHANNELS :]
+        q, m, hold = self.channels, self.disturbances, _hold(omega)
+        commands = column[q + m :]
         columns = np.empty((len(column), len(omega)), complex)
         columns[:q] = column[:q, None]
         columns[self._u] = commands[:, None] * hold
-        columns[self._u.stop :] = column[q : q + CHANNELS, None] * weight_amplitudes(self.parameters, omega).T
+        columns[self._u.stop :] = column[q : q + m, None] * weight_amplitudes(self.parameters, omega).T
         images = self._images(omega) @ (row[q:] @ self._left * (self._right @ commands))
         direct = row[q:] @ self._D @ commands
         turned = 1j * (row[:q][self.angle] @ column[:q][self.angle])

@@ -226,8 +226,10 @@ def sampled_loop(
     ValueError
         The mirror's loop is closed and nothing says a sensitivity.
     """
-    if step is None:
-        step = held_step(plant) if isinstance(plant, ModalPlant) else step_matrix(plant, no_tones())
+    if step is None and isinstance(plant, ModalPlant):
+        step = held_step(plant)
+    elif step is None:
+        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
     n = step.shape[1] - COMMANDS
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)

@@ -6,7 +6,7 @@ sensor that is slower than the tick is held until its next one (:func:`titop_pla
 ======== ================ ==== ======================================================
 port     name             size content
 ======== ================ ==== ======================================================
-input    disturbance      22   wheels (20) and drives (2), normalised by their weights
+input    disturbance      22   wheels (20) and drives (2) of the reference, normalised by their weights
 input    fsm_command      2    added to the command of the mirror [rad]
 input    pma_force        6    added to the forces [N]
 output   los_controlled   2    line of sight [rad]
@@ -41,18 +41,24 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     DesignBasis,
 )
-from titop_plant.simulation.disturbances import CHANNELS
 
 DISTURBANCE = "disturbance"
-"""Name of the 22 normalised disturbances together."""
+"""Name of the normalised disturbances together: as many as the telescope has."""
 
 (LINE_OF_SIGHT,) = (port.name for port in TRUTH_PORTS)
 
-INPUTS: Mapping[str, slice] = MappingProxyType(port_slices((Port(DISTURBANCE, CHANNELS), *COMMAND_PORTS)))
+INPUTS: Mapping[str, slice] = MappingProxyType(
+    {
+        DISTURBANCE: slice(0, -COMMANDS),
+        **{
+            name: slice(s.start - COMMANDS, s.stop - COMMANDS or None) for name, s in port_slices(COMMAND_PORTS).items()
+        },
+    }
+)
 OUTPUTS: Mapping[str, slice] = MappingProxyType(port_slices((*TRUTH_PORTS, *COMMAND_PORTS)))
-"""Columns and rows of each port in the response of the loop."""
+"""Columns and rows of each port in the response of the loop; columns are counted from the last command."""
 
-ADDED = slice(INPUTS[DISTURBANCE].stop, INPUTS[COMMAND_PORTS[-1].name].stop)
+ADDED = slice(-COMMANDS, None)
 APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].stop)
 """Columns and rows of all commands."""
 

@@ -29,7 +29,7 @@ from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
-from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
@@ -54,7 +54,7 @@ class WorstTone:
         What the tone is worst for, of :data:`INDICES`.
     omega : float
         rad/s.
-    amplitude : ndarray, shape (22,), complex
+    amplitude : ndarray, shape (channels,), complex
         Phasors on the disturbance inputs [N, Nm].
     gain : float
         Amplitude of the error [rad].
@@ -135,8 +135,8 @@ class WorstTone:
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"a tone must have index, omega, gain, limit, amplitude and los, got {error}") from None
-        if tone.amplitude.shape != (CHANNELS,) or tone.los.shape != (2,):
-            raise ValueError(f"a tone must have {CHANNELS} amplitudes, got {tone.amplitude.shape}")
+        if tone.amplitude.ndim != 1 or not tone.amplitude.size or tone.los.shape != (2,):
+            raise ValueError(f"a tone must have one amplitude for each disturbance, got {tone.amplitude.shape}")
         return tone
 
 
@@ -226,7 +226,7 @@ def _gains(matrix: ComplexArray) -> FloatArray:
 def _weighted(
     tone: ToneResponse, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Weighted response (k, rows, 22), its largest singular value is the gain; line of sight by phasors (k, 2, 22)."""
+    """Weighted response (k, rows, channels), its largest singular value is the gain; line of sight (k, 2, channels)."""
     size = weight_amplitudes(parameters, omega)[:, None, :]
     los = tone.fundamental[:, OUTPUTS[LINE_OF_SIGHT]]
     if not row.relative:

@@ -7,7 +7,7 @@ import math
 from pydantic.dataclasses import dataclass
 
 from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, frame_ticks
-from titop_plant.settings import STRICT, Settings, setting, settings_class
+from titop_plant.settings import ANY, STRICT, Settings, setting, settings_class
 
 
 @settings_class
@@ -37,20 +37,39 @@ class PhysicalSettings(Settings):
     disturbance: bool = setting(True, "wheel and drive disturbances on")
     camera_rate: float = setting(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
     camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0)
-    theta: float | None = setting(None, "angle of both solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
+    theta: float | None = setting(None, "angle of the solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
     tau: float | None = setting(None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta")
     wheel_speed: tuple[float, ...] | None = setting(
-        None, "speeds of the four wheels", "rad/s", -1e5, 1e5, absent="those of the parameter file", length=4
+        None, "speeds of the wheels", "rad/s", -1e5, 1e5, absent="those of the parameter file", length=ANY
     )
     omega_1: float | None = setting(
-        None, "first frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
+        None,
+        "first frequency of the first solar array and of those like it",
+        "rad/s",
+        0.0,
+        1000.0,
+        absent="the nominal one",
     )
     omega_2: float | None = setting(
-        None, "second frequency of the solar arrays", "rad/s", 0.0, 1000.0, absent="the nominal one"
+        None,
+        "second frequency of the first solar array and of those like it",
+        "rad/s",
+        0.0,
+        1000.0,
+        absent="the nominal one",
+    )
+    frequencies: tuple[float, ...] | None = setting(
+        None,
+        "uncertain frequencies of all arrays and appendages, in the order of los-testbed plant",
+        "rad/s",
+        0.0,
+        1e5,
+        absent="those of omega_1 and omega_2, or nominal",
+        length=ANY,
     )
     theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0)
     wheel_acceleration: tuple[float, ...] | None = setting(
-        None, "accelerations of the four wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=4
+        None, "accelerations of the wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=ANY
     )
     ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
     profile: str = setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
@@ -61,10 +80,12 @@ class PhysicalSettings(Settings):
         if self.theta is not None and self.tau is not None:
             both = f"{self.theta:g} rad and {self.tau:g}"
             raise ValueError(f"one of theta or tau = tan(theta/4) must be absent, got both: {both}")
+        if self.frequencies is not None and (self.omega_1 is not None or self.omega_2 is not None):
+            raise ValueError("omega_1 and omega_2 must be absent where frequencies are given, got both")
 
     @property
     def array_angle(self) -> float:
-        """Angle theta of both solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
+        """Angle theta of the solar arrays at the start [rad], given as itself or as tau = tan(theta/4)."""
         return 4.0 * math.atan(self.tau) if self.tau is not None else self.theta or 0.0
 
     @property

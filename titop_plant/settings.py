@@ -32,6 +32,9 @@ KINDS = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "a text", tuple: "a list of numbers"}
 )
 
+ANY = -1
+"""Length of a list of any length, 1 or more."""
+
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 """How a class of settings is checked: a truth value is no number, a text is none either, and numbers are finite."""
 
@@ -62,10 +65,12 @@ def setting(
     choices : tuple of str
         All values that a text may have; empty for any text.
     length : int, optional
-        How many numbers a list holds.
+        How many numbers a list holds; `ANY` for any number of them.
     """
     extra: Any = {"unit": unit, "low": low, "high": high, "absent": absent, "choices": choices, "length": length}
     limits = {"ge": low, "le": high} if length is None else {"min_length": length, "max_length": length}
+    if length == ANY:
+        limits = {"min_length": 1}
     bounds: dict[str, Any] = limits
     return Field(default=default, description=description, json_schema_extra=extra, **bounds)
 
@@ -133,7 +138,8 @@ class Setting:
         if self.choices:
             return f"{self.name} must be {self.range}, got {value!r}"
         if kind in ("too_short", "too_long"):
-            return f"{self.name} must hold {self.length} numbers, got {len(value)}"
+            number = "1 number or more" if self.length == ANY else f"{self.length} numbers"
+            return f"{self.name} must hold {number}, got {len(value)}"
         if kind in ("greater_than_equal", "less_than_equal", "finite_number"):
             return f"{self.name} must be {self.range}, got {_as_float(value):g}"
         return f"{self.name} must be {KINDS[self.kind]}, got {value!r}"

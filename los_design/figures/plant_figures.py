@@ -28,6 +28,15 @@ from titop_plant.simulation.disturbance_responses import (
     DisturbanceResponses,
     disturbance_responses,
 )
+from titop_plant.telescope.layout import (
+    ANGLE,
+    arrays_turn,
+    driven_arrays,
+    reaction_wheels,
+    solar_arrays,
+    speed_names,
+    wheel_count,
+)
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -67,7 +76,7 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     parameters : str, optional
         Parameter file; default: the reference telescope.
     names : sequence of str, optional
-        Some of :data:`FIGURES`; default: all.
+        Some of :data:`FIGURES`; default: all. That of turning arrays is left out where none turns.
 
     Returns
     -------
@@ -87,7 +96,8 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
-    return [path for name in names or FIGURES for path in _saved(folder, name, *FIGURES[name], both)]
+    drawn = [name for name in names or FIGURES if name != "arrays_turn" or arrays_turn(both.parameters)]
+    return [path for name in drawn for path in _saved(folder, name, *FIGURES[name], both)]
 
 
 def _saved(
@@ -111,11 +121,19 @@ def _saved(
 def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     axis = figure.subplots()
     edges = _columns(1e-3, 1e4, 400)
-    for inputs, colour, name in ((WHEELS, BLUE, "four wheels"), (DRIVES, ORANGE, "two array drives")):
-        _banded(axis, both, both.isolated, inputs, edges, colour, name)
+    wheels, drives = wheel_count(both.parameters), len(driven_arrays(both.parameters))
+    for inputs, colour, name, count in ((WHEELS, BLUE, "wheel", wheels), (DRIVES, ORANGE, "array drive", drives)):
+        if count:
+            _banded(axis, both, both.isolated, inputs, edges, colour, _counted(count, name))
     _limits(axis, both.parameters, edges)
     _decorate(axis, edges, (1e-6, 1e3))
     _legend(figure)
+
+
+def _counted(count: int, name: str) -> str:
+    """A number of things in words: "four wheels"."""
+    word = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}.get(count, str(count))
+    return f"{word} {name}{'s' if count > 1 else ''}"
 
 
 def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
@@ -129,8 +147,9 @@ def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
 
 
 def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
-    angles = np.asarray(np.linspace(0.0, math.pi, STEPS + 1), np.float64)
-    values = [{"solar_array.tau": math.tan(theta / 4.0)} for theta in angles]
+    reach = next(array for array in solar_arrays(both.parameters) if array.turns).table["theta_range"][1]
+    angles = np.asarray(np.linspace(0.0, min(math.pi, reach), STEPS + 1), np.float64)
+    values = [{ANGLE: math.tan(theta / 4.0)} for theta in angles]
     left, right, edges, sizes = _sweep(
         figure, both, np.degrees(angles), values, (0.3, 20.0), (0, 1, 2, 3, 6), "{:.0f}°"
     )
@@ -145,9 +164,9 @@ def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
 
 
 def _wheels_speed_up(figure: Figure, both: DisturbanceResponses) -> None:
-    top = float(both.parameters["reaction_wheel"]["maximum_speed"])
+    top = min(wheel.maximum_speed for wheel in reaction_wheels(both.parameters))
     speeds = np.asarray(np.linspace(0.0, top, STEPS + 1), np.float64)
-    values = [{f"wheel_{i}.speed": float(speed) for i in range(1, 5)} for speed in speeds]
+    values = [dict.fromkeys(speed_names(wheel_count(both.parameters)), float(speed)) for speed in speeds]
     left, right, edges, sizes = _sweep(figure, both, speeds, values, (3e-3, 1.0), (0, 1, 2, 4, 6), "{:.0f} rad/s")
     change = 20.0 * np.log10(sizes / sizes[0])
     reach = math.ceil(float(np.abs(change).max()) / 3.0) * 3.0

@@ -14,7 +14,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from pointing_analysis.files.atomic_output import write_text
-from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.interface import COMMANDS
 
 FILE = "worst_points.json"
 WHEEL_CHANNELS = ("force x", "force y", "force z", "torque x", "torque y")
@@ -35,7 +35,7 @@ class WorstPoint:
         rad/s.
     parameters : mapping of str to float
     disturbance : ndarray, complex
-        Unit vector of the inputs: normalised disturbances (22), or signals added to the commands.
+        Unit vector of the inputs: normalised disturbances (more than 8), or signals added to the commands.
     direction : ndarray, complex
         Unit vector of the outputs that they cause: **response = gamma limit direction**.
     """
@@ -53,9 +53,10 @@ class WorstPoint:
     def channel(self) -> str:
         """Name of the input with the largest part of the disturbance."""
         k = int(np.abs(self.disturbance).argmax())
-        if len(self.disturbance) != CHANNELS:
+        if len(self.disturbance) <= COMMANDS:
             return f"command {k + 1}"
-        return f"solar array drive {k - 19}" if k >= 20 else f"wheel {k // 5 + 1}, {WHEEL_CHANNELS[k % 5]}"
+        edge = len(WHEEL_CHANNELS) * sum(name.endswith(".speed") for name in self.parameters)
+        return f"solar array drive {k - edge + 1}" if k >= edge else f"wheel {k // 5 + 1}, {WHEEL_CHANNELS[k % 5]}"
 
     def to_mapping(self) -> dict[str, Any]:
         """For JSON."""

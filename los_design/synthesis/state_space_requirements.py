@@ -17,7 +17,8 @@ from lftkit.tuning import H2Gain, HinfGain, Requirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.budget import band_error_weight
-from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE, DISTURBANCES
+from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
+from titop_plant.telescope.layout import disturbance_ports
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
@@ -63,14 +64,14 @@ def requirement(row: FigureOfMerit, parameters: Parameters, stage: str, bound: f
         A row that these plants have no ports or no filters for.
     """
     ports = fsm_pma_controller.problem if stage in FORCE_STAGES else los_estimator.problem
-    inputs, output, weight_in = _ports(row, ports)
+    inputs, output, weight_in = _ports(row, ports, tuple(port.name for port in disturbance_ports(parameters)))
     kind = H2Gain if row.is_noise else HinfGain
     expected = disturbance_weight(parameters).at({}).named("W_rws, W_sa") if weight_in else None
     weight_out = _weight_out(row, parameters)
     return kind(inputs, (output,), bound, weight_in=expected, weight_out=weight_out, hard=row.hard, name=row.name)
 
 
-def _ports(row: FigureOfMerit, ports: ModuleType) -> tuple[tuple[str, ...], str, bool]:
+def _ports(row: FigureOfMerit, ports: ModuleType, disturbances: tuple[str, ...]) -> tuple[tuple[str, ...], str, bool]:
     """Inputs and output of a row in the plant of a problem, and whether the inputs have the disturbance's weight."""
     if row.is_noise:
         noise: Mapping[str, str] = ports.NOISE_PORTS
@@ -83,7 +84,7 @@ def _ports(row: FigureOfMerit, ports: ModuleType) -> tuple[tuple[str, ...], str,
     if row.is_sensitivity:
         added, applied = ports.SENSITIVITY_PORTS[row.inputs[0]]
         return (added,), applied, False
-    return DISTURBANCES, row.output, True
+    return disturbances, row.output, True
 
 
 def _weight_out(row: FigureOfMerit, parameters: Parameters) -> System | None:

@@ -29,10 +29,10 @@ from lftkit.proofs.strips import Interval, Strip, packed, unpacked
 from lftkit.proofs.verdict import ProofError
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
-from los_loop.angle_channels import ANGLE
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT
+from titop_plant.telescope.layout import ANGLE
 
 LOWEST = 1e-2
 """Frequency [rad/s] from which on the worst cases are searched; the proofs begin at zero."""

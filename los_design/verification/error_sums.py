@@ -8,7 +8,8 @@ once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` a
 independent phases their sum is ``R |sin phi|`` with phi uniform and R at most ``s a_slow + f a_fast <= hypot(a_slow,
 a_fast)``: no quantile of it, with noise, is above that of one tone of this amplitude.
 
-Each of the 22 channels at its own weight has norm sqrt(22) in all, and bounds grow by that factor at most.
+Each of the 22 channels of the reference at its own weight has norm sqrt(22) in all, and bounds grow by that factor at
+most.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from dataclasses import dataclass
 
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.simulation.disturbances import REFERENCE_CHANNELS
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, BAND_EDGE, ON_AXIS, combined_level
+from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
-ALL_CHANNELS = math.sqrt(CHANNELS)
-"""Norm of all channels at their own weights at once."""
+ALL_CHANNELS = math.sqrt(REFERENCE_CHANNELS)
+"""Norm of all channels of the reference telescope at their own weights at once."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,13 @@ def error_sums(
             ),
         ]
     sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
-    together = "each of 22 channels at its own weight, norm 4.69"
+    inputs = channels(parameters)
+    norm = math.sqrt(inputs)
+    together = f"each of {inputs} channels at its own weight, norm {norm:.2f}"
     rows = (("APE", absolute, arcsec, "arcsec"), ("slow", slow, mas, "mas"), ("fast", fast, mas, "mas"))
     for name, tone, limit, unit in rows:
         if not math.isnan(tone):
-            sums.append(ErrorSum(f"{name}, {together}, without noise", ALL_CHANNELS * tone, limit, unit))
+            sums.append(ErrorSum(f"{name}, {together}, without noise", norm * tone, limit, unit))
     return tuple(sums)
 
 

@@ -15,11 +15,11 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.strips import Interval
-from los_loop.angle_channels import ANGLE, kept_channels
+from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.spec import ADDED, LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, MEASUREMENTS, sample_ticks
-from titop_plant.simulation.disturbances import CHANNELS
+from titop_plant.telescope.layout import ANGLE, torque_bounds, wheel_count
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks
 
@@ -43,7 +43,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     if metric.disturbed:
         inputs = _disturbances(loop.parameters)
         return _model(loop, inputs, None, window=window, rows=rows, scale=metric.limit, commands=commands)
-    added = tuple(range(COMMANDS))[metric.columns.start - ADDED.start : metric.columns.stop - ADDED.start]
+    added = tuple(range(COMMANDS))[metric.columns]
     kind = RETURNED.get(metric.name.split(",")[0], 0)
     outcome = {"window": window, "rows": rows, "scale": metric.limit, "commands": commands}
     return _model(loop, np.ones((len(added), 3)), None, added=added, returned=kind, **outcome)
@@ -67,9 +67,9 @@ def _disturbances(parameters: Parameters) -> FloatArray:
     weights = parameters["weights"]
     wheels = [
         [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
-        for a in np.tile(weights["wheel_imbalance"], 4)
+        for a in np.tile(weights["wheel_imbalance"], wheel_count(parameters))
     ]
-    drives = [[parameters["sadm"]["torque_bound"], 1.0, 1.0]] * (CHANNELS - len(wheels))
+    drives = [[bound, 1.0, 1.0] for bound in torque_bounds(parameters)]
     return np.array([*wheels, *drives], dtype=float)
 
 
@@ -91,7 +91,7 @@ def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, *
     for name, ticks in sample_ticks().items():
         frame[COLUMNS[name]] = ticks
     order = [names[channel] for channel in kept]
-    D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(kept) + CHANNELS)
+    D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(columns) - COMMANDS)
     if outcome.get("added") or noisy is not None:
         B = np.hstack([B[:, :first], np.zeros((len(B), len(weights))), B[:, last:]])
         D = np.hstack([D[:, :first], np.zeros((len(D), len(weights))), D[:, last:]])

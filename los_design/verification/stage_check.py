@@ -26,6 +26,7 @@ from los_design.verification.sweep import Reach, Sweep, joined, sweep
 from los_loop.implemented_loop import HIGHEST, LOWEST, ClosedAt, ImplementedLoop, LoopMetric
 from los_loop.margins import changed_loops
 from los_loop.sampled_loop import radius_of
+from titop_plant.interface import COMMANDS
 from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.plant_step import step_matrix
 
@@ -204,7 +205,7 @@ def _motions(loops: Sequence[ImplementedLoop], points: Sequence[Values]) -> list
     found: list[tuple[list[bool], list[FloatArray]]] = [([], []) for _ in loops]
     for values in points:
         plant = loops[0].system.at(values)
-        step = step_matrix(plant, no_tones())
+        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
         for loop, (stable, modes) in zip(loops, found):
             sampled = loop.sampled_around(plant, step)
             multipliers = sampled.multipliers()

@@ -172,8 +172,3 @@ def wheel_assembly(wheels: Sequence[MountedWheel], point: str = "Iw") -> System:
         inputs=[ports.accel(point), ports.rate(point), torque, imbalance],
         outputs={wrench: tuple(f"wheel{i}.{wrench}" for i in range(n)), spin.name: "spins.wheel_accel"},
     )
-
-
-def pyramid_axes(cant: float, azimuths: Sequence[float]) -> FloatArray:
-    """Spin axes of a pyramid about +z, shape (3, n): elevation `cant` [rad] above the xy plane, azimuths [rad]."""
-    return np.array([[np.cos(cant) * np.cos(a), np.cos(cant) * np.sin(a), np.sin(cant)] for a in azimuths]).T

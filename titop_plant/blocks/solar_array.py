@@ -59,7 +59,7 @@ class SolarArray:
 def solar_array(
     data: SolarArray,
     point: str,
-    tau: RealParameter,
+    tau: RealParameter | None,
     frequencies: Mapping[int, RealParameter] | None = None,
 ) -> System:
     """TITOP block of a solar array on its drive (ports: see the module).
@@ -69,8 +69,8 @@ def solar_array(
     data : SolarArray
     point : str
         Name of the interface on the spacecraft.
-    tau : RealParameter
-        tan(theta / 4).
+    tau : RealParameter or None
+        tan(theta / 4); None for a drive that is held at the angle of `data`.
     frequencies : mapping
         Mode index to uncertain frequency [rad/s].
     """
@@ -85,4 +85,4 @@ def solar_array(
         angle="sadm_angle",
         torque="sadm_torque",
     )
-    return turned(driven, point, np.asarray(data.axis), tau)
+    return driven if tau is None else turned(driven, point, np.asarray(data.axis), tau)

@@ -18,20 +18,21 @@ from lftkit.support.threads import one_thread
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.simulation.plant_config import STEADY, PlantConfig, motion, parameter_values, values_along
+from titop_plant.simulation.plant_config import PlantConfig, motion, parameter_values, steady, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, with_sensors
+from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
+from titop_plant.telescope.layout import channels, default_speeds, speed_names, wheel_count
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
 from titop_plant.telescope.sensors import constant_error, noise_of_samples
 
 SPEED_ROUNDS = 4
 
-DESIGN_TABLES = ("design_scenario", "weights", "sadm")
+DESIGN_TABLES = ("design_scenario", "weights", "sadm", "solar_array", "reaction_wheel")
 """Tables of a parameter file that :func:`titop_plant.simulation.disturbances.design_tones` reads."""
 
 
@@ -51,7 +52,7 @@ class PlantFamily:
     parameters : mapping
         Of the file.
     control_loop : System
-        Commands (8), disturbances (22) to measurements (22), line of sight (2).
+        Commands (8), disturbances (22 for the reference) to measurements (22), line of sight (2).
     path : str or None
         The file; None for the reference telescope.
     isolated : bool
@@ -93,9 +94,9 @@ class PlantFamily:
         Returns
         -------
         plant : System
-            Inputs: commands (8), disturbances (22); outputs: measurements (22), controlled line of sight (2).
+            Inputs: commands (8), disturbances; outputs: measurements (22), controlled line of sight (2).
         tones : Tones
-            On the 22 disturbance inputs.
+            On the disturbance inputs.
 
         Raises
         ------
@@ -135,7 +136,10 @@ class PlantFamily:
         """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
         settings = config.to_mapping()
         del settings["tau"]
-        settings["theta"], settings["wheel_acceleration"] = config.array_angle, config.wheel_acceleration or STEADY
+        settings["theta"] = config.array_angle
+        settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.parameters)
+        if config.frequencies is None:  # nor were there these
+            del settings["frequencies"]
         if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
             del settings["profile"]
         content: list[Any] = [parameters_hash(self.parameters), settings]
@@ -163,7 +167,7 @@ class PlantFamily:
         interval = node_interval(profile, dt, finer)
 
         def matrices(time: float) -> FloatArray:
-            data = self.control_loop.at(values_along(config, profile, time))
+            data = self.control_loop.at(values_along(config, profile, time, self.parameters))
             return step_matrix(data, tones.at(profile.speeds(time)), dt)
 
         return node_matrices(profile, interval, dt, matrices), interval, tones
@@ -188,7 +192,7 @@ def build_plant(config: PlantConfig, start: FloatArray | None = None) -> Sampled
 
 
 def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
-    """Speeds of the four wheels [rad/s] at which their imbalance is strongest in the line of sight.
+    """Speeds of the wheels [rad/s] at which their imbalance is strongest in the line of sight.
 
     The relative error of the fundamental of each wheel on the isolated telescope without fine control, its amplitude
     growing with the square of the speed, is largest there: the speeds are those of structural modes. Neighbouring
@@ -200,9 +204,10 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
         Parameter file; default: the reference telescope.
     """
     parameters = load_parameters(path or REFERENCE)
-    senses = np.sign(parameters["reaction_wheel"]["default_speed"])
-    assembled = telescope(path, True).system["los_controlled", DISTURBANCES]
-    speeds = np.asarray(parameters["reaction_wheel"]["default_speed"], dtype=float)
+    speeds = np.asarray(default_speeds(parameters), dtype=float)
+    senses = np.sign(speeds)
+    whole = telescope(path, True).system
+    assembled = whole["los_controlled", disturbances_of(whole)]
     for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
         data = assembled.at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
         speeds = senses * loudest_speeds(parameters, data, senses)
@@ -210,12 +215,12 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
 
 
 def control_loop_plant(assembled: Telescope, parameters: Parameters) -> System:
-    """The plant of the fine control loop: commands (8), disturbances (22) to measurements (22), line of sight (2).
+    """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
     """
     return with_sensors(assembled.system, parameters).select(
-        inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled")
+        inputs=(*COMMANDED, *disturbances_of(assembled.system)), outputs=(*MEASURED, "los_controlled")
     )
 
 
@@ -226,10 +231,10 @@ def plant_and_tones(config: PlantConfig) -> tuple[System, Tones]:
 
 def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
     if not config.disturbance:
-        return no_tones()
+        return no_tones(channels(parameters))
     if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
         return MovingTones(motion(config, parameters), unit).start()
-    speeds = np.array([values[f"wheel_{i}.speed"] for i in range(1, 5)])
+    speeds = np.array([values[name] for name in speed_names(wheel_count(parameters))])
     return TONES[config.scenario](_circumstances(config, parameters, values, speeds))
 
 
@@ -267,7 +272,7 @@ def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
     if not config.disturbance or config.scenario not in FOLLOWING:
         return None
-    return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(4)))
+    return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(wheel_count(parameters))))
 
 
 def _steady_state(data: System, tones: Tones) -> FloatArray:
@@ -280,6 +285,7 @@ def _steady_state(data: System, tones: Tones) -> FloatArray:
 
 
 __all__ = [
+    "DISTURBANCES",
     "PlantConfig",
     "PlantFamily",
     "build_plant",

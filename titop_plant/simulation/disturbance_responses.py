@@ -18,14 +18,16 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
+from lftkit.systems.ports import port_slices
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.control_plant import disturbances_of
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, disturbance_ports, present
 from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
 
 ARCSEC = math.pi / 648000.0
-WHEELS, DRIVES = ("wheel_imbalance",), ("sadm_torque",)
+WHEELS, DRIVES = (WHEEL_IMBALANCE,), (SADM_TORQUE,)
 ALL = (*WHEELS, *DRIVES)
-_COLUMNS = {"wheel_imbalance": slice(0, 20), "sadm_torque": slice(20, 22)}
 
 
 @dataclass(frozen=True)
@@ -68,13 +70,14 @@ class DisturbanceResponses:
     ) -> Curve:
         """Largest singular value from normalised disturbances to the line of sight [arcsec].
 
-        Normalised: 1 corresponds to the amplitudes of the weights, 0.4 N, 0.35 N and 0.3 Nm of each wheel above
-        5 rad/s and 0.1 Nm of each array drive.
+        Of `inputs` those that the telescope has count. Normalised: 1 corresponds to the amplitudes of the weights,
+        0.4 N, 0.35 N and 0.3 Nm of each wheel above 5 rad/s and 0.1 Nm of each array drive.
         """
-        data = system["los_controlled", tuple(inputs)].at(values)
+        data = system["los_controlled", present(inputs, system.inputs)].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500)
         amplitude = weight_amplitudes(self.parameters, omega)
-        scale = np.hstack([amplitude[:, _COLUMNS[name]] for name in inputs])
+        columns = port_slices(disturbance_ports(self.parameters))
+        scale = np.hstack([amplitude[:, columns[port.name]] for port in data.inputs])
         response = frequency_response(data, omega) * scale[:, None, :]
         return Curve(omega, np.asarray(largest_gains(response) / ARCSEC))
 
@@ -100,6 +103,7 @@ def disturbance_responses(parameters: str | None = None) -> DisturbanceResponses
     """Responses of the telescope of a parameter file (default: the reference) with and without isolator."""
 
     def part(isolated: bool) -> System:
-        return telescope(parameters, isolated).system["los_controlled", ALL]
+        whole = telescope(parameters, isolated).system
+        return whole["los_controlled", disturbances_of(whole)]
 
     return DisturbanceResponses(load_parameters(parameters or REFERENCE), part(True), part(False))

@@ -1,6 +1,7 @@
 """Micro-vibration disturbances in time: tones of the wheels and of the solar array drives.
 
-A disturbance is a set of tones on the 22 disturbance inputs (wheel imbalance 20, SADM torque 2)::
+A disturbance is a set of tones on the disturbance inputs (imbalance, 5 for each wheel, then a torque for each array
+drive; 22 for the reference)::
 
     d(t) = sum_k Im( a_k exp(i phase_k(t)) ),   phase_k' = frequency_k
 
@@ -29,10 +30,12 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
+from titop_plant.telescope.layout import channels, reaction_wheels, torque_bounds, wheel_count
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
-CHANNELS = 22
+REFERENCE_CHANNELS = 22
+"""Disturbance inputs of the reference telescope: four wheels and two array drives."""
 
 MODE_WIDTH = 0.04
 """Wheels whose speeds differ by less than this share are taken to be at the same mode."""
@@ -46,7 +49,7 @@ class Tones:
     ----------
     frequency : ndarray, shape (K,)
         rad/s.
-    amplitude : ndarray, shape (22, K), complex
+    amplitude : ndarray, shape (channels, K), complex
         On the disturbance inputs (N, Nm), with the phase at t = 0.
     harmonic : ndarray, shape (K,)
         For tones of a wheel: multiple of its speed; 0 for tones of fixed frequency.
@@ -64,7 +67,7 @@ class Tones:
 
         Parameters
         ----------
-        speed, reference : ndarray, shape (4,)
+        speed, reference : ndarray, shape (wheels,)
             New speeds, and those that the tones were made for [rad/s].
         """
         follows = self.wheel >= 0
@@ -75,9 +78,9 @@ class Tones:
         return replace(self, frequency=frequency, amplitude=self.amplitude * ratio**2)
 
 
-def no_tones() -> Tones:
-    """An empty set."""
-    return Tones(np.zeros(0), np.zeros((CHANNELS, 0), complex), np.zeros(0), np.zeros(0, dtype=np.int64))
+def no_tones(inputs: int = REFERENCE_CHANNELS) -> Tones:
+    """An empty set, for a plant with so many disturbance inputs."""
+    return Tones(np.zeros(0), np.zeros((inputs, 0), complex), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 
 def joined(parts: Sequence[Tones]) -> Tones:
@@ -90,9 +93,9 @@ def joined(parts: Sequence[Tones]) -> Tones:
     )
 
 
-def _tones(rows: list[tuple[float, ComplexArray, float, int]]) -> Tones:
+def _tones(rows: list[tuple[float, ComplexArray, float, int]], inputs: int) -> Tones:
     if not rows:
-        return no_tones()
+        return no_tones(inputs)
     frequency, amplitude, harmonic, wheel = zip(*rows)
     return Tones(np.array(frequency), np.array(amplitude).T, np.array(harmonic), np.array(wheel, dtype=np.int64))
 
@@ -112,17 +115,17 @@ def _wheel_vector(force: float, axial: float, torque: float, sense: float, rng: 
 
 
 def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.Generator) -> Tones:
-    """Tones of the four wheels at the given speeds, random phases.
+    """Tones of the wheels at the given speeds, random phases.
 
     Parameters
     ----------
     parameters : mapping
-        Table ``imbalance``.
-    speeds : ndarray, shape (4,)
+        Table ``imbalance``, and what is on board.
+    speeds : ndarray, shape (wheels,)
         rad/s; a wheel at rest makes no tone.
     rng : numpy.random.Generator
     """
-    table = parameters["imbalance"]
+    table, inputs = parameters["imbalance"], channels(parameters)
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for i, speed in enumerate(np.asarray(speeds, dtype=float)):
         square, sense = speed**2, float(np.sign(speed)) or 1.0
@@ -134,32 +137,32 @@ def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.G
             for harmonic, ratio in zip(harmonics, ratios):
                 size = ratio * square
                 five = _wheel_vector(force * size, axial * size, torque * size, sense, rng)
-                amplitude = np.zeros(CHANNELS, complex)
+                amplitude = np.zeros(inputs, complex)
                 amplitude[5 * i : 5 * i + 5] = five
                 rows.append((harmonic * abs(speed), amplitude, harmonic, i))
-    return _tones(rows)
+    return _tones(rows, inputs)
 
 
 def sadm_tones(parameters: Parameters, rng: np.random.Generator) -> Tones:
-    """Micro-stepping torque of both drives: harmonics of the step frequency, their sum within the bound."""
-    table = parameters["sadm"]
+    """Micro-stepping torque of all array drives: harmonics of the step frequency, their sum within the bound."""
+    table, inputs, bounds = parameters["sadm"], channels(parameters), torque_bounds(parameters)
     ratios = np.array(table["step_harmonics"], dtype=float)
-    sizes = table["torque_bound"] * ratios / ratios.sum()
+    sizes = bounds * ratios[:, None] / ratios.sum()
     rows: list[tuple[float, ComplexArray, float, int]] = []
-    for h, size in enumerate(sizes, start=1):
-        amplitude = np.zeros(CHANNELS, complex)
-        amplitude[20:] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 2))
+    for h, size in enumerate(sizes if bounds.size else (), start=1):
+        amplitude = np.zeros(inputs, complex)
+        amplitude[-bounds.size :] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, bounds.size))
         rows.append((h * table["step_frequency"], amplitude, 0.0, -1))
-    return _tones(rows)
+    return _tones(rows, inputs)
 
 
 def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
-    """Amplitudes |W_rws|, W_sa of the 22 disturbance inputs at frequencies omega [rad/s], shape (k, 22)."""
+    """Amplitudes |W_rws|, W_sa of the disturbance inputs at frequencies omega [rad/s], shape (k, channels)."""
     table = parameters["weights"]
     w = np.atleast_1d(np.asarray(omega, dtype=float))
     high_pass = np.hypot(w, table["wheel_imbalance_zero"]) / np.hypot(w, table["wheel_imbalance_pole"])
-    wheels = high_pass[:, None] * np.tile(table["wheel_imbalance"], 4)
-    return np.hstack([wheels, np.full((w.size, 2), parameters["sadm"]["torque_bound"])])
+    wheels = high_pass[:, None] * np.tile(table["wheel_imbalance"], wheel_count(parameters))
+    return np.hstack([wheels, np.tile(torque_bounds(parameters), (w.size, 1))])
 
 
 def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.random.Generator) -> Tones:
@@ -168,9 +171,9 @@ def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.rando
     Parameters
     ----------
     parameters : mapping
-        Tables ``design_scenario`` and ``weights``.
+        Tables ``design_scenario`` and ``weights``, and what is on board.
     plant : FrequencyResponse
-        From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
+        From the disturbance inputs to the line of sight (2), isolated, no fine control.
     rng : numpy.random.Generator
         Phase of each tone as a whole.
 
@@ -184,25 +187,30 @@ def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.rando
     size = weight_amplitudes(parameters, omega)
     response = plant.at(omega) * size[:, None, :]
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
-    wheels, drives = slice(0, 20), slice(20, 22)
+    inputs, edge = channels(parameters), 5 * wheel_count(parameters)
+    wheels, drives = slice(0, edge), slice(edge, inputs)
     peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), parameters["design_scenario"]["tones"])
-    worst = int(np.argmax(seen * largest_gains(response[:, :, drives])))
+    chosen = [(k, wheels) for k in peaks]
+    if inputs > edge:
+        chosen.append((int(np.argmax(seen * largest_gains(response[:, :, drives]))), drives))
     rows: list[tuple[float, ComplexArray, float, int]] = []
-    for k, channels in [*((k, wheels) for k in peaks), (worst, drives)]:
-        right = linalg.svd(response[k][:, channels])[2][0].conj()
-        amplitude = np.zeros(CHANNELS, complex)
-        amplitude[channels] = size[k, channels] * right
+    for k, part in chosen:
+        right = linalg.svd(response[k][:, part])[2][0].conj()
+        amplitude = np.zeros(inputs, complex)
+        amplitude[part] = size[k, part] * right
         rows.append((float(omega[k]), amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi)), 0.0, -1))
-    return _tones(rows)
+    return _tones(rows, inputs)
 
 
-def given_tones(table: Sequence[Sequence[float]]) -> Tones:
+def given_tones(table: Sequence[Sequence[float]], inputs: int = REFERENCE_CHANNELS) -> Tones:
     """Tones of fixed frequency from plain numbers.
 
     Parameters
     ----------
     table : sequence of sequences
-        Of each tone the frequency [rad/s], then the real and the imaginary parts of its 22 amplitudes [N, Nm].
+        Of each tone the frequency [rad/s], then the real and the imaginary parts of its amplitudes [N, Nm].
+    inputs : int
+        Number of amplitudes, the disturbance inputs of the telescope.
 
     Raises
     ------
@@ -211,11 +219,11 @@ def given_tones(table: Sequence[Sequence[float]]) -> Tones:
     """
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for entry in table:
-        if len(entry) != 1 + 2 * CHANNELS or not np.isfinite(entry).all():
-            raise ValueError(f"a tone must be {1 + 2 * CHANNELS} finite numbers, got {len(entry)}")
+        if len(entry) != 1 + 2 * inputs or not np.isfinite(entry).all():
+            raise ValueError(f"a tone must be {1 + 2 * inputs} finite numbers, got {len(entry)}")
         values = np.asarray(entry, dtype=float)
-        rows.append((float(values[0]), values[1 : 1 + CHANNELS] + 1j * values[1 + CHANNELS :], 0.0, -1))
-    return _tones(rows)
+        rows.append((float(values[0]), values[1 : 1 + inputs] + 1j * values[1 + inputs :], 0.0, -1))
+    return _tones(rows, inputs)
 
 
 def loudest_speeds(parameters: Parameters, plant: System, senses: FloatArray) -> FloatArray:
@@ -228,21 +236,22 @@ def loudest_speeds(parameters: Parameters, plant: System, senses: FloatArray) ->
     parameters : mapping
         Tables ``imbalance``, ``reaction_wheel`` and ``weights``.
     plant : System
-        From the 22 disturbance inputs to the line of sight (2), isolated, no fine control.
-    senses : ndarray, shape (4,)
+        From the disturbance inputs to the line of sight (2), isolated, no fine control.
+    senses : ndarray, shape (wheels,)
         +1 or -1.
     """
-    table, top = parameters["imbalance"], parameters["reaction_wheel"]["maximum_speed"]
+    table, tops = parameters["imbalance"], [wheel.maximum_speed for wheel in reaction_wheels(parameters)]
+    top = max(tops)
     omega = frequency_grid(linalg.eigvals(plant.A), 0.05 * top, top)
     response = frequency_response(plant, omega)
     seen = rpe_weight(omega, parameters["weights"]["rpe_window"]) * omega**2
     sizes = np.diag([table[name] for name in ("radial_force", "axial_force", "radial_torque")])
-    found, free = np.empty(4), np.ones(omega.size, dtype=bool)
+    found, free = np.empty(len(senses)), np.ones(omega.size, dtype=bool)
     for i, sense in enumerate(senses):
         five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]
         parts = response[:, :, 5 * i : 5 * i + 5] @ np.stack(five, axis=1)
         power = np.sum(np.abs(parts) ** 2, axis=(1, 2))
-        found[i] = omega[np.argmax(np.where(free, seen * np.sqrt(power), -1.0))]
+        found[i] = omega[np.argmax(np.where(free & (omega <= tops[i]), seen * np.sqrt(power), -1.0))]
         free &= np.abs(omega - found[i]) > MODE_WIDTH * found[i]
     return found
 

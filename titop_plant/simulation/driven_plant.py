@@ -5,8 +5,8 @@ one tick to the next, as the commands are (zero-order hold)::
 
     x+ = e^(A h) x + B_h v + E_h d,   y = C x + D v + D_d d + noise
 
-``d`` holds the values of `DISTURBANCE_PORTS`: forces and torques of the four wheels on the structure, each in its
-wheel's frame, torques of the two array drives, and a wrench on the spacecraft's bus.
+``d`` holds the values of :func:`driven_ports`: forces and torques of the wheels on the structure, each in its wheel's
+frame, torques of the array drives, and a wrench on the spacecraft's bus; 28 values for the reference telescope.
 """
 
 from __future__ import annotations
@@ -15,31 +15,39 @@ from typing import Protocol
 
 import numpy as np
 
-from lftkit import sampled
+from lftkit import Port, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import PlantFamily, telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
-from titop_plant.telescope.assembly import EXTERNAL_WRENCH, SADM_TORQUE, WHEEL_IMBALANCE
+from titop_plant.telescope.assembly import EXTERNAL_WRENCH
 from titop_plant.telescope.control_plant import with_sensors
+from titop_plant.telescope.layout import disturbance_ports
+from titop_plant.telescope.parameters import Parameters, load_parameters
 
-DISTURBANCE_PORTS = (WHEEL_IMBALANCE, SADM_TORQUE, EXTERNAL_WRENCH)
-"""Ports of the vector that a disturbance of the user writes."""
+
+def driven_ports(parameters: Parameters) -> tuple[Port, ...]:
+    """Ports of the vector that a disturbance of the user writes."""
+    return (*disturbance_ports(parameters), EXTERNAL_WRENCH)
+
+
+DISTURBANCE_PORTS = driven_ports(load_parameters())
+"""Those of the reference telescope."""
 
 DISTURBANCE_COLUMNS = port_slices(DISTURBANCE_PORTS)
-"""Columns of each port in the vector."""
+"""Columns of each port in its vector."""
 
 DISTURBANCE_SIZE = total_size(DISTURBANCE_PORTS)
-"""Size of the vector."""
+"""Size of its vector."""
 
 
 class Disturbance(Protocol):
     """A disturbance as a signal in time."""
 
     def step(self, out: FloatArray) -> None:
-        """Write the forces and torques (28,) from this tick to the next [N, Nm] into `out`."""
+        """Write the forces and torques (size of the ports,) from this tick to the next [N, Nm] into `out`."""
 
     def reset(self) -> None:
         """Back to the first tick: the same values again."""
@@ -54,7 +62,7 @@ class DrivenPlant:
     Parameters
     ----------
     plant : SampledPlant or DrivenPlant
-    held : ndarray, shape (n + 24, 28)
+    held : ndarray, shape (n + 24, size of the ports)
         Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22) and
         the truth (2).
         Of sources with another number of values as many columns.
@@ -116,7 +124,7 @@ class DrivenPlant:
 
 
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
-    """What a disturbance held for one tick adds to next state, measurement and truth, shape (n + 24, 28).
+    """What a disturbance held for one tick adds to next state, measurement and truth.
 
     Parameters
     ----------
@@ -125,9 +133,13 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
         Member of the family, a telescope of constant parameters.
     dt : float
         Tick [s].
+
+    Returns
+    -------
+    ndarray, shape (n + 24, size of the ports)
     """
     whole = with_sensors(telescope(family.path, family.isolated).system, family.parameters)
-    ports = tuple(port.name for port in DISTURBANCE_PORTS)
-    driven = whole.select(inputs=(*COMMANDED, *ports), outputs=(*MEASURED, "los_controlled"))
+    ports = driven_ports(family.parameters)
+    driven = whole.select(inputs=(*COMMANDED, *(p.name for p in ports)), outputs=(*MEASURED, "los_controlled"))
     held = sampled(driven.at(parameter_values(config, family.parameters)), dt, method="hold")
-    return np.vstack([held.B, held.D])[:, -DISTURBANCE_SIZE:]
+    return np.vstack([held.B, held.D])[:, -total_size(ports) :]

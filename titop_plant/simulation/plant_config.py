@@ -12,10 +12,8 @@ from pydantic.dataclasses import dataclass
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
 from titop_plant.simulation.profiles import PROFILES, Profile, linear_profile, read_profile, trapezoidal_profile
-from titop_plant.telescope.parameters import Parameters
-
-STEADY = (0.0, 0.0, 0.0, 0.0)
-"""Accelerations of wheels that keep their speeds [rad/s2]."""
+from titop_plant.telescope.layout import ANGLE, arrays_turn, default_speeds, solar_arrays, wheel_count
+from titop_plant.telescope.parameters import Parameters, uncertain_parameters
 
 
 @settings_class
@@ -56,17 +54,49 @@ class PlantConfig(PhysicalSettings):
 
 def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 0.0) -> dict[str, float]:
     """Values of the telescope's uncertain parameters at a time [s] of the run."""
-    return values_along(config, motion(config, parameters), time)
+    return values_along(config, motion(config, parameters), time, parameters)
 
 
-def values_along(config: PlantConfig, profile: Profile, time: float) -> dict[str, float]:
+def values_along(config: PlantConfig, profile: Profile, time: float, parameters: Parameters) -> dict[str, float]:
     """:func:`parameter_values` with the profile at hand."""
     values = {f"wheel_{i}.speed": float(s) for i, s in enumerate(profile.speeds(time), start=1)}
+    values |= frequencies(config, parameters)
+    if arrays_turn(parameters):
+        values[ANGLE] = math.tan(float(profile.angle(time)) / 4.0)
+    return values
+
+
+def frequencies(config: PhysicalSettings, parameters: Parameters) -> dict[str, float]:
+    """Values of the uncertain frequencies that the settings give: of the first array, or of all bodies in order."""
+    if config.frequencies is not None:
+        names = [name for name in uncertain_parameters(parameters) if ".omega_" in name]
+        if len(names) != len(config.frequencies):
+            given = len(config.frequencies)
+            raise ValueError(
+                f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {given}"
+            )
+        return dict(zip(names, config.frequencies))
+    arrays, found = solar_arrays(parameters), {}
     for i, omega in ((1, config.omega_1), (2, config.omega_2)):
         if omega is not None:
-            values[f"solar_array.omega_{i}"] = omega
-    values["solar_array.tau"] = math.tan(float(profile.angle(time)) / 4.0)
-    return values
+            if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in uncertain_parameters(parameters):
+                raise ValueError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
+            found[name] = omega
+    return found
+
+
+def check_wheels(config: PhysicalSettings, parameters: Parameters) -> None:
+    """Refuse settings for another number of wheels than there are."""
+    wheels = wheel_count(parameters)
+    for name in ("wheel_speed", "wheel_acceleration"):
+        given = getattr(config, name)
+        if given is not None and len(given) != wheels:
+            raise ValueError(f"{name} must hold {wheels} numbers, got {len(given)}")
+
+
+def steady(parameters: Parameters) -> tuple[float, ...]:
+    """Accelerations of wheels that keep their speeds [rad/s2]."""
+    return (0.0,) * wheel_count(parameters)
 
 
 def motion(config: PlantConfig, parameters: Parameters) -> Profile:
@@ -75,13 +105,14 @@ def motion(config: PlantConfig, parameters: Parameters) -> Profile:
     Raises
     ------
     ValueError
-        As :func:`titop_plant.simulation.profiles.read_profile`.
+        As :func:`titop_plant.simulation.profiles.read_profile`; another number of wheels than there are.
     """
-    speed = config.wheel_speed or tuple(parameters["reaction_wheel"]["default_speed"])
+    check_wheels(config, parameters)
+    speed = config.wheel_speed or default_speeds(parameters)
     if config.profile not in PROFILES:
-        return read_profile(Path(config.profile))
+        return read_profile(Path(config.profile), wheel_count(parameters))
     if not config.ramps:
         return Profile(np.zeros(1), np.array([config.array_angle]), np.array([speed], dtype=float))
     make = linear_profile if config.profile == "linear" else trapezoidal_profile
-    gains = config.wheel_acceleration or STEADY
+    gains = config.wheel_acceleration or steady(parameters)
     return make(config.array_angle, config.theta_rate, speed, gains, config.ramp_duration)

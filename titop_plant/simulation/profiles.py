@@ -18,13 +18,24 @@ from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 
 PROFILES = ("linear", "trapezoidal")
-COLUMNS = ("time", "theta", "wheel_speed_1", "wheel_speed_2", "wheel_speed_3", "wheel_speed_4")
-"""Header of a CSV file: s, rad, rad/s."""
+REFERENCE_WHEELS = 4
+"""Wheels of the reference telescope."""
 
 BLEND = 0.25
 """Share of a trapezoidal profile in which the rates rise, and in which they fall."""
 
 BLEND_KNOTS = 50
+
+
+def columns(wheels: int = REFERENCE_WHEELS) -> tuple[str, ...]:
+    """Header of a CSV file for so many wheels: s, rad, rad/s.
+
+    Examples
+    --------
+    >>> columns(3)
+    ('time', 'theta', 'wheel_speed_1', 'wheel_speed_2', 'wheel_speed_3')
+    """
+    return ("time", "theta", *(f"wheel_speed_{i}" for i in range(1, wheels + 1)))
 
 
 @dataclass(frozen=True)
@@ -36,8 +47,8 @@ class Profile:
     time : ndarray, shape (k,)
         Knots [s], rising from 0.
     theta : ndarray, shape (k,)
-        Angle of both arrays [rad].
-    speed : ndarray, shape (k, 4)
+        Angle of the arrays [rad].
+    speed : ndarray, shape (k, wheels)
         Wheel speeds [rad/s], signed.
 
     Examples
@@ -61,15 +72,15 @@ class Profile:
         return np.asarray(np.interp(np.asarray(time, dtype=float), self.time, self.theta))
 
     def speeds(self, time: ArrayLike) -> FloatArray:
-        """Wheel speeds [rad/s], shape (..., 4)."""
+        """Wheel speeds [rad/s], shape (..., wheels)."""
         t = np.asarray(time, dtype=float)
         return np.stack([np.interp(t, self.time, column) for column in self.speed.T], axis=-1)
 
     def turned(self, time: ArrayLike) -> FloatArray:
-        """Angle through which each wheel has turned since time 0 [rad], shape (..., 4)."""
+        """Angle through which each wheel has turned since time 0 [rad], shape (..., wheels)."""
         t = np.asarray(time, dtype=float)
         mean = 0.5 * (self.speed[1:] + self.speed[:-1])
-        whole = np.vstack([np.zeros(4), np.cumsum(mean * np.diff(self.time)[:, None], axis=0)])
+        whole = np.vstack([np.zeros(self.speed.shape[1]), np.cumsum(mean * np.diff(self.time)[:, None], axis=0)])
         k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 1)
         return np.asarray(whole[k] + 0.5 * (self.speed[k] + self.speeds(t)) * (t - self.time[k])[..., None])
 
@@ -82,7 +93,7 @@ class Profile:
         return float(theta.max()), float(speed.max())
 
     def table(self) -> list[list[float]]:
-        """Knots as rows in the order of :data:`COLUMNS`."""
+        """Knots as rows in the order of :func:`columns`."""
         table: list[list[float]] = np.column_stack([self.time, self.theta, self.speed]).tolist()
         return table
 
@@ -143,26 +154,27 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
     return [name.strip() for name in lines[0]] if lines else [], lines[1:]
 
 
-def read_profile(path: Path) -> Profile:
-    """Profile of a CSV file with the header :data:`COLUMNS`.
+def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> Profile:
+    """Profile of a CSV file with the header :func:`columns` for so many wheels.
 
     Raises
     ------
     ValueError
         No such file, another header, a value that is no finite number, times that do not rise from 0.
     """
+    known = columns(wheels)
     header, lines = read_csv(path, "profile", PROFILES)
-    if header != list(COLUMNS):
-        raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
+    if header != list(known):
+        raise ValueError(f"{path}: the header must be {','.join(known)}, got {','.join(header) or 'nothing'}")
     rows = []
     for number, line in enumerate(lines, start=2):
         try:
             rows.append([float(text) for text in line])
         except ValueError:
             rows.append([np.nan])
-        if len(rows[-1]) != len(COLUMNS) or not np.isfinite(rows[-1]).all():
-            raise ValueError(f"{path}, line {number}: must hold {len(COLUMNS)} finite numbers, got {','.join(line)!r}")
-    values = np.array(rows).reshape(-1, len(COLUMNS))
+        if len(rows[-1]) != len(known) or not np.isfinite(rows[-1]).all():
+            raise ValueError(f"{path}, line {number}: must hold {len(known)} finite numbers, got {','.join(line)!r}")
+    values = np.array(rows).reshape(-1, len(known))
     if len(values) < 2 or values[0, 0] != 0.0 or not (np.diff(values[:, 0]) > 0.0).all():
         raise ValueError(f"{path}: time must rise from 0 over two lines or more, got {len(values)} lines")
     return Profile(values[:, 0], values[:, 1], values[:, 2:])

@@ -20,6 +20,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from titop_plant.simulation import disturbances
 from titop_plant.simulation.disturbances import Tones, joined
+from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 
 
@@ -31,7 +32,7 @@ class Circumstances:
     ----------
     parameters : mapping
         Of the parameter file.
-    speeds : ndarray, shape (4,)
+    speeds : ndarray, shape (wheels,)
         Of the wheels [rad/s].
     rng : numpy.random.Generator
         For phases; its seed is that of the run.
@@ -53,7 +54,7 @@ Scenario = Callable[[Circumstances], Tones]
 
 def worst_case(now: Circumstances) -> Tones:
     """The tone that the run was given."""
-    return disturbances.given_tones(now.given)
+    return disturbances.given_tones(now.given, channels(now.parameters))
 
 
 def design(now: Circumstances) -> Tones:

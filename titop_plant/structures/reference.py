@@ -41,17 +41,28 @@ Parameters = Mapping[str, Any]
 
 
 PORTS = {"body": ("A1", "A2", "I_w", "I_p"), "payload": ("M1", "M2", "I_f", "DET")}
+"""Points of each frame; a parameter file may add points to the body, see :func:`body_points`."""
+SUPPORTS = 4
+"""Nodes of the frame that the bracket of an added point stands on."""
 PARENTS = {"body": "G", "payload": "I_p"}
 
 
-def build_body(parameters: Parameters) -> ModalData:
-    """Central body clamped at G, children A1, A2, I_w, I_p.
+def body_points(parameters: Parameters) -> tuple[str, ...]:
+    """Points of the central body's frame: its own, then those that the parameter file adds."""
+    own = PORTS["body"]
+    return (*own, *(name for name in parameters["body"]["ports"] if name not in own))
+
+
+def build_body(parameters: Parameters, points: Sequence[str] = ("A1", "A2")) -> ModalData:
+    """Central body clamped at G, children A1, A2, I_w, I_p and the points that the parameter file adds.
 
     Parameters
     ----------
     parameters : mapping
         Tables ``materials`` and ``body`` of the parameter file. If ``body.modal_data`` names a modal data
         file, that body is used, with all its modes and damping, instead of the frame.
+    points : sequence of str
+        What a file must have beside I_w and I_p: the points where something is mounted.
 
     Returns
     -------
@@ -63,7 +74,9 @@ def build_body(parameters: Parameters) -> ModalData:
     ValueError
         The file is not modal data, has another parent point or lacks a port.
     """
-    return _from_file(parameters, "body") or _from_frame(parameters, "body", body_frame(parameters))
+    needed = (*points, "I_w", "I_p")
+    own = _from_file(parameters, "body", needed)
+    return own or _from_frame(parameters, "body", body_frame(parameters), body_points(parameters))
 
 
 def build_payload(parameters: Parameters) -> ModalData:
@@ -86,15 +99,17 @@ def build_payload(parameters: Parameters) -> ModalData:
     ValueError
         The file is not modal data, has another parent point or lacks a port.
     """
-    return _from_file(parameters, "payload") or _from_frame(parameters, "payload", payload_frame(parameters))
+    points = PORTS["payload"]
+    own = _from_file(parameters, "payload", points)
+    return own or _from_frame(parameters, "payload", payload_frame(parameters), points)
 
 
-def _from_frame(parameters: Parameters, name: str, frame: BeamFrame) -> ModalData:
+def _from_frame(parameters: Parameters, name: str, frame: BeamFrame, points: Sequence[str]) -> ModalData:
     table = parameters[name]
-    return to_modal_data(frame, PARENTS[name], PORTS[name], table["modes"], table["damping"])
+    return to_modal_data(frame, PARENTS[name], points, table["modes"], table["damping"])
 
 
-def _from_file(parameters: Parameters, name: str) -> ModalData | None:
+def _from_file(parameters: Parameters, name: str, points: Sequence[str]) -> ModalData | None:
     """The user's body, if the parameters name a file."""
     path = parameters[name].get("modal_data", "")
     if not path:
@@ -105,9 +120,9 @@ def _from_file(parameters: Parameters, name: str) -> ModalData | None:
         raise ValueError(f"{name}.modal_data must be a readable file, got {path}: {error.strerror}") from None
     if data.parent != PARENTS[name]:
         raise ValueError(f"{path}: {data.name}: parent must be {PARENTS[name]!r}, got {data.parent!r}")
-    missing = sorted(set(PORTS[name]) - {child.name for child in data.children})
+    missing = sorted(set(points) - {child.name for child in data.children})
     if missing:
-        raise ValueError(f"{path}: {data.name}: child ports must be {list(PORTS[name])}, got no {missing[0]!r}")
+        raise ValueError(f"{path}: {data.name}: child ports must be {list(points)}, got no {missing[0]!r}")
     return data
 
 
@@ -175,6 +190,18 @@ def _brackets(
     for name, ends in supports.items():
         nodes[name] = np.array(table["ports"][name], dtype=float)
         beams += [Beam(end, name, section[f"bracket_{name}"]) for end in ends]
+    structure = {name: xyz for name, xyz in nodes.items() if name not in supports}
+    for name in (name for name in table["ports"] if name not in supports):
+        if name in nodes or name == "G":
+            raise ValueError(f"body.ports: name of a point must not be that of a node of the frame, got {name!r}")
+        place = nodes[name] = np.array(table["ports"][name], dtype=float)
+        bracket = section.get(f"bracket_{name}", section[f"bracket_{PORTS['body'][0]}"])
+        beams += [Beam(end, name, bracket) for end in sorted(structure, key=_distance(place, structure))[:SUPPORTS]]
+
+
+def _distance(point: FloatArray, nodes: Mapping[str, FloatArray]) -> Callable[[str], float]:
+    """Square of the distance of a node by its name."""
+    return lambda name: float(np.sum((nodes[name] - point) ** 2))
 
 
 def payload_frame(parameters: Parameters) -> BeamFrame:
@@ -269,7 +296,7 @@ def _equipment(item: Parameters, nodes: Mapping[str, FloatArray]) -> LumpedMass:
 
 
 def _nearest(point: FloatArray, nodes: Mapping[str, FloatArray]) -> str:
-    return min(nodes, key=lambda name: float(np.sum((nodes[name] - point) ** 2)))
+    return min(nodes, key=_distance(point, nodes))
 
 
 def _center_of_mass(frame: BeamFrame) -> FloatArray:

@@ -2,9 +2,9 @@
 
 ::
 
-    external wrench --> attitude G <--> central body --+-- I_w  wheel assembly (4)
-                                                       +-- A1   SADM, rotation, solar array
-                                                       +-- A2   SADM, rotation, solar array
+    external wrench --> attitude G <--> central body --+-- I_w  wheel assembly
+                                                       +-- A1 ..  SADM, rotation, solar array, each
+                                                       +-- ..   appendages such as antennas
                                                        +-- I_p  isolator + 6 PMA --> payload --> FSM
 
 =====================  ====  =====================================================================
@@ -34,12 +34,14 @@ output                 size  meaning
 =====================  ====  =====================================================================
 
 Rotation and rate are passed through the ports, the line of sight is a function of states, and nothing is
-integrated twice: the realisation is minimal by construction (204 states for the reference).
+integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
+reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port; the forces
+of proof-mass actuators stay an input without effect, since every command has room for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,22 +54,32 @@ from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import actuated_platform, isolator
 from titop_plant.blocks.reaction_wheel import wheel_assembly
-from titop_plant.blocks.solar_array import solar_array
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import components as component
+from titop_plant.telescope.layout import (
+    SADM_TORQUE,
+    WHEEL_TORQUE,
+    MountedBody,
+    appendages,
+    disturbance_ports,
+    driven_arrays,
+    mounted_points,
+    solar_arrays,
+    wheel_axes,
+    wheel_count,
+)
 from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
-WHEEL_IMBALANCE = Port("wheel_imbalance", 20, ",".join([ports.IMBALANCE_UNIT] * 4))
-SADM_TORQUE = Port("sadm_torque", 2, "Nm")
 EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
-WHEEL_TORQUE = Port("wheel_torque", 4, "Nm")
 LOS = Port("los", 2, "rad")
 OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
 UNLOADED = ("M1", "M2", "DET")
 """Points of the payload without an attached body."""
+SADM_ANGLE, PMA_STROKE = "sadm_angle", "pma_stroke"
+"""Outputs that are there only where there are drives or proof-mass actuators."""
 
 
 def load_port(node: str) -> Port:
@@ -86,12 +98,12 @@ class Telescope:
     inertia : ndarray, shape (3, 3)
         Total inertia by the inverse low-frequency gain, nominal [kg m2].
     bodies : tuple of ModalData
-        Central body, payload, solar array.
+        Central body, payload, then each kind of solar array and of appendage.
     """
 
     system: System
     inertia: FloatArray = field(repr=False)
-    bodies: tuple[ModalData, ModalData, ModalData]
+    bodies: tuple[ModalData, ...]
 
 
 def build_telescope(
@@ -113,20 +125,23 @@ def build_telescope(
         Close the attitude loop; without it the attitude is free.
     loads : tuple of str
         Nodes with an input ``load_<node>``, a wrench from outside in the axes of the node's body: ``I_w``, ``I_p``,
-        ``A1``, ``A2`` of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same without them.
+        ``A1``, ``A2`` and further points of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same
+        without them.
 
     Returns
     -------
     Telescope
     """
     given = load_parameters() if parameters is None else parameters
-    body, payload = build_body(given), build_payload(given)
+    body, payload = build_body(given, mounted_points(given)), build_payload(given)
     driven = _driven_at_G(given, body, payload, isolated, loads)
     free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
     system = _free_flying(free, given, inertia, attitude_controlled, loads)
     order = list(uncertain_parameters(given))
-    return Telescope(system.sorted_channels(order), inertia, (body, payload, component.array_modes(given)))
+    kinds = {id(one.table): one for one in (*solar_arrays(given), *appendages(given))}
+    own = [component.body_modes(one) for one in kinds.values()]
+    return Telescope(system.sorted_channels(order), inertia, (body, payload, *own))
 
 
 def line_of_sight(parameters: Parameters) -> System:
@@ -142,66 +157,94 @@ def _driven_at_G(
     parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool, loads: tuple[str, ...]
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
-    uncertain = uncertain_parameters(parameters)
-    tau = uncertain["solar_array.tau"]
-    omegas = {i: uncertain[f"solar_array.omega_{i + 1}"] for i in (0, 1)}
-    plate = (
-        isolator(component.isolator_component(parameters), "I_p", "platform")
-        if isolated
-        else rigid_body("platform", "I_p", component.platform_mass(parameters), {"platform": np.zeros(3)}, motion=True)
-    )
+    arrays, others = solar_arrays(parameters), appendages(parameters)
+    used = {"I_w", "I_p", *mounted_points(parameters), *loads}
     systems = {
-        "body": flexible_body(body, motion=True),
+        "body": _without_loads(flexible_body(body, motion=True), {child.name for child in body.children} - used),
         "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
-        "array_1": solar_array(component.array_component(parameters, "A1"), "A1", tau, omegas),
-        "array_2": solar_array(component.array_component(parameters, "A2"), "A2", tau, omegas),
-        "platform": actuated_platform(plate, component.actuator_components(parameters), "platform"),
+        **{one.name: component.array_block(parameters, one) for one in arrays},
+        **{one.name: component.appendage_block(parameters, one) for one in others},
+        "platform": _platform(parameters, isolated),
         "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(UNLOADED) - set(loads)),
         "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
         "optics": line_of_sight(parameters),
         "steering": static_gain(
             parameters["fsm"]["los_sensitivity"] * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
         ),
-        "sadm_split": static_gain(np.eye(2), [SADM_TORQUE], [Port("A1", 1, "Nm"), Port("A2", 1, "Nm")]),
-        "sadm_join": static_gain(
-            np.eye(2), [Port("A1", 1, "rad"), Port("A2", 1, "rad")], [Port("sadm_angle", 2, "rad")]
-        ),
+        **_drives(parameters),
+    }
+    there = {SADM_ANGLE: driven_arrays(parameters), PMA_STROKE: parameters["pma"]["azimuths_deg"]}
+    absent = [name for name, bodies in there.items() if not bodies]
+    outputs: dict[str, str | tuple[str, ...]] = {
+        "wrench_G": "body.wrench_G",
+        "accel_Ip": "platform.accel_platform",
+        "accel_M1": "payload.accel_M1",
+        "accel_M2": "payload.accel_M2",
+        "los": "optics.los",
+        "los_controlled": ("optics.los", "steering.los"),
+        "fsm_angle": "fsm.fsm_angle",
+        PMA_STROKE: "platform.pma_stroke",
+        SADM_ANGLE: "sadm_join.sadm_angle",
+        "wheel_accel": "wheels.wheel_accel",
     }
     return connect(
         systems,
-        _with_loads(_wires(), loads),
+        _with_loads([*_wires(), *_mounted_wires((*arrays, *others))], loads),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
-            WHEEL_TORQUE,
-            WHEEL_IMBALANCE,
-            SADM_TORQUE,
+            Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
+            *disturbance_ports(parameters),
             FSM_COMMAND,
             PMA_FORCE,
             *map(load_port, loads),
         ],
-        outputs={
-            "wrench_G": "body.wrench_G",
-            "accel_Ip": "platform.accel_platform",
-            "accel_M1": "payload.accel_M1",
-            "accel_M2": "payload.accel_M2",
-            "los": "optics.los",
-            "los_controlled": ("optics.los", "steering.los"),
-            "fsm_angle": "fsm.fsm_angle",
-            "pma_stroke": "platform.pma_stroke",
-            "sadm_angle": "sadm_join.sadm_angle",
-            "wheel_accel": "wheels.wheel_accel",
-        },
+        outputs={name: source for name, source in outputs.items() if name not in absent},
     )
 
 
+def _platform(parameters: Parameters, isolated: bool) -> System:
+    """Platform of the payload on its isolator or fixed, with the proof-mass actuators that there are."""
+    plate = (
+        isolator(component.isolator_component(parameters), "I_p", "platform")
+        if isolated
+        else rigid_body("platform", "I_p", component.platform_mass(parameters), {"platform": np.zeros(3)}, motion=True)
+    )
+    actuators = component.actuator_components(parameters)
+    if actuators:
+        return actuated_platform(plate, actuators, "platform")
+    wrench = ports.wrench("platform")
+    none = static_gain(np.zeros((wrench.size, PMA_FORCE.size)), [PMA_FORCE], [wrench])
+    driven = (wrench.name, f"none.{wrench.name}")
+    return connect(
+        {"plate": plate, "none": none},
+        [
+            *((driven if p == wrench else p.name, f"plate.{p.name}") for p in plate.inputs),
+            (PMA_FORCE.name, f"none.{PMA_FORCE.name}"),
+        ],
+        inputs=[*plate.inputs, PMA_FORCE],
+        outputs={p.name: f"plate.{p.name}" for p in plate.outputs},
+    )
+
+
+def _drives(parameters: Parameters) -> dict[str, System]:
+    """What parts the torques of the array drives and joins their angles; none where no array is driven."""
+    names = [array.name for array in driven_arrays(parameters)]
+    if not names:
+        return {}
+    each, torques = np.eye(len(names)), [Port(name, 1, "Nm") for name in names]
+    angles, joined = [Port(name, 1, "rad") for name in names], Port(SADM_ANGLE, len(names), "rad")
+    return {
+        "sadm_split": static_gain(each, [Port(SADM_TORQUE, len(names), "Nm")], torques),
+        "sadm_join": static_gain(each, angles, [joined]),
+    }
+
+
 def _wires() -> list[Connection]:
-    wires: list[Connection] = [
+    return [
         *((f"{kind}_G", f"body.{kind}_G") for kind in ("accel", "angle", "rate")),
         ("body.accel_I_w", "wheels.accel_I_w"),
         ("body.rate_I_w", "wheels.rate_I_w"),
-        ("wheels.wrench_I_w", "body.wrench_I_w"),
         *((f"body.{kind}_I_p", f"platform.{kind}_I_p") for kind in ("accel", "angle", "rate")),
-        ("platform.wrench_I_p", "body.wrench_I_p"),
         ("payload.wrench_I_p", "platform.wrench_platform"),
         ("platform.accel_platform", "payload.accel_I_p"),
         ("payload.accel_I_f", "fsm.accel_I_f"),
@@ -211,18 +254,27 @@ def _wires() -> list[Connection]:
         ("fsm.fsm_angle", "steering.fsm_angle"),
         ("wheel_torque", "wheels.wheel_torque"),
         ("wheel_imbalance", "wheels.imbalance"),
-        ("sadm_torque", "sadm_split.sadm_torque"),
         ("fsm_command", "fsm.fsm_command"),
         ("pma_force", "platform.pma_force"),
     ]
-    for array, point in (("array_1", "A1"), ("array_2", "A2")):
+
+
+def _mounted_wires(bodies: Sequence[MountedBody]) -> list[Connection]:
+    """Motion of each point to what is mounted there, the sum of its wrenches back to the central body."""
+    wires: list[Connection] = []
+    wrenches: dict[str, list[str]] = {"I_w": ["wheels.wrench_I_w"], "I_p": ["platform.wrench_I_p"]}
+    for one in bodies:
+        wires.append((f"body.accel_{one.point}", f"{one.name}.accel_{one.point}"))
+        wrenches.setdefault(one.point, []).append(f"{one.name}.wrench_{one.point}")
+    driven = [one for one in bodies if one.driven]
+    for one in driven:
         wires += [
-            (f"body.accel_{point}", f"{array}.accel_{point}"),
-            (f"{array}.wrench_{point}", f"body.wrench_{point}"),
-            (f"sadm_split.{point}", f"{array}.sadm_torque"),
-            (f"{array}.sadm_angle", f"sadm_join.{point}"),
+            (f"sadm_split.{one.name}", f"{one.name}.sadm_torque"),
+            (f"{one.name}.sadm_angle", f"sadm_join.{one.name}"),
         ]
-    return wires
+    if driven:
+        wires.append((SADM_TORQUE, f"sadm_split.{SADM_TORQUE}"))
+    return wires + [(tuple(parts), f"body.wrench_{point}") for point, parts in wrenches.items()]
 
 
 def _with_loads(wires: list[Connection], loads: tuple[str, ...]) -> list[Connection]:
@@ -235,13 +287,16 @@ def _with_loads(wires: list[Connection], loads: tuple[str, ...]) -> list[Connect
         if at is None:
             result.append((load_port(node).name, target))
         else:
-            result[at] = ((result[at][0], load_port(node).name), target)  # type: ignore[assignment]
+            before = result[at][0]
+            result[at] = ((*((before,) if isinstance(before, str) else before), load_port(node).name), target)
     return result
 
 
 def _without_loads(body: System, points: Iterable[str]) -> System:
     """Remove the wrench inputs of points without an attached body."""
     loads = {f"wrench_{point}" for point in points}
+    if not loads:
+        return body
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
 
 
@@ -260,7 +315,7 @@ def _free_flying(
     table = parameters["attitude_control"]
     law = attitude_control(
         np.diag(inertia),
-        component.wheel_axes(parameters),
+        wheel_axes(parameters),
         bandwidth=table["bandwidth"],
         damping=table["damping"],
     )
@@ -283,10 +338,9 @@ def _free_flying(
         systems,
         wires,
         inputs=[
-            WHEEL_IMBALANCE,
-            SADM_TORQUE,
+            *disturbance_ports(parameters),
             EXTERNAL_WRENCH,
-            WHEEL_TORQUE,
+            Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
             FSM_COMMAND,
             PMA_FORCE,
             *map(load_port, loads),

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from titop_plant.blocks.fast_steering_mirror import FastSteeringMirror
+from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator
+from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
-from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel, pyramid_axes
-from titop_plant.blocks.solar_array import SolarArray
+from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
+from titop_plant.blocks.solar_array import SolarArray, solar_array
 from titop_plant.ports import AXES
 from titop_plant.structures.modal_data import ModalData, from_inertia
+from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     add_residual_modes,
     check_residual_mass,
     repair_residual_mass,
 )
+from titop_plant.telescope.layout import ANGLE, ARRAYS, MountedBody, reaction_wheels, solar_arrays
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import Parameters, uncertain_parameters
 
@@ -28,57 +35,93 @@ _ROUNDING = 1e-3
 
 
 def array_modes(parameters: Parameters) -> ModalData:
-    """Modal data of one solar array, clamped at its root A.
+    """Modal data of the first solar array, see :func:`body_modes`."""
+    return body_modes(solar_arrays(parameters)[0])
 
-    The printed participation of two modes takes more than the rigid mass by rounding: it is scaled by
+
+def body_modes(body: MountedBody) -> ModalData:
+    """Modal data of a solar array or an appendage, clamped at its root A: of its file, or of printed numbers.
+
+    The printed participation of few modes may take more than the rigid mass by rounding: it is scaled by
     the smallest factor that leaves none negative. Then come the further modes.
 
     Raises
     ------
     ValueError
-        More is missing than rounding explains (a thousandth of the rigid mass); names axis and amount.
+        More is missing than rounding explains (a thousandth of the rigid mass); names axis and amount. A file that
+        cannot be read or has points for other bodies.
     """
-    table = parameters["solar_array"]
-    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], "solar array")
-    damping = np.full(2, table["damping"])
-    printed = ModalData(
-        "solar array", "A", np.zeros(3), mass, table["frequencies"], damping, np.array(table["participation"])
-    )
+    table = body.table
+    name = str(table.get("name", ARRAYS)).replace("_", " ")
+    if table.get("modal_data"):
+        return _from_file(body, name)
+    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], name)
+    damping = np.full(len(table["frequencies"]), table["damping"])
+    printed = ModalData(name, "A", np.zeros(3), mass, table["frequencies"], damping, np.array(table["participation"]))
     check_residual_mass(printed, tolerance=_ROUNDING)
     modes = [
         ResidualMode(m["frequency"], table["damping"], np.eye(6)[AXES.index(m["direction"])], m["share"])
-        for m in table["further_modes"]
+        for m in table.get("further_modes", ())
     ]
     return add_residual_modes(repair_residual_mass(printed).data, modes)
 
 
-def array_component(parameters: Parameters, side: str) -> SolarArray:
-    """Solar array with its drive; side "A1" (+y) or "A2" (-y)."""
-    table, sadm = parameters["solar_array"], parameters["sadm"]
-    return SolarArray(
-        array_modes(parameters),
-        np.array(table["drive_axis"], dtype=float),
-        np.array(table[f"dcm_{side}"], dtype=float),
-        sadm["gearbox_stiffness"],
-        sadm["gearbox_damping"],
-    )
+def _from_file(body: MountedBody, name: str) -> ModalData:
+    path = str(body.table["modal_data"])
+    try:
+        data = read_modal_data(path)
+    except OSError as error:
+        raise ValueError(f"{body.name}: modal_data must be a readable file, got {path}: {error.strerror}") from None
+    if data.children or not data.n_modes:
+        got = f"{len(data.children)} points and {data.n_modes} modes"
+        raise ValueError(f"{body.name}: modal_data must hold modes and no points for other bodies, got {got} in {path}")
+    return replace(data, name=name)
 
 
-def wheel_axes(parameters: Parameters) -> FloatArray:
-    """Spin axes Gamma, shape (3, 4), body frame."""
-    table = parameters["reaction_wheel"]
-    return pyramid_axes(math.radians(table["cant_deg"]), np.radians(table["azimuths_deg"]).tolist())
+def uncertain_modes(body: MountedBody, parameters: Parameters) -> dict[int, RealParameter]:
+    """Modes of a mounted body whose frequency is uncertain, by their place in its modal data."""
+    known = uncertain_parameters(parameters)
+    names = ((i, f"{body.parameters}.omega_{i + 1}") for i in range(len(known)))
+    return {i: known[name] for i, name in names if name in known}
+
+
+def array_block(parameters: Parameters, array: MountedBody) -> System:
+    """Solar array on its drive; one that is fixed has neither gearbox nor torque.
+
+    Returns
+    -------
+    System
+        Ports of :mod:`titop_plant.blocks.solar_array`; without a drive ``accel_<P>`` and ``wrench_<P>`` alone.
+    """
+    frequencies = uncertain_modes(array, parameters)
+    table, fixed = array.table, array.table["theta_range"][0]
+    axis = np.array(table["drive_axis"], dtype=float)
+    dcm = array.dcm
+    if not array.turns and fixed:
+        dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
+    if not array.driven:
+        return _clamped(body_modes(array), array.point, dcm, frequencies)
+    data = SolarArray(body_modes(array), axis, dcm, table["gearbox_stiffness"], table["gearbox_damping"])
+    tau = uncertain_parameters(parameters)[ANGLE] if array.turns else None
+    return solar_array(data, array.point, tau, frequencies)
+
+
+def appendage_block(parameters: Parameters, body: MountedBody) -> System:
+    """Flexible appendage, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
+    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, parameters))
+
+
+def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
+    return mounted(flexible_body(modes, frequencies=frequencies), modes.parent, point, dcm=dcm)
 
 
 def wheel_components(parameters: Parameters) -> list[MountedWheel]:
-    """The four wheels around I_w, axes parallel to the body's frame."""
-    table = parameters["reaction_wheel"]
-    wheel = ReactionWheel(table["mass"], table["axial_inertia"], table["radial_inertia"])
+    """The wheels around I_w, axes parallel to the body's frame."""
     speeds = uncertain_parameters(parameters)
     result = []
-    for i, (azimuth, axis) in enumerate(zip(np.radians(table["azimuths_deg"]), wheel_axes(parameters).T), start=1):
-        position = table["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-        result.append(MountedWheel(wheel, axis, position, speeds[f"wheel_{i}.speed"]))
+    for i, one in enumerate(reaction_wheels(parameters), start=1):
+        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia)
+        result.append(MountedWheel(wheel, one.axis, one.position, speeds[f"wheel_{i}.speed"]))
     return result
 
 
@@ -95,7 +138,7 @@ def isolator_component(parameters: Parameters) -> Isolator:
 
 
 def actuator_components(parameters: Parameters) -> list[MountedActuator]:
-    """Six proof-mass actuators on the platform: at each of three azimuths one axial, one tangential.
+    """Proof-mass actuators on the platform: at each azimuth one axial, one tangential; none without azimuths.
 
     Axial ones push along +z, tangential ones along increasing azimuth.
     """

@@ -3,7 +3,7 @@
 =======================  ====  ===================================================================
 input                    size  meaning
 =======================  ====  ===================================================================
-``wheel_imbalance``      20    [N], [Nm]; ``sadm_torque`` 2 [Nm]
+``wheel_imbalance``      20    [N], [Nm], 5 for each wheel; ``sadm_torque`` 2 [Nm], 1 for each array drive
 ``accelerometer_noise``  18    white, density 1 (two-sided): scaled by sigma sqrt(dt) inside
 ``optical_noise``        4     of the other sensors in the order of the measurement, the same
 ``fsm_command``          2     [rad]; ``pma_force`` 6 [N]
@@ -32,10 +32,12 @@ from lftkit.systems.delay import delayed_port
 from lftkit.systems.filters import high_pass
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples, sensors
 
-DISTURBANCES = ("wheel_imbalance", "sadm_torque")
+DISTURBANCES = (WHEEL_IMBALANCE, SADM_TORQUE)
+"""Micro-vibrations; a telescope without array drives has the first port alone, see :func:`disturbances_of`."""
 ACCELEROMETER_NOISE = Port("accelerometer_noise", ACCELERATIONS.stop)
 OPTICAL_NOISE = Port("optical_noise", MEASUREMENTS - ACCELERATIONS.stop)
 """Noise of the measurements: of the accelerometers; of the other sensors."""
@@ -45,6 +47,11 @@ NOISE_PORTS = {name: (ACCELEROMETER_NOISE if name in ACCELEROMETERS else OPTICAL
 
 PADE_ORDER = 2
 """Of the delays in the plant: right to 2e-4 rad where they turn the phase by less than 0.7 rad."""
+
+
+def disturbances_of(system: System) -> tuple[str, ...]:
+    """Those of `DISTURBANCES` that a telescope has."""
+    return present(DISTURBANCES, system.inputs)
 
 
 def with_sensors(system: System, parameters: Parameters) -> System:
@@ -133,7 +140,7 @@ def control_plant(
         Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
     seen = with_sensors(telescope, parameters).select(
-        inputs=(*DISTURBANCES, *COMMANDED), outputs=("los_controlled", *MEASURED)
+        inputs=(*disturbances_of(telescope), *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
     sigma, root = noise_of_samples(parameters), np.sqrt(DT)
@@ -164,6 +171,6 @@ def control_plant(
         if behind in systems:
             wires.append((noisy, f"{behind}.{name}"))
             outputs[name] = f"{behind}.{name}"
-    external = [seen.input_port(name) for name in DISTURBANCES] + [noise, optical]
+    external = [seen.input_port(name) for name in disturbances_of(seen)] + [noise, optical]
     external += [seen.input_port(name) for name in COMMANDED]
     return connect(systems, wires, inputs=external, outputs=outputs)

@@ -71,6 +71,12 @@ FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99, "obscuration": 0.99}
 ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_ratios", "step_harmonics"}
 """Lists that may be longer or shorter than those of the reference."""
 
+ANY_NUMBER = ("reaction_wheel.azimuths_deg", "reaction_wheel.default_speed", "pma.azimuths_deg")
+"""The same by full name: how many there are is checked where all of the file is known."""
+
+OPEN: Mapping[str, str] = {"body.ports.": "", "body.sections.": "bracket_"}
+"""Tables in which a user may add names of this beginning, with values like those of the first such name there."""
+
 REPLACE = "replace"
 """Key of a user's table: the lists of named tables, for instance equipment, that replace those of the reference."""
 
@@ -120,19 +126,28 @@ class ParameterFile:
             name = f"{prefix}{key}"
             if key == REPLACE and _named(base):
                 continue
-            if key not in base:
+            like = base[key] if key in base else self._model(name, key, prefix, base)
+            if like is None:
                 known = [*base, *([REPLACE] if _named(base) else [])]
                 raise self.error(name, f"expected one of: {', '.join(known)}")
-            if isinstance(base[key], dict):
+            if isinstance(like, dict):
                 if not isinstance(value, dict):
                     raise self.error(name, f"must be a table, got {value!r}")
-                result[key] = self.merged(base[key], value, f"{name}.")
+                result[key] = self.merged(like, value, f"{name}.")
             elif key in _named(base) and key not in replaced:
                 result[key] = self._merged_tables(name, key, base[key], value)
             else:
-                self.check(name, key, base[key], value)
+                self.check(name, key, like, value)
                 result[key] = value
         return result
+
+    def _model(self, name: str, key: str, prefix: str, base: Mapping[str, Any]) -> Any:
+        """Value of the reference that one with a name of the user must be like; None where none may be added."""
+        if prefix not in OPEN or not key.startswith(OPEN[prefix]):
+            return None
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", key):
+            raise self.error(name, "must have a name of letters, digits and _")
+        return next(value for known, value in base.items() if known.startswith(OPEN[prefix]))
 
     def _replaced(self, base: Mapping[str, Any], over: Mapping[str, Any], prefix: str) -> list[str]:
         """Lists of named tables that the user's file replaces as a whole."""
@@ -182,7 +197,7 @@ class ParameterFile:
     def _check_list(self, name: str, key: str, base: list[Any], value: Any) -> None:
         if not isinstance(value, list):
             raise self.error(name, f"must be a list of {len(base)}, got {value!r}")
-        if key not in ANY_LENGTH and len(value) != len(base):
+        if key not in ANY_LENGTH and name not in ANY_NUMBER and len(value) != len(base):
             raise self.error(name, f"must have {len(base)} entries, got {len(value)}")
         for i, item in enumerate(value):
             self.check(f"{name}[{i}]", key, base[min(i, len(base) - 1)], item)

@@ -8,7 +8,7 @@ import json
 import math
 import pickle
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,15 @@ from typing import Any
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
+from titop_plant.telescope.layout import (
+    ANGLE,
+    APPENDAGES,
+    ARRAYS,
+    MountedBody,
+    appendages,
+    reaction_wheels,
+    solar_arrays,
+)
 from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.requirements import (
     instant_probability,
@@ -66,7 +75,9 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
         ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
         tables without names are replaced. A relative ``body.modal_data``, ``payload.modal_data`` or ``optics.pupil`` is
-        looked for beside it. Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
+        looked for beside it. Tables ``[[solar_array]]``, ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on
+        board, see :mod:`titop_plant.telescope.layout`. Tables ``[[disturbance]]`` are kept as they are, each with the
+        folder of the file.
 
     Raises
     ------
@@ -78,12 +89,15 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return MappingProxyType(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
+    from titop_plant.telescope.mounted_tables import checked_layout, take_mounted  # loads scipy
+
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)
-    limits, sources = take_limits(own, file), own.pop(SOURCES, [])
+    limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
     merged = with_limits(file.merged(reference, own), own, limits, file)
+    merged |= checked_layout(mounted, merged, reference, file)
     for name in OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
@@ -174,12 +188,18 @@ def parameters_hash(parameters: Parameters) -> str:
     }
     content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
     for name in OWN_BODIES:
-        file = content[name].get("modal_data", "")
-        if file:
-            digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
-            content[name] = {**content[name], "modal_data": digest}
+        content[name] = _with_digest(content[name])
+    for name in (ARRAYS, APPENDAGES):
+        if isinstance(content.get(name), list):
+            content[name] = [_with_digest(table) for table in content[name]]
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _with_digest(table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table of a body, of its modal data file the content in place of the name."""
+    file = table.get("modal_data", "")
+    return {**table, "modal_data": hashlib.sha256(Path(file).read_bytes()).hexdigest()} if file else table
 
 
 def design_basis(parameters: Parameters) -> DesignBasis:
@@ -195,24 +215,55 @@ def design_basis(parameters: Parameters) -> DesignBasis:
 def uncertain_parameters(parameters: Parameters) -> dict[str, RealParameter]:
     """The varying and uncertain parameters of the telescope, in the order of Delta.
 
-    ``wheel_1.speed`` .. ``wheel_4.speed`` [rad/s], ``solar_array.omega_1``, ``solar_array.omega_2``
-    [rad/s], ``solar_array.tau`` = tan(theta / 4), one theta for both arrays.
+    ``wheel_1.speed`` and so on [rad/s]; of each array the uncertain frequencies ``<parameters>.omega_1`` and so on
+    [rad/s]; ``solar_array.tau`` = tan(theta / 4), one theta for all arrays that turn; of appendages their uncertain
+    frequencies. The arrays of the reference share ``solar_array.omega_1`` and ``solar_array.omega_2``.
     """
-    top = float(parameters["reaction_wheel"]["maximum_speed"])
     result = {}
-    for i in range(1, 5):
-        name = f"wheel_{i}.speed"
+    for i, wheel in enumerate(reaction_wheels(parameters), start=1):
+        name, top = f"wheel_{i}.speed", wheel.maximum_speed
         result[name] = RealParameter(name, 0.0, -top, top, "rad/s", f"speed of reaction wheel {i}")
-    array = parameters["solar_array"]
-    spread = array["relative_uncertainty"]
-    for i in (1, 2):
-        w, name = array["frequencies"][i - 1], f"solar_array.omega_{i}"
-        about = f"clamped frequency of mode {i} of both arrays"
-        result[name] = RealParameter(name, w, w * (1 - spread), w * (1 + spread), "rad/s", about)
-    low, high = (math.tan(theta / 4) for theta in array["theta_range"])
-    name = "solar_array.tau"
-    result[name] = RealParameter(name, 0.0, low, high, "1", "tan(theta/4), theta the angle of both arrays")
+    arrays, others = solar_arrays(parameters), appendages(parameters)
+    result |= _frequencies(arrays)
+    turning = [array for array in arrays if array.turns]
+    if turning:
+        low, high = (math.tan(theta / 4) for theta in turning[0].table["theta_range"])
+        about = f"tan(theta/4), theta the angle of {_words(turning, arrays)}"
+        result[ANGLE] = RealParameter(ANGLE, 0.0, low, high, "1", about)
+    return result | _frequencies(others)
+
+
+def _frequencies(bodies: Sequence[MountedBody]) -> dict[str, RealParameter]:
+    """Uncertain frequencies of mounted bodies, those that several share once."""
+    found: dict[str, RealParameter] = {}
+    for prefix in dict.fromkeys(body.parameters for body in bodies):
+        owners = [body for body in bodies if body.parameters == prefix]
+        found |= _frequencies_of(owners[0], _words(owners, bodies))
+    return found
+
+
+def _frequencies_of(body: MountedBody, owners: str) -> dict[str, RealParameter]:
+    table, result = body.table, {}
+    spread = table.get("relative_uncertainty", 0.0)
+    if not spread:
+        return {}
+    if table.get("modal_data"):
+        from titop_plant.structures.modal_file import read_modal_data  # loads scipy
+
+        frequencies = read_modal_data(table["modal_data"]).frequencies
+    else:
+        frequencies = table["frequencies"]
+    for i, w in enumerate(frequencies[: table.get("uncertain_modes", len(frequencies))], start=1):
+        name, about = f"{body.parameters}.omega_{i}", f"clamped frequency of mode {i} of {owners}"
+        result[name] = RealParameter(name, float(w), w * (1 - spread), w * (1 + spread), "rad/s", about)
     return result
+
+
+def _words(owners: Sequence[MountedBody], bodies: Sequence[MountedBody]) -> str:
+    """What a parameter belongs to, in words."""
+    if len(owners) == len(bodies) == 2 and all("drive_axis" in body.table for body in owners):
+        return "both arrays"
+    return ", ".join(body.name for body in owners)
 
 
 def parameter_box(parameters: Parameters) -> dict[str, tuple[float, float]]:
@@ -221,6 +272,6 @@ def parameter_box(parameters: Parameters) -> dict[str, tuple[float, float]]:
 
 
 def parameter_corners(parameters: Parameters) -> list[dict[str, float]]:
-    """All corners of the box of uncertain parameters (2^7)."""
+    """All corners of the box of uncertain parameters (2^7 for the reference)."""
     box = parameter_box(parameters)
     return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]

@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike
 
 from lftkit import Port, System, state_space
 from lftkit.arrays import FloatArray
+from titop_plant.telescope.layout import torque_bounds, wheel_count
 from titop_plant.telescope.parameters import Parameters
 
 
 def disturbance_weight(parameters: Parameters) -> System:
-    """From normalised disturbances (22) to wheel imbalance (20) [N, Nm] and SADM torque (2) [Nm]; 20 states.
+    """From normalised disturbances to wheel imbalance [N, Nm] and SADM torque [Nm]; a state for each imbalance.
+
+    For the reference telescope 22 disturbances: 20 of four wheels, 2 of the drives.
 
     Examples
     --------
@@ -28,11 +31,12 @@ def disturbance_weight(parameters: Parameters) -> System:
     """
     table = parameters["weights"]
     zero, pole = table["wheel_imbalance_zero"], table["wheel_imbalance_pole"]
-    size = np.tile(table["wheel_imbalance"], 4)
-    D = np.diag(np.r_[size, [parameters["sadm"]["torque_bound"]] * 2])
-    B = np.hstack([np.eye(20), np.zeros((20, 2))])
-    C = np.vstack([np.diag(size) * (zero - pole), np.zeros((2, 20))])
-    return state_space(-pole * np.eye(20), B, C, D, [Port("normalised", 22)], [Port("disturbance", 22)])
+    size, bounds = np.tile(table["wheel_imbalance"], wheel_count(parameters)), torque_bounds(parameters)
+    n, m = size.size, size.size + bounds.size
+    D = np.diag(np.r_[size, bounds])
+    B = np.hstack([np.eye(n), np.zeros((n, bounds.size))])
+    C = np.vstack([np.diag(size) * (zero - pole), np.zeros((bounds.size, n))])
+    return state_space(-pole * np.eye(n), B, C, D, [Port("normalised", m)], [Port("disturbance", m)])
 
 
 RPE_NUMERATOR, RPE_DENOMINATOR = np.sqrt(12.0), (6.0, 12.0)

@@ -7,12 +7,13 @@ import pytest
 
 from lftkit import RealParameter
 from lftkit.analysis.frequency_response import FrequencyResponse
-from los_loop.angle_channels import ANGLE, AngleClosed, half_turn, half_turn_slope, kept_channels
+from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kept_channels
 from los_loop.open_loop import MANY, OpenLoop, closed_lft
 from titop_plant.blocks.rotation import rotation
 from titop_plant.interface import COMMANDS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import CHANNELS, weight_amplitudes
+from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.parameters import load_parameters
 
 

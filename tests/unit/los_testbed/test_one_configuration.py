@@ -11,7 +11,7 @@ import pytest
 import typer
 import yaml
 from los_testbed.cli.app import command_line
-from los_testbed.cli.run import configure
+from los_testbed.cli.run import configure, with_lone_options
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.run.node_launch import parameter_text
 
@@ -26,6 +26,7 @@ FORMER = {
     "wheel_speed": [],
     "omega_1": 0.0,
     "omega_2": 0.0,
+    "frequencies": [],
     "wheel_acceleration": [],
     "parameters": "",
     "fsm_authority": 0.0,
@@ -57,6 +58,7 @@ OTHER = {
     "wheel_speed": [1.0, 2.0, 3.0, 4.5],
     "omega_1": 0.75,
     "omega_2": 2.5,
+    "frequencies": [0.75, 2.5],
     "theta_rate": 0.01,
     "wheel_acceleration": [1.0, 0.0, 0.0, -1.0],
     "ramp_duration": 1.5,
@@ -134,6 +136,7 @@ def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch
         words = [flag if value else f"--no-{flag[2:]}"]
     else:
         words = [flag, *(str(v) for v in (value if isinstance(value, list) else [value]))]
+    words = with_lone_options(words)
     if name == "parameters":
         words[1] = str(tmp_path / "mine.toml")
         (tmp_path / "mine.toml").write_text("")

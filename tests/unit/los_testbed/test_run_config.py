@@ -26,7 +26,6 @@ from los_testbed.config import RunConfig, parse_value, physical_hash, read_yaml
         ({"mode": "fast"}, ["mode", "realtime", "'fast'"]),
         ({"scenario": 3}, ["scenario", "design"]),
         ({"noise": 1}, ["noise", "true or false", "1"]),
-        ({"wheel_speed": [1.0, 2.0]}, ["wheel_speed", "hold 4 numbers", "2"]),
         ({"wheel_speed": 100.0}, ["wheel_speed", "list"]),
         ({"wheel_speed": [1.0, 2.0, 3.0, math.nan]}, ["wheel_speed", "between"]),
         ({"camera_dropout": 1.1}, ["camera_dropout", "between 0 and 1"]),

@@ -226,7 +226,7 @@ PARAMETERS = [
     ('[payload]\nmodal_data = "none.toml"', ["payload.modal_data", "none.toml", "No such file"]),
     ("[optics]\nmirror_distance = 3.0", ["mirror distance", "1.8 m", "3.0"]),
     ("[attitude_control]\nbandwidth = -0.06", ["line 2", "'attitude_control.bandwidth'", "-0.06"]),
-    ("[reaction_wheel]\ncant_deg = 0.0", ["attitude control", "spin_axes", "rank 3", "rank 2"]),
+    ("[reaction_wheel]\ncant_deg = 0.0", ["line 1", "'reaction_wheel'", "span the space", "rank 2"]),
     ("[materials.cfrp]\nE = -1.0", ["line 2", "'materials.cfrp.E'", "-1.0"]),
     ("[wheels]\nmass = 1.0", ["line 1", "unknown parameter 'wheels'", "reaction_wheel"]),
 ]

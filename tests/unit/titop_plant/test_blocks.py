@@ -15,10 +15,10 @@ from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import Isolator, MountedActuator, actuated_platform, isolator
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
+from titop_plant.blocks.pyramid import pyramid_axes
 from titop_plant.blocks.reaction_wheel import (
     MountedWheel,
     ReactionWheel,
-    pyramid_axes,
     reaction_wheel,
     spin_frame,
     wheel_assembly,

@@ -10,13 +10,14 @@ import pytest
 from scipy import signal as spectra
 
 from lftkit.arrays import FloatArray
+from lftkit.systems.ports import port_slices
 from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
-from titop_plant.simulation.sources.places import ALL_PLACES, COLUMNS, NODES, place_matrix
+from titop_plant.simulation.sources.places import all_places, nodes, place_matrix, source_ports
 from titop_plant.simulation.sources.signals import (
     PulseSignal,
     SampledSignal,
@@ -129,14 +130,14 @@ def test_a_slow_record_is_read_between_its_samples() -> None:
     assert np.allclose(one.tick(1234, INSTANTS)[:, 0], np.sin(2 * np.pi * 31.0 * times), atol=1e-6)
 
 
-@pytest.mark.parametrize("place", ["bus", *NODES])
+@pytest.mark.parametrize("place", ["bus", *nodes(PARAMETERS)])
 def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.PlantFamily, place: str) -> None:
     """The attitude's answer to a torque about z is the same wherever the torque acts, below all modes."""
     tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
     low = []
     for one in ("bus", place):
         telescope = drive._loaded(None, True).system[
-            "attitude", "load_" + NODES[one] if one != "bus" else "external_wrench"
+            "attitude", "load_" + nodes(PARAMETERS)[one] if one != "bus" else "external_wrench"
         ]
         data = telescope.at({})
         w = 1e-3
@@ -149,7 +150,7 @@ def test_frames_and_offsets() -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     force_x = np.eye(6)[0]
     wrench = place_matrix("bus", PARAMETERS, turn, np.array([0.0, 2.0, 0.0])) @ force_x
-    found = wrench[COLUMNS["external_wrench"]]
+    found = wrench[port_slices(source_ports(PARAMETERS))["external_wrench"]]
     assert np.allclose(found, [0.0, 1.0, 0.0, 0.0, 0.0, -2.0])  # along y of the body; torque = 2 e_y x e_x, turned
     own, body = (place_matrix("wheel_1", PARAMETERS, frame) for frame in (None, np.eye(3)))
     assert np.allclose(np.linalg.norm(own[:, :3], axis=0), 1.0) and not np.allclose(own, body)
@@ -161,7 +162,8 @@ def test_frames_and_offsets() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             place_matrix(place, PARAMETERS, **options)
-    assert len(set(ALL_PLACES)) == len(ALL_PLACES)
+    places = all_places(PARAMETERS)
+    assert len(set(places)) == len(places) == 15
 
 
 def test_noise_has_the_density_that_was_asked_for() -> None:

@@ -70,7 +70,7 @@ def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> No
     profile, tones = motion(crossing, family.parameters), plant._moving
 
     def system(time: float) -> tuple[System, np.ndarray]:
-        data = family.control_loop.at(values_along(crossing, profile, time))
+        data = family.control_loop.at(values_along(crossing, profile, time, family.parameters))
         return data, (tones.unit.amplitude @ tones.phasors(time)).imag
 
     def slope(time: float, state: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
     plant, family = build_plant(ramp), PlantFamily.of(ramp)
     assert isinstance(plant, RampedPlant)
     for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
-        values = values_along(ramp, motion(ramp, family.parameters), row[0])
+        values = values_along(ramp, motion(ramp, family.parameters), row[0], family.parameters)
         poles = linalg.eigvals(family.control_loop.at(values).A)
         light = np.sort(poles.imag[(poles.imag > 0.0) & (-poles.real < 0.1 * np.abs(poles)) & (poles.imag < 2500.0)])
         found = np.array([w for w in row[1:] if w < 2500.0])

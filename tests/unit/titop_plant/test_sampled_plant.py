@@ -231,7 +231,6 @@ def test_sampling_without_tones_is_the_matrix_exponential() -> None:
         ({"camera_rate": 0.0}, "camera_rate must be between 1 and 1000 Hz, got 0"),
         ({"scenario": "quiet"}, "scenario must be one of worst_case, unit_norm, design, imbalance, ramp, got 'quiet'"),
         ({"camera_dropout": 1.5}, "camera_dropout must be between 0 and 1, got 1.5"),
-        ({"wheel_speed": (1.0, 2.0)}, "wheel_speed must hold 4 numbers, got 2"),
         ({"seed": -1}, "seed must be between 0 and .*, got -1"),
         ({"ramp_duration": -1.0}, "ramp_duration must be between 0 and 86400 s, got -1"),
     ],
@@ -244,5 +243,7 @@ def test_bad_configurations(change: dict, message: str) -> None:
 def test_a_parameter_beyond_its_range_is_named() -> None:
     with pytest.raises(ValueError, match=r"parameter 'wheel_2\.speed' must be in"):
         build_plant(PlantConfig(scenario="design", wheel_speed=(0.0, 5000.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="wheel_speed must hold 4 numbers, got 2"):
+        build_plant(PlantConfig(scenario="design", wheel_speed=(1.0, 2.0)))
     with pytest.raises(ValueError, match=r"'solar_array.omega_1'"):
         build_plant(PlantConfig(scenario="design", omega_1=2.0))

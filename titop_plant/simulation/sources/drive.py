@@ -19,8 +19,7 @@ from lftkit.arrays import FloatArray
 from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.simulation.sources.places import NODES as LOADED
-from titop_plant.simulation.sources.places import PORTS
+from titop_plant.simulation.sources.places import loaded_nodes, source_ports
 from titop_plant.simulation.sources.signals import Signal
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import with_sensors
@@ -59,7 +58,8 @@ class PlacedSource:
 
 @lru_cache(maxsize=2)
 def _loaded(path: str | None, isolated: bool) -> Telescope:
-    return build_telescope(load_parameters(path or REFERENCE), isolated=isolated, loads=tuple(LOADED.values()))
+    parameters = load_parameters(path or REFERENCE)
+    return build_telescope(parameters, isolated=isolated, loads=loaded_nodes(parameters))
 
 
 def source_matrix(
@@ -82,7 +82,9 @@ def source_matrix(
         Columns: source, then instant, then axis.
     """
     whole = with_sensors(_loaded(family.path, family.isolated).system, family.parameters)
-    chosen = whole.select(inputs=tuple(p.name for p in PORTS), outputs=(*MEASURED, "los_controlled"))
+    chosen = whole.select(
+        inputs=tuple(p.name for p in source_ports(family.parameters)), outputs=(*MEASURED, "los_controlled")
+    )
     data = chosen.at(parameter_values(config, family.parameters))
     B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
     pushes = _integrals(data.A, B, dt)

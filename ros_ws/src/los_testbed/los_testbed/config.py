@@ -215,6 +215,8 @@ def parse_value(name: str, text: str) -> Any:
         raise ValueError(unknown(name, RunConfig.SETTINGS))
     if RunConfig.SETTINGS[name].kind is str:
         return text
+    if RunConfig.SETTINGS[name].kind is tuple and "[" not in text:
+        text = f"[{', '.join(text.split())}]"
     return load_yaml(text, name)
 
 
@@ -225,6 +227,8 @@ def physical_hash(config: RunConfig) -> str:
     values = {name: plain[name] for name in (*PhysicalSettings.SETTINGS, "worst_of", *changed)}
     if config.profile == RunConfig.SETTINGS["profile"].default:  # bags from before there were profiles keep their hash
         del values["profile"]
+    if config.frequencies is None:  # nor were there these
+        del values["frequencies"]
     del values["tau"]
     values["theta"], values["isolated"] = config.array_angle, config.loop != "none"
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

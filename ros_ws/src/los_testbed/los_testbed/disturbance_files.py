@@ -68,11 +68,17 @@ COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
 
 @dataclass(frozen=True)
 class Run:
-    """What of a run its sources depend on: wheel speeds [rad/s], length [s], seed."""
+    """What of a run its sources depend on: wheel speeds [rad/s], length [s], seed, names of the wheels."""
 
     speeds: tuple[float, ...]
     duration: float
     seed: int
+    names: tuple[str, ...] = ()
+
+    def speed_at(self, place: str) -> float | None:
+        """Speed of the wheel at a place [rad/s]; None where there is no wheel."""
+        places = {f"wheel_{i}": speed for i, speed in enumerate(self.speeds, start=1)}
+        return {**places, **dict(zip(self.names, self.speeds))}.get(place)
 
 
 @dataclass(frozen=True)
@@ -226,9 +232,6 @@ def _frame(frame: Any) -> FloatArray | None:
         raise ValueError(f"frame must be own, body or three rows of three numbers, got {frame!r}") from None
 
 
-WHEEL_PLACES = tuple(f"wheel_{i}" for i in range(1, 5))
-
-
 def _rng(entry: Entry, run: Run) -> np.random.Generator:
     key = zlib.crc32(str(entry.table["name"]).encode())
     return np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(98, key)))
@@ -326,8 +329,8 @@ def _speed(entry: Entry, run: Run) -> float:
     place = entry.table.get("place", "bus")
     if "speed" in entry.table:
         return entry.number("speed")
-    if place in WHEEL_PLACES:
-        return run.speeds[WHEEL_PLACES.index(place)]
+    if (speed := run.speed_at(str(place))) is not None:
+        return speed
     raise entry.error(f"speed must be given [rad/s] at {place}, which is no wheel, got none")
 
 

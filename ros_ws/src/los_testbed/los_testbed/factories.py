@@ -325,9 +325,11 @@ class RunParts:
             return ()
         from los_testbed.disturbance_files import Run, make_sources
         from titop_plant.simulation.plant_config import motion
+        from titop_plant.telescope.layout import reaction_wheels
 
         speeds = motion(self.settings, self.parameters).speeds(0.0)
-        run = Run(tuple(map(float, speeds)), self.config.duration, self.config.seed)
+        names = tuple(wheel.name for wheel in reaction_wheels(self.parameters))
+        run = Run(tuple(map(float, speeds)), self.config.duration, self.config.seed, names)
         return make_sources(self._entries, self.parameters, run)
 
     @property

@@ -8,7 +8,7 @@ setting             step                          content
 ==================  ============================  ==========================================================
 k_fsm               step(measurement, out)        22 measurements to 2 angles; the camera's are NaN between frames
 k_pma               step(accel_Ip, out)           6 accelerations to 6 forces [N], limited afterwards
-disturbance_source  step(out)                     28 forces and torques, :mod:`titop_plant.simulation.driven_plant`
+disturbance_source  step(out)                     forces and torques, :mod:`titop_plant.simulation.driven_plant`
 ==================  ============================  ==========================================================
 """
 
@@ -255,9 +255,11 @@ def make_disturbance(config: RunConfig) -> UserBlock:
     ValueError
         It cannot be made, or breaks the contract.
     """
-    from titop_plant.simulation.driven_plant import DISTURBANCE_PORTS
+    from titop_plant.simulation.driven_plant import driven_ports
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
+    ports = driven_ports(load_parameters(config.parameters or REFERENCE))
     setting = "disturbance_source"
-    made = UserBlock(setting, str(config.disturbance_source), make(config, setting), (), DISTURBANCE_PORTS)
+    made = UserBlock(setting, str(config.disturbance_source), make(config, setting), (), ports)
     made.check()
     return made

@@ -1,8 +1,8 @@
 """Members of the telescope's uncertain family: ranges, random ones, named cases.
 
-What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the four wheels
-(``wheel_speed`` [rad/s]) and the first two frequencies of the arrays (``omega_1``, ``omega_2`` [rad/s]). The
-ranges are those of the parameter file.
+What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the wheels
+(``wheel_speed`` [rad/s]) and uncertain frequencies (``omega_1``, ``omega_2`` [rad/s] of the first array and those like
+it, or ``frequencies`` of all arrays and appendages). The ranges are those of the parameter file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.config import RunConfig, is_code, read_yaml
-from titop_plant.interface import MIRROR_STAGES
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, STAGES
 from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
 
-MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2")
+MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies")
 """Settings that choose a member of the family."""
 
 WORST_POINTS = "worst_points.json"
@@ -73,39 +73,54 @@ def check_ranges(config: RunConfig, parameters: Parameters | None = None) -> Non
         ...
     ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
+    from titop_plant.simulation.plant_config import check_wheels, frequencies
+    from titop_plant.telescope.layout import ANGLE, default_speeds
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
 
     parameters = load_parameters(config.parameters or REFERENCE) if parameters is None else parameters
     table = uncertain_parameters(parameters)
-    for i in (1, 2):
-        omega = getattr(config, f"omega_{i}")
-        if omega is not None:
-            _within(f"omega_{i}", table[f"solar_array.omega_{i}"], omega)
+    if config.loop in FORCE_STAGES and not parameters["pma"]["azimuths_deg"]:
+        others = ", ".join(stage for stage in STAGES if stage not in FORCE_STAGES)
+        raise ValueError(f"loop must be one of {others} without proof-mass actuators, got {config.loop}")
+    for name, omega in frequencies(config, parameters).items():
+        _within(_setting_of(name, config), table[name], omega)
+    check_wheels(config, parameters)
     if config.profile not in PROFILES:
-        _check_profile(config, table)
+        _check_profile(config, parameters, table)
         return
-    tau, turn = table["solar_array.tau"], config.theta_rate * config.ramp_duration
-    if config.tau is not None:
-        _within("tau", tau, config.tau)
-    low, high = 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper)
-    for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
-        _between("theta", low, high, "rad", angle, when)
+    turn = config.theta_rate * config.ramp_duration
+    if ANGLE in table:
+        if config.tau is not None:
+            _within("tau", table[ANGLE], config.tau)
+        for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
+            _within_angle(table[ANGLE], angle, when)
     for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
-        speeds = config.wheel_speed or parameters["reaction_wheel"]["default_speed"]
+        speeds = config.wheel_speed or default_speeds(parameters)
         for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
             end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
 
 
-def _check_profile(config: RunConfig, table: Mapping[str, RealParameter]) -> None:
-    profile, tau = read_profile(Path(config.profile)), table["solar_array.tau"]
-    for time, theta, *speeds in profile.table():
+def _check_profile(config: RunConfig, parameters: Parameters, table: Mapping[str, RealParameter]) -> None:
+    from titop_plant.telescope.layout import ANGLE, wheel_count
+
+    for time, theta, *speeds in read_profile(Path(config.profile), wheel_count(parameters)).table():
         when = f" at {time:g} s of {config.profile}"
-        _between("theta", 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper), "rad", theta, when)
+        if ANGLE in table:
+            _within_angle(table[ANGLE], theta, when)
         for i, speed in enumerate(speeds, start=1):
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed, when)
+
+
+def _setting_of(name: str, config: RunConfig) -> str:
+    """Setting that gives an uncertain frequency."""
+    return name.rpartition(".")[2] if config.frequencies is None else f"frequencies ({name})"
+
+
+def _within_angle(tau: RealParameter, angle: float, when: str) -> None:
+    _between("theta", 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper), "rad", angle, when)
 
 
 def _within(name: str, parameter: RealParameter, value: float, when: str = "") -> None:
@@ -134,7 +149,7 @@ def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``tau``, ``wheel_speed`` [rad/s], ``omega_1``, ``omega_2`` [rad/s].
+        As :func:`member_settings`.
 
     Raises
     ------
@@ -152,17 +167,32 @@ def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
         raise ValueError(f"sample must be a seed that is not negative, got {seed}")
     rng = np.random.default_rng(seed)
     drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
-    return _settings(drawn)
+    return member_settings(drawn)
 
 
-def _settings(values: Mapping[str, float]) -> dict[str, Any]:
-    """Values of the uncertain parameters as settings of a run."""
-    return {
-        "tau": values["solar_array.tau"],
-        "wheel_speed": [values[f"wheel_{i}.speed"] for i in range(1, 5)],
-        "omega_1": values["solar_array.omega_1"],
-        "omega_2": values["solar_array.omega_2"],
-    }
+def member_settings(values: Mapping[str, float]) -> dict[str, Any]:
+    """Values of the uncertain parameters as settings of a run.
+
+    Returns
+    -------
+    dict
+        ``wheel_speed`` [rad/s]; ``tau`` where an array turns; of the reference's parameters ``omega_1``, ``omega_2``,
+        else ``frequencies`` [rad/s] in the order of Delta.
+
+    Examples
+    --------
+    >>> member_settings({"wheel_1.speed": 2.0, "boom.omega_1": 3.0})
+    {'wheel_speed': [2.0], 'frequencies': [3.0]}
+    """
+    angles = [value for name, value in values.items() if name.endswith(".tau")]
+    found: dict[str, Any] = {"tau": angles[0]} if angles else {}
+    found["wheel_speed"] = [value for name, value in values.items() if name.endswith(".speed")]
+    omegas = {name: value for name, value in values.items() if ".omega_" in name}
+    if tuple(omegas) == ("solar_array.omega_1", "solar_array.omega_2"):
+        found |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
+    elif omegas:
+        found["frequencies"] = list(omegas.values())
+    return found
 
 
 def worst_member(loop: str, worst_of: str, parameters: str | None = None, designs: str = "") -> dict[str, Any]:
@@ -200,7 +230,7 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         content = json.loads(read_ordinary_file(path))
         if content["parameters_hash"] != used:
             return {}
-        return _settings(content["stages"][loop][worst_of]["parameters"])
+        return member_settings(content["stages"][loop][worst_of]["parameters"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
 

@@ -30,6 +30,10 @@ _SEEDS = 2**31 - 1
 def box(parameters: str | None = None) -> dict[str, tuple[float, float]]:
     """Range of each of `COLUMNS` for a parameter file, or for the reference telescope."""
     table = family(parameters)
+    if set(table) != set(DELTA):
+        raise ValueError(
+            f"a campaign must be of a telescope with the parameters {', '.join(DELTA)}, got {', '.join(table)}"
+        )
     return {column: (table[name].lower, table[name].upper) for column, name in zip(COLUMNS, DELTA)}
 
 

@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from types import GenericAlias
 from typing import Annotated, Any
 
 import typer
@@ -36,7 +35,7 @@ DesignSeed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
 METAVARS = {"s": "SECONDS", "Hz": "HERTZ", "rad": "RADIANS", "rad/s": "RAD/S", "N": "NEWTONS", "ms": "TICKS"}
 """What stands for a number in the help, by its unit."""
 
-WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT"}
+WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", tuple: "NUMBER"}
 
 PLANT_PANEL = "Telescope, disturbance, sensors"
 """Heading of the physical settings in the help."""
@@ -52,7 +51,9 @@ def option(name: str, **more: Any) -> Any:
         As :func:`typer.Option` takes them.
     """
     own = RunConfig.SETTINGS[name]
-    metavar = None if own.kind in (bool, tuple) else METAVARS.get(own.unit, WORDS[own.kind])
+    metavar = None if own.kind is bool else METAVARS.get(own.unit, WORDS[own.kind])
+    if own.kind is tuple:
+        metavar = f"{metavar} ..."
     return typer.Option(**{"metavar": metavar, "help": help_text(own), "show_default": False, **more})
 
 
@@ -83,7 +84,8 @@ def with_settings(
 
     It gets their values as ``given``, ``None`` where an option is not given.
 
-    The values are texts, but for switches and lists of numbers: :func:`los_testbed.config.parse_value` reads them.
+    The values are texts, but for switches; a list is its numbers with spaces between them:
+    :func:`los_testbed.config.parse_value` reads them.
     """
     names = [name for name in RunConfig.SETTINGS if name not in without]
 
@@ -109,8 +111,6 @@ def _parameter(name: str, metavars: Mapping[str, str]) -> inspect.Parameter:
     """Parameter of a command for a setting; None where the option is not given."""
     own = RunConfig.SETTINGS[name]
     kind: Any = bool if own.kind is bool else str
-    if own.length is not None:
-        kind = GenericAlias(tuple, (float,) * own.length)
     panel = PLANT_PANEL if name in PhysicalSettings.SETTINGS else None
     more = {"metavar": metavars[name]} if name in metavars else {}
     made = Annotated[kind | None, option(name, rich_help_panel=panel, **more)]

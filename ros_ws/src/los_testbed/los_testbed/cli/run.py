@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -345,8 +346,19 @@ def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
     return found
 
 
+LISTS = tuple("--" + name.replace("_", "-") for name, own in RunConfig.SETTINGS.items() if own.length is not None)
+"""Options with as many numbers as the telescope has wheels, or frequencies."""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 def with_lone_options(arguments: Sequence[str]) -> list[str]:
-    """The command line with the values of ``--live`` and ``--disturbance`` where they stand alone.
+    """The command line with the values of ``--live`` and ``--disturbance`` where they stand alone, and lists in one.
 
     Examples
     --------
@@ -354,10 +366,14 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     (['run', '--live=8765', '--seed', '3'], ['run', '--live', '9000'])
     >>> with_lone_options(["run", "--disturbance", "--noise"]), with_lone_options(["run", "--disturbance", "my:Wind"])
     (['run', '--disturbance=on', '--noise'], ['run', '--disturbance', 'my:Wind'])
+    >>> with_lone_options(["run", "--wheel-speed", "200", "-210.5", "--seed", "3"])
+    ['run', '--wheel-speed=200 -210.5', '--seed', '3']
     """
-    given = []
+    given: list[str] = []
     for a, b in zip(arguments, [*arguments[1:], ""]):
-        if a == "--live" and not b.lstrip("+-").isdigit():
+        if given and given[-1].partition("=")[0] in LISTS and _is_number(a):
+            given[-1] += f" {a}" if "=" in given[-1] else f"={a}"
+        elif a == "--live" and not b.lstrip("+-").isdigit():
             given.append(f"--live={LIVE_PORT}")
         elif a == "--disturbance" and (not b or b.startswith("-")):
             given.append(f"--disturbance={DISTURBANCE_ON}")

@@ -1,0 +1,259 @@
+"""What is mounted on the spacecraft: solar arrays, reaction wheels and flexible appendages of a parameter file.
+
+Any number of each may be there. A file gives solar arrays and wheels in one of two forms:
+
+=========================  ==========================================================================================
+``[solar_array]``          one kind of array, one at each point P that has a ``dcm_P``; they share their parameters
+``[[solar_array]]``        one table an array, each with its own data, drive and parameters
+``[reaction_wheel]``       one kind of wheel, in a pyramid of as many as there are ``azimuths_deg``
+``[[reaction_wheel]]``     one table a wheel, each with its axis
+``[[appendage]]``          one table a flexible body without a drive, such as an antenna
+=========================  ==========================================================================================
+
+The rest of the project asks the functions of this module how many there are, where, and with which parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from titop_plant import ports
+from titop_plant.blocks.pyramid import pyramid_axes
+
+ARRAYS, WHEELS, APPENDAGES = "solar_array", "reaction_wheel", "appendage"
+"""Tables of a parameter file."""
+
+ANGLE = f"{ARRAYS}.tau"
+"""Parameter tan(theta / 4) of all arrays that turn: they follow the Sun together."""
+
+WHEEL_IMBALANCE, WHEEL_TORQUE, SADM_TORQUE = "wheel_imbalance", "wheel_torque", "sadm_torque"
+"""Names of the input ports whose size depends on what is mounted."""
+
+IMBALANCE_CHANNELS = 5
+"""Forces x, y, z and torques x, y of one wheel."""
+
+DRIVE = ("gearbox_stiffness", "gearbox_damping", "torque_bound")
+"""Values of a drive, which a table of an array may give in place of those of ``[sadm]``."""
+
+
+@dataclass(frozen=True)
+class MountedBody:
+    """A flexible body at a point of the central body.
+
+    Parameters
+    ----------
+    name : str
+    point : str
+        Of the central body.
+    parameters : str
+        Beginning of the names of its uncertain parameters; bodies with the same one share them.
+    table : mapping
+        Its data, see docs/your_spacecraft.md.
+    dcm : ndarray, shape (3, 3)
+        From the spacecraft's frame to the body's own.
+    """
+
+    name: str
+    point: str
+    parameters: str
+    table: Mapping[str, Any] = field(repr=False)
+    dcm: FloatArray = field(repr=False)
+
+    @property
+    def driven(self) -> bool:
+        """Whether it turns on a drive, whose torque disturbs and whose gearbox is elastic."""
+        return bool(self.table.get("driven", True)) and "drive_axis" in self.table
+
+    @property
+    def turns(self) -> bool:
+        """Whether its angle is the parameter `ANGLE`."""
+        low, high = self.table.get("theta_range", (0.0, 0.0))
+        return self.driven and low < high
+
+
+@dataclass(frozen=True)
+class WheelOnBoard:
+    """A reaction wheel of the assembly at the point ``I_w``.
+
+    Parameters
+    ----------
+    name : str
+    mass, axial_inertia, radial_inertia : float
+        kg, kg m2.
+    axis : ndarray, shape (3,)
+        Of the spin, in the spacecraft's frame, a unit vector.
+    position : ndarray, shape (3,)
+        Its centre, from ``I_w`` [m].
+    maximum_speed, default_speed : float
+        rad/s.
+    """
+
+    name: str
+    mass: float
+    axial_inertia: float
+    radial_inertia: float
+    axis: FloatArray = field(repr=False)
+    position: FloatArray = field(repr=False)
+    maximum_speed: float
+    default_speed: float
+
+
+def solar_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+    """Solar arrays of a parameter file, in its order.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> [(array.name, array.point, array.parameters) for array in solar_arrays(load_parameters())]
+    [('array_1', 'A1', 'solar_array'), ('array_2', 'A2', 'solar_array')]
+    """
+    given = parameters[ARRAYS]
+    drive = {key: parameters["sadm"][key] for key in DRIVE}
+    if not isinstance(given, Mapping):
+        return tuple(_mounted(table, drive) for table in given)
+    points = [key.removeprefix("dcm_") for key in given if key.startswith("dcm_")]
+    table = {**drive, **given}
+    return tuple(
+        MountedBody(f"array_{i}", point, ARRAYS, table, np.array(given[f"dcm_{point}"], dtype=float))
+        for i, point in enumerate(points, start=1)
+    )
+
+
+def appendages(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+    """Flexible bodies without a drive, in the order of the file."""
+    return tuple(_mounted(table, {}) for table in parameters.get(APPENDAGES, ()))
+
+
+def _mounted(table: Mapping[str, Any], drive: Mapping[str, Any]) -> MountedBody:
+    dcm = np.array(table.get("dcm", np.eye(3)), dtype=float)
+    own = str(table.get("parameters", table["name"]))
+    return MountedBody(str(table["name"]), str(table["point"]), own, {**drive, **table}, dcm)
+
+
+def driven_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+    """Solar arrays with a drive: one signal of ``sadm_torque`` each."""
+    return tuple(array for array in solar_arrays(parameters) if array.driven)
+
+
+def arrays_turn(parameters: Mapping[str, Any]) -> bool:
+    """Whether the telescope has the parameter `ANGLE`."""
+    return any(array.turns for array in solar_arrays(parameters))
+
+
+def mounted_points(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Points of the central body where arrays and appendages are, each once."""
+    bodies = (*solar_arrays(parameters), *appendages(parameters))
+    return tuple(dict.fromkeys(body.point for body in bodies))
+
+
+def reaction_wheels(parameters: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
+    """Reaction wheels of a parameter file, in its order.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> len(reaction_wheels(load_parameters()))
+    4
+    """
+    given = parameters[WHEELS]
+    if isinstance(given, Mapping):
+        return _pyramid(given)
+    return tuple(
+        _wheel(table, str(table["name"]), _direction(table["axis"]), table["position"], table["default_speed"])
+        for table in given
+    )
+
+
+def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: ArrayLike, speed: float) -> WheelOnBoard:
+    """A wheel of the kind that a table describes."""
+    mass, axial, radial = (float(table[key]) for key in ("mass", "axial_inertia", "radial_inertia"))
+    place = np.array(position, dtype=float)
+    return WheelOnBoard(name, mass, axial, radial, axis, place, float(table["maximum_speed"]), float(speed))
+
+
+def _direction(axis: Sequence[float]) -> FloatArray:
+    """Unit vector."""
+    vector = np.array(axis, dtype=float)
+    return np.asarray(vector / math.sqrt(vector @ vector))
+
+
+def _pyramid(table: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
+    """Wheels of one kind about +z."""
+    azimuths = np.radians(table["azimuths_deg"])
+    axes = pyramid_axes(math.radians(table["cant_deg"]), azimuths.tolist()).T
+    found = []
+    for i, (azimuth, axis, speed) in enumerate(zip(azimuths, axes, table["default_speed"]), start=1):
+        position = table["mounting_radius"] * np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        found.append(_wheel(table, f"wheel_{i}", axis, position, speed))
+    return tuple(found)
+
+
+def wheel_axes(parameters: Mapping[str, Any]) -> FloatArray:
+    """Spin axes Gamma, shape (3, n), body frame."""
+    return np.array([wheel.axis for wheel in reaction_wheels(parameters)]).T
+
+
+def speed_names(count: int) -> tuple[str, ...]:
+    """Names of the parameters of so many wheels.
+
+    Examples
+    --------
+    >>> speed_names(2)
+    ('wheel_1.speed', 'wheel_2.speed')
+    """
+    return tuple(f"wheel_{i}.speed" for i in range(1, count + 1))
+
+
+def wheel_count(parameters: Mapping[str, Any]) -> int:
+    """Number of reaction wheels."""
+    given = parameters[WHEELS]
+    return len(given["azimuths_deg"]) if isinstance(given, Mapping) else len(given)
+
+
+def default_speeds(parameters: Mapping[str, Any]) -> tuple[float, ...]:
+    """Speeds of the wheels in the parameter file [rad/s]."""
+    return tuple(wheel.default_speed for wheel in reaction_wheels(parameters))
+
+
+def torque_bounds(parameters: Mapping[str, Any]) -> FloatArray:
+    """Largest disturbance torque of each array drive [Nm], shape (drives,)."""
+    return np.array([float(array.table["torque_bound"]) for array in driven_arrays(parameters)])
+
+
+def imbalance_port(wheels: int) -> Port:
+    """Port of the imbalance of so many wheels."""
+    unit = ",".join([ports.IMBALANCE_UNIT] * wheels)
+    return Port(WHEEL_IMBALANCE, IMBALANCE_CHANNELS * wheels, unit)
+
+
+def disturbance_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
+    """Inputs of micro-vibrations: imbalance of the wheels and, where there are drives, their torques."""
+    drives = len(driven_arrays(parameters))
+    found = [imbalance_port(wheel_count(parameters))]
+    return (*found, Port(SADM_TORQUE, drives, "Nm")) if drives else tuple(found)
+
+
+def channels(parameters: Mapping[str, Any]) -> int:
+    """Number of micro-vibration inputs.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> channels(load_parameters())
+    22
+    """
+    return IMBALANCE_CHANNELS * wheel_count(parameters) + len(driven_arrays(parameters))
+
+
+def present(names: Sequence[str], available: Sequence[Port]) -> tuple[str, ...]:
+    """Those of some ports that a system has: one without drives has no ``sadm_torque``."""
+    have = {port.name for port in available}
+    return tuple(name for name in names if name in have)

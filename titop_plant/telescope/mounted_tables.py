@@ -1,0 +1,305 @@
+"""Checks of the tables of a user's file that say what is on board: ``[[solar_array]]`` and the like."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from titop_plant.structures.kinematics import check_rotation
+from titop_plant.structures.modal_file import read_modal_data
+from titop_plant.telescope.layout import (
+    APPENDAGES,
+    ARRAYS,
+    DRIVE,
+    WHEELS,
+    appendages,
+    reaction_wheels,
+    solar_arrays,
+    wheel_axes,
+)
+from titop_plant.telescope.parameter_check import ParameterFile
+
+Table = dict[str, Any]
+
+PMA_AZIMUTHS = 3
+"""Azimuths of the proof-mass actuators, two at each: the command has room for their forces."""
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NUMBERED = re.compile(r"(wheel|array|drive)_\d+")
+RESERVED = frozenset(
+    {"G", "bus", "body", "wheels", "isolator", "platform", "payload", "fsm", "optics", "steering", "sadm_split"}
+    | {"sadm_join", "M1", "M2", "DET", "detector"}
+)
+"""Names of other bodies and places."""
+
+_MODES = {
+    "mass": 0.0,
+    "inertia_at_cg": [[0.0] * 3] * 3,
+    "center_of_mass": [0.0] * 3,
+    "frequencies": [0.0],
+    "damping": 0.0,
+    "participation": [[0.0] * 6],
+}
+_BODY: Mapping[str, Any] = {
+    "name": "",
+    "point": "",
+    "like": "",
+    "parameters": "",
+    "modal_data": "",
+    **_MODES,
+    "further_modes": [],
+    "relative_uncertainty": 0.0,
+    "uncertain_modes": 0,
+    "dcm": [[0.0] * 3] * 3,
+}
+_WHEEL: Mapping[str, Any] = {
+    "name": "",
+    "axis": [0.0] * 3,
+    "position": [0.0] * 3,
+    "mass": 0.0,
+    "axial_inertia": 0.0,
+    "radial_inertia": 0.0,
+    "maximum_speed": 0.0,
+    "default_speed": 0.0,
+}
+KEYS: Mapping[str, Mapping[str, Any]] = {
+    ARRAYS: {**_BODY, "driven": True, "drive_axis": [0.0] * 3, "theta_range": [0.0] * 2, **dict.fromkeys(DRIVE, 0.0)},
+    APPENDAGES: _BODY,
+    WHEELS: _WHEEL,
+}
+"""Keys of each kind of table, each with a value of the kind that it must have."""
+
+_GROWING = ("frequencies", "participation")
+REFERENCE_KIND = "reference"
+"""What ``like`` may name beside an earlier body: the array of the reference telescope."""
+
+
+def take_mounted(own: Table) -> dict[str, Any]:
+    """Take the lists of what is on board out of a user's file."""
+    lists = {name: own[name] for name in (ARRAYS, WHEELS) if isinstance(own.get(name), list)}
+    if APPENDAGES in own:
+        lists[APPENDAGES] = own[APPENDAGES]
+    for name in lists:
+        del own[name]
+    return lists
+
+
+def checked_layout(
+    given: Mapping[str, Any], merged: Mapping[str, Any], reference: Mapping[str, Any], file: ParameterFile
+) -> Table:
+    """The lists of a user's file, complete.
+
+    Parameters
+    ----------
+    given : mapping
+        What `take_mounted` found.
+    merged : mapping
+        The other tables of the file, merged with the reference.
+    reference : mapping
+        Content of the reference file: kind of array and of wheel that entries may take values from.
+    file : ParameterFile
+        For the messages.
+
+    Raises
+    ------
+    ValueError
+        A key or value that does not fit, a missing one, a name used twice, an unknown point, an array without modes,
+        bodies that share parameters of different values, wheels that do not span the space.
+    """
+    complete: Table = {}
+    for kind, tables in given.items():
+        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+            raise file.error(kind, f"must be tables [[{kind}]], got {tables!r}")
+        complete[kind] = _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, reference, file)
+    whole = {**merged, **complete}
+    _check_names(whole, file)
+    _check_points(whole, file)
+    _check_shared(whole, file)
+    _check_wheels(whole, file)
+    azimuths = whole["pma"]["azimuths_deg"]
+    if len(azimuths) not in (0, PMA_AZIMUTHS):
+        raise file.error("pma.azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(azimuths)}")
+    return complete
+
+
+def _check_keys(kind: str, i: int, table: Table, file: ParameterFile) -> None:
+    """Refuse unknown keys and values of another kind than those of `KEYS`."""
+    known, name = KEYS[kind], f"{kind}[{i}]"
+    for key, value in table.items():
+        if key not in known:
+            raise file.error(f"{name}.{key}", f"expected one of: {', '.join(known)}")
+        like = known[key]
+        if isinstance(like, bool):
+            if not isinstance(value, bool):
+                raise file.error(f"{name}.{key}", f"must be true or false, got {value!r}")
+            continue
+        if key in _GROWING and isinstance(value, list):
+            like = like * max(len(value), 1)
+        file.check(f"{name}.{key}", key, like, value)
+    own = table.get("name")
+    if not own:
+        raise file.error(name, "has no 'name'")
+    if not _NAME.fullmatch(own):
+        raise file.error(f"{name}.name", f"must be letters, digits and _, a letter first, got {own!r}")
+
+
+def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+    """Tables of arrays or appendages with what ``like`` names, and files beside the parameter file."""
+    found: dict[str, Table] = {}
+    for i, table in enumerate(tables):
+        _check_keys(kind, i, table, file)
+        name = f"{kind}[{i}]"
+        if table["name"] in found:
+            raise file.error(f"{name}.name", f"must be given once, got {table['name']!r} twice")
+        if not table.get("point"):
+            raise file.error(name, "has no 'point'")
+        full = {**_model(kind, name, table, found, reference, file), **table}
+        full.pop("like", None)
+        _check_modes(name, full, file)
+        if kind == ARRAYS:
+            drive = {key: reference[ARRAYS][key] for key in ("drive_axis", "theta_range")}
+            full = {**drive, **full}
+            _check_angle(name, full, file)
+        if full.get("modal_data") and "modal_data" in table:
+            full["modal_data"] = str(Path(file.path).parent / full["modal_data"])
+            _check_modal_file(name, full, file)
+        if "dcm" in full:
+            try:
+                check_rotation(np.array(full["dcm"], dtype=float), "dcm")
+            except ValueError as error:
+                raise file.error(f"{name}.dcm", str(error).removeprefix("dcm ")) from None
+        found[full["name"]] = full
+    return list(found.values())
+
+
+def _model(
+    kind: str, name: str, table: Table, found: Mapping[str, Table], reference: Mapping[str, Any], file: ParameterFile
+) -> Table:
+    """Values that the body takes from the one it is like."""
+    if "like" not in table:
+        return {}
+    like = table["like"]
+    if like in found:
+        return {key: value for key, value in found[like].items() if key not in ("name", "parameters")}
+    choices = [*found, *([REFERENCE_KIND] if kind == ARRAYS else [])]
+    if like not in choices:
+        raise file.error(f"{name}.like", f"must be one of {', '.join(choices) or 'the bodies before it'}, got {like!r}")
+    values = {key: value for key, value in reference[ARRAYS].items() if not key.startswith("dcm_")}
+    dcm = reference[ARRAYS].get(f"dcm_{table['point']}")
+    return {**values, **({"dcm": dcm} if dcm else {})}
+
+
+def _check_modes(name: str, full: Table, file: ParameterFile) -> None:
+    if full.get("modal_data"):
+        return
+    missing = [key for key in _MODES if key not in full]
+    if "frequencies" in missing or "participation" in missing or not full["frequencies"]:
+        raise file.error(name, "must have modes, frequencies and participation or a modal_data file, got none")
+    if missing:
+        raise file.error(name, f"has no {missing[0]!r}")
+    modes, rows = len(full["frequencies"]), len(full["participation"])
+    if modes != rows:
+        raise file.error(f"{name}.participation", f"must have a row for each of {modes} frequencies, got {rows}")
+
+
+def _check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
+    try:
+        read_modal_data(full["modal_data"])
+    except OSError as error:
+        raise file.error(f"{name}.modal_data", f"must be a readable file, got {error.strerror}") from None
+    except ValueError as error:
+        raise file.error(f"{name}.modal_data", f"must be modal data: {error}") from None
+
+
+def _check_angle(name: str, full: Table, file: ParameterFile) -> None:
+    low, high = full["theta_range"]
+    if low > high or (low < high and not low <= 0.0 <= high):
+        raise file.error(f"{name}.theta_range", f"must rise and hold 0, or be one angle twice, got {low:g} to {high:g}")
+    if not any(full["drive_axis"]):
+        raise file.error(f"{name}.drive_axis", "must be a direction, got zeros")
+
+
+def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+    """Tables of wheels; what they leave out is that of the reference's wheels."""
+    kind = {key: reference[WHEELS][key] for key in ("mass", "axial_inertia", "radial_inertia", "maximum_speed")}
+    found = []
+    for i, table in enumerate(tables):
+        _check_keys(WHEELS, i, table, file)
+        if not any(table.get("axis", ())):
+            raise file.error(f"{WHEELS}[{i}]", "must have a direction, 'axis', got none")
+        if "default_speed" not in table:
+            raise file.error(f"{WHEELS}[{i}]", "has no 'default_speed'")
+        found.append({**kind, "position": [0.0, 0.0, 0.0], **table})
+    return found
+
+
+def _check_names(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Each name is given once, and is none of another place."""
+    seen: set[str] = set()
+    for kind in (ARRAYS, WHEELS, APPENDAGES):
+        tables = whole.get(kind)
+        for i, table in enumerate(tables if isinstance(tables, list) else ()):
+            key, name = f"{kind}[{i}].name", str(table["name"])
+            if name in seen:
+                raise file.error(key, f"must be given once, got {name!r} twice")
+            own = {ARRAYS: f"array_{i + 1}", WHEELS: f"wheel_{i + 1}"}.get(kind)
+            if name in RESERVED or (_NUMBERED.fullmatch(name) and name != own):
+                raise file.error(key, f"must not be that of another place, got {name!r}")
+            seen.add(name)
+
+
+def _check_points(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Arrays and appendages are at points of the central body; a body from a file is checked when it is built."""
+    if whole["body"]["modal_data"]:
+        return
+    known = list(whole["body"]["ports"])
+    for kind, found in ((ARRAYS, solar_arrays), (APPENDAGES, appendages)):
+        for i, one in enumerate(found(whole)):
+            if one.point not in known:
+                key = f"{kind}[{i}].point" if isinstance(whole[kind], list) else kind
+                raise file.error(key, f"must be one of {', '.join(known)}, got {one.point!r}")
+
+
+def _check_shared(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Bodies with the same parameters have the same values of them."""
+    alike = ("modal_data", "frequencies", "relative_uncertainty", "uncertain_modes")
+    turning = [(i, array) for i, array in enumerate(solar_arrays(whole)) if array.turns]
+    for i, one in turning:
+        other = turning[0][1]
+        if one.table["theta_range"] != other.table["theta_range"]:
+            raise file.error(
+                f"{ARRAYS}[{i}].theta_range", f"must be that of {other.name!r}: arrays that turn have one angle"
+            )
+    first: dict[str, Any] = {}
+    for kind, found in ((ARRAYS, solar_arrays), (APPENDAGES, appendages)):
+        for i, one in enumerate(found(whole) if isinstance(whole.get(kind), list) else ()):
+            if one.parameters.partition("_")[0] == "wheel" or not _NAME.fullmatch(one.parameters):
+                raise file.error(f"{kind}[{i}].parameters", f"must be another name, got {one.parameters!r}")
+            other = first.setdefault(one.parameters, one)
+            for key in alike:
+                if one.table.get(key) != other.table.get(key):
+                    raise file.error(
+                        f"{kind}[{i}].{key}",
+                        f"must be that of {other.name!r}, whose parameters it shares, got {one.table.get(key)!r}",
+                    )
+
+
+def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    table = whole[WHEELS]
+    if isinstance(table, Mapping) and len(table["azimuths_deg"]) != len(table["default_speed"]):
+        wheels, speeds = len(table["azimuths_deg"]), len(table["default_speed"])
+        raise file.error(f"{WHEELS}.default_speed", f"must hold a speed for each of {wheels} wheels, got {speeds}")
+    count = len(reaction_wheels(whole))
+    rank = 3 - linalg.null_space(wheel_axes(whole).T, rcond=1e-6).shape[1] if count else 0
+    if rank < 3:
+        raise file.error(WHEELS, f"must have axes that span the space, got {count} wheels with axes of rank {rank}")
+    for i, wheel in enumerate(reaction_wheels(whole)):
+        if abs(wheel.default_speed) > wheel.maximum_speed:
+            key = f"{WHEELS}.default_speed" if isinstance(table, Mapping) else f"{WHEELS}[{i}].default_speed"
+            limit = f"{-wheel.maximum_speed:g} and {wheel.maximum_speed:g} rad/s"
+            raise file.error(key, f"must be between {limit}, got {wheel.default_speed:g}")
