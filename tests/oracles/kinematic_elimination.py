@@ -152,12 +152,16 @@ class Spacecraft:
             "A1": array.frequencies.size,
             "A2": array.frequencies.size,
         }
+        self.reserve(sizes, INPUTS, OUTPUTS)
+
+    def reserve(self, sizes: Mapping[str, int], inputs: Mapping[str, int], outputs: Mapping[str, int]) -> None:
+        """Zeros for so many coordinates, inputs and outputs."""
         self.at = index_slices(sizes)
         n = sum(sizes.values())
         self.M, self.D, self.K = (np.zeros((n, n)) for _ in range(3))
-        self.inputs, self.outputs = index_slices(INPUTS), index_slices(OUTPUTS)
-        self.B = np.zeros((n, sum(INPUTS.values())))
-        p = sum(OUTPUTS.values())
+        self.inputs, self.outputs = index_slices(inputs), index_slices(outputs)
+        self.B = np.zeros((n, sum(inputs.values())))
+        p = sum(outputs.values())
         self.Ca, self.Cv, self.Cp = (np.zeros((p, n)) for _ in range(3))
         self.F = np.zeros((p, self.B.shape[1]))
         self.twist_G = self.pick("G")

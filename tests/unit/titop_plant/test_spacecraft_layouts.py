@@ -1,0 +1,327 @@
+"""Spacecraft with any arrays, wheels and appendages against equations of motion of their own and conservation laws."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import any_spacecraft as oracle
+from oracles.accurate_response import accurate_response
+from oracles.kinematic_elimination import about_point, carry, index_slices, turn
+from scipy import linalg
+
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
+
+WING = {
+    "mass": 46.0,
+    "inertia_at_cg": [[210.0, 0.3, 0.0], [0.3, 24.0, 0.0], [0.0, 0.0, 232.0]],
+    "center_of_mass": [0.1, -4.2, 0.0],
+    "frequencies": [1.35, 4.10],
+    "damping": 0.002,
+    "participation": [[0.0, 0.0, 5.60, -30.8, 0.0, 0.0], [5.80, 0.0, 0.0, 0.0, 0.0, 31.4]],
+    "relative_uncertainty": 0.10,
+}
+PANEL = {
+    "mass": 9.0,
+    "inertia_at_cg": [[2.6, 0.0, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 3.6]],
+    "center_of_mass": [0.0, -0.95, 0.0],
+    "frequencies": [21.0],
+    "damping": 0.004,
+    "participation": [[0.0, 0.0, 2.55, -2.80, 0.0, 0.0]],
+}
+ANTENNA = {
+    "mass": 14.0,
+    "inertia_at_cg": [[3.2, 0.0, 0.0], [0.0, 3.2, 0.0], [0.0, 0.0, 1.4]],
+    "center_of_mass": [0.0, 0.0, -1.1],
+    "frequencies": [9.2, 11.5],
+    "damping": 0.005,
+    "participation": [[3.40, 0.0, 0.0, 0.0, -4.30, 0.0], [0.0, 3.35, 0.0, 4.25, 0.0, 0.0]],
+    "relative_uncertainty": 0.05,
+    "uncertain_modes": 1,
+}
+TURNED = turn([0.6, 0.0, 0.8], 0.7).tolist()
+SKEW = turn([0.0, 1.0, 0.0], -0.4).tolist()
+HALF = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+NONE: dict[str, Any] = {
+    "solar_array": [],
+    "reaction_wheel": [
+        {"name": "a", "axis": [1.0, 0.1, 0.0], "position": [0.1, 0.0, 0.2], "default_speed": 100.0, "mass": 2.0},
+        {"name": "b", "axis": [0.0, 1.0, 0.3], "default_speed": -90.0, "axial_inertia": 0.2},
+        {"name": "c", "axis": [0.0, 0.0, 2.0], "default_speed": 80.0},
+    ],
+    "pma": {"azimuths_deg": []},
+}
+UNLIKE: dict[str, Any] = {
+    "solar_array": [
+        {"name": "wing", "point": "A1", "dcm": HALF, "drive_axis": [0.0, 1.0, 0.0], "gearbox_stiffness": 1.6e4, **WING},
+        {"name": "panel", "point": "top", "dcm": TURNED, "theta_range": [0.4, 0.4], **PANEL},
+        {"name": "plate", "point": "A2", "driven": False, **PANEL},
+    ],
+    "appendage": [{"name": "antenna", "point": "boom", "dcm": SKEW, **ANTENNA}],
+    "reaction_wheel": {
+        "azimuths_deg": [0.0, 72.0, 144.0, 216.0, 288.0],
+        "default_speed": [212.0, -187.0, 236.0, -254.0, 201.0],
+    },
+    "body": {"ports": {"boom": [-0.60, 0.95, 0.05], "top": [0.4, 0.3, 2.9]}},
+}
+INTERNAL = ("sadm_torque", "fsm_command")
+"""Forces between two bodies: their effect on the rest is a difference of large numbers."""
+LAYOUTS = {"none": NONE, "unlike": UNLIKE}
+
+
+def toml(value: Any) -> str:
+    """A value as TOML."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def write(folder: Path, layout: dict[str, Any]) -> Path:
+    path = folder / "mine.toml"
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in layout.items()) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module", params=list(LAYOUTS))
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    layout = LAYOUTS[request.param]
+    parameters = load_parameters(write(tmp_path_factory.mktemp("craft"), layout))
+    return SimpleNamespace(layout=layout, parameters=parameters, telescope=build_telescope(parameters))
+
+
+def wheels_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.Wheel]:
+    """Wheels from the plain tables of a layout; what these leave out is printed in the reference file."""
+    given, common = layout["reaction_wheel"], {"mass": 1.0, "axial_inertia": 0.096, "radial_inertia": 0.047}
+    if isinstance(given, dict):
+        cant, out = math.radians(35.26), []
+        for azimuth in np.radians(given["azimuths_deg"]):
+            flat = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+            axis = math.cos(cant) * flat + np.array([0.0, 0.0, math.sin(cant)])
+            out.append({"axis": axis, "position": 0.2 * flat})
+        given = out
+    full = [{**common, "position": [0.0] * 3, **table} for table in given]
+    return [
+        oracle.Wheel(
+            t["mass"],
+            t["axial_inertia"],
+            t["radial_inertia"],
+            t["axis"],
+            t["position"],
+            values.get(f"wheel_{i}.speed", 0.0),
+        )
+        for i, t in enumerate(full, start=1)
+    ]
+
+
+def mounted_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.Mounted]:
+    """Arrays and appendages from the plain tables of a layout."""
+    found = []
+    theta = 4.0 * math.atan(values.get("solar_array.tau", 0.0))
+    for table in (*layout.get("solar_array", ()), *layout.get("appendage", ())):
+        n, array = len(table["frequencies"]), table in layout.get("solar_array", ())
+        modes = SimpleNamespace(
+            mass_matrix=about_point(table["mass"], table["inertia_at_cg"], table["center_of_mass"]),
+            participation=np.array(table["participation"]),
+            frequencies=np.array(table["frequencies"]),
+            damping=np.full(n, table["damping"]),
+        )
+        own = [values.get(f"{table['name']}.omega_{i}", w) for i, w in enumerate(table["frequencies"], start=1)]
+        driven = array and table.get("driven", True)
+        fixed = table.get("theta_range", [None])[0]
+        angle = theta if fixed is None else fixed
+        gearbox = (table.get("gearbox_stiffness", 2.0e4), 15.0) if driven else None
+        dcm = table.get("dcm", np.eye(3))
+        axis = table.get("drive_axis", [0.0, 1.0, 0.0])
+        found.append(oracle.Mounted(modes, np.array(own), table["point"], dcm, axis, angle if driven else 0.0, gearbox))
+    return found
+
+
+def independent(case: Any, values: dict[str, float], inertia: np.ndarray | None = None) -> Any:
+    body, payload = case.telescope.bodies[:2]
+    wheels, mounted = wheels_of(case.layout, values), mounted_of(case.layout, values)
+    return oracle.assemble_any(case.parameters, body, payload, wheels, mounted, inertia)
+
+
+def test_every_pair_of_ports_by_equations_of_motion(case: Any) -> None:
+    """Nominal and random values, 0.05 to 5000 rad/s: 1e-8 of the block of a pair."""
+    system = case.telescope.system
+    inertia = oracle.total_inertia(independent(case, {})[0].M)
+    np.testing.assert_allclose(case.telescope.inertia, inertia, rtol=0, atol=1e-9 * inertia.max())
+    rng = np.random.default_rng(3)
+    for values in ({}, *system.sample_values(rng, 2)):
+        (model, inputs, outputs), data = independent(case, values, inertia), system.at(values)
+        omega = np.exp(rng.uniform(math.log(0.05), math.log(5e3), 12))
+        rows, columns = (index_slices({p.name: p.size for p in side}) for side in (system.outputs, system.inputs))
+        internal = np.concatenate([np.arange(99)[columns[u]] for u in columns if u in INTERNAL])
+        ours = accurate_response(data.A, data.B, data.C, data.D, omega, internal)
+        theirs = model.frequency_response(omega)
+        assert ours.shape == theirs.shape and set(rows) == set(outputs) and set(columns) == set(inputs)
+        for (y, row), (u, column) in itertools.product(rows.items(), columns.items()):
+            one, two = ours[:, row, column], theirs[:, outputs[y], inputs[u]]
+            size = np.sqrt(np.sum(np.abs(two) ** 2, axis=(1, 2)))
+            error = np.sqrt(np.sum(np.abs(one - two) ** 2, axis=(1, 2)))
+            bound = 1e-8 * size + 1e-9 * size.max()
+            assert (error <= bound).all(), (y, u, values, (error / np.maximum(size, 1e-300)).max())
+
+
+def test_order_and_occurrences(case: Any) -> None:
+    """Two states for each mode, each gearbox, each mirror axis, each actuator; twice each frequency, 16 times tau."""
+    system, layout = case.telescope.system, case.layout
+    tables = [*layout.get("solar_array", ()), *layout.get("appendage", ())]
+    modes = sum(body.n_modes for body in case.telescope.bodies[:2]) + sum(len(t["frequencies"]) for t in tables)
+    drives = sum(table.get("driven", True) for table in layout["solar_array"])
+    actuators = 0 if "pma" in layout else 6
+    assert system.order == 2 * (modes + drives + 6 + 2 + actuators + 3)
+    found = system.occurrences()
+    assert list(found) == list(uncertain_parameters(case.parameters))
+    kinds = {"speed": 2, "omega_1": 2, "omega_2": 2, "tau": 16}
+    assert all(count == kinds[name.rpartition(".")[2]] for name, count in found.items())
+
+
+def test_mass_and_inertia_are_the_sum_with_parallel_axes(case: Any) -> None:
+    """Rigid motion of the free spacecraft at 1e-4 rad/s, the rotors free about their axes."""
+    p, (body, payload) = case.parameters, case.telescope.bodies[:2]
+    at = {child.name: child.position - body.parent_position for child in body.children}
+    parts = [body.mass_matrix]
+    for wheel in wheels_of(case.layout, {}):
+        axis = np.asarray(wheel.axis) / np.linalg.norm(wheel.axis)
+        disc = wheel.radial * (np.eye(3) - np.outer(axis, axis))
+        parts.append(moved(linalg.block_diag(wheel.mass * np.eye(3), disc), at["I_w"] + wheel.position))
+    for one in mounted_of(case.layout, {}):
+        frame = np.asarray(one.dcm) @ turn(one.axis, one.angle).T
+        twice = linalg.block_diag(frame, frame)
+        parts.append(moved(twice.T @ one.modes.mass_matrix @ twice, at[one.point]))
+    platform = about_point(*(p["isolator"][k] for k in ("mass", "inertia_at_cg", "center_of_mass")))
+    fsm, mirror = p["fsm"], next(c for c in payload.children if c.name == "I_f").position
+    platform = platform + payload.mass_matrix + moved(np.diag([fsm["mass"]] * 3 + fsm["inertia"]), mirror)
+    casing = np.diag(p["pma"]["inertia"])
+    for azimuth in np.radians(p["pma"]["azimuths_deg"]):
+        radial, up = np.array([math.cos(azimuth), math.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
+        tangent = np.cross(up, radial)
+        for frame in (np.array([radial, tangent, up]), np.array([up, radial, tangent])):
+            each = p["pma"]["casing_mass"] + p["pma"]["moving_mass"]
+            actuator = linalg.block_diag(each * np.eye(3), frame.T @ casing @ frame)
+            platform = platform + moved(actuator, p["pma"]["mounting_radius"] * radial)
+    total = sum(parts) + moved(platform, at["I_p"])
+    free = build_telescope(p, attitude_controlled=False).system["accel_G", "external_wrench"].at({})
+    gain = accurate_response(free.A, free.B, free.C, free.D, [1e-4])[0].real
+    scale = np.sqrt(np.diag(total))
+    difference = (linalg.inv(gain) - total) / np.outer(scale, scale)
+    assert np.abs(difference).max() < 1e-6
+    assert linalg.inv(gain)[0, 0] == pytest.approx(total[0, 0], rel=1e-7)
+
+
+def moved(mass: np.ndarray, lever: Any) -> np.ndarray:
+    """Mass matrix at the point that a body hangs on by a rigid lever."""
+    arm = carry(np.asarray(lever))
+    return arm.T @ mass @ arm
+
+
+def undamped(parameters: Any) -> dict[str, Any]:
+    """The parameters with all dampers and modal damping at zero."""
+    content = copy.deepcopy(dict(parameters))
+    for name in ("body", "payload", "fsm", "pma"):
+        content[name]["damping"] = 0.0
+    content["isolator"]["damping"] = [0.0] * 6
+    content["sadm"]["gearbox_damping"] = 0.0
+    for table in (*content["solar_array"], *content.get("appendage", ())):
+        table["damping"] = 0.0
+    return content
+
+
+def test_energy_is_conserved_without_damping(case: Any) -> None:
+    """The power that a force at G puts in per period is zero, whatever the speeds of the wheels: Y + Y* = 0."""
+    parameters = undamped(case.parameters)
+    system = build_telescope(parameters, attitude_controlled=False).system["accel_G", "external_wrench"]
+    data = system.at(system.sample_values(np.random.default_rng(8))[0])
+    omega = np.array([0.3, 2.0, 15.0, 77.0, 130.0, 900.0])
+    scale = np.array([1.0] * 3 + [1.5] * 3)
+    for w, response in zip(omega, accurate_response(data.A, data.B, data.C, data.D, omega)):
+        mobility = scale[:, None] * response / (1j * w) * scale
+        lost = np.abs(mobility + mobility.conj().T).max()
+        assert lost < 1e-9 * np.abs(mobility).max(), w
+
+
+def test_a_list_of_the_reference_arrays_is_the_reference(tmp_path: Path) -> None:
+    text = '[[solar_array]]\nname = "array_1"\nlike = "reference"\npoint = "A1"\nparameters = "solar_array"\n'
+    text += '[[solar_array]]\nname = "array_2"\nlike = "reference"\npoint = "A2"\nparameters = "solar_array"\n'
+    path = tmp_path / "same.toml"
+    path.write_text(text, encoding="utf-8")
+    one, two = build_telescope(load_parameters(path)).system, build_telescope().system
+    assert one.parameters == two.parameters and one.inputs == two.inputs
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_what_is_on_board_is_in_the_hash(case: Any) -> None:
+    assert parameters_hash(case.parameters) != parameters_hash(load_parameters())
+
+
+ARRAY = '[[solar_array]]\nname = "one"\nlike = "reference"\npoint = "A1"\n'
+WHEEL = "[[reaction_wheel]]\nname = '{0}'\naxis = {1}\ndefault_speed = 1.0\n"
+BAD = {
+    "unknown point": (ARRAY.replace("A1", "A7"), ["line 4", "solar_array[0].point", "A1, A2, I_w, I_p", "'A7'"]),
+    "no point": ('[[solar_array]]\nname = "one"\nlike = "reference"\n', ["solar_array[0]", "no 'point'"]),
+    "no name": ('[[solar_array]]\npoint = "A1"\n', ["line 1", "solar_array[0]", "no 'name'"]),
+    "no modes": ('[[solar_array]]\nname = "one"\npoint = "A1"\nmass = 3.0\n', ["solar_array[0]", "must have modes"]),
+    "no file": ('[[appendage]]\nname = "a"\npoint = "A1"\nmodal_data = "no.toml"\n', ["modal_data", "readable file"]),
+    "no wheel axis": ("[[reaction_wheel]]\nname = 'a'\ndefault_speed = 1.0\n", ["reaction_wheel[0]", "direction"]),
+    "name twice": (ARRAY + ARRAY.replace("A1", "A2"), ["solar_array[1].name", "once", "'one' twice"]),
+    "name of a wheel": (
+        ARRAY + "".join(WHEEL.format(n, a) for n, a in (("one", [1, 0, 0]), ("b", [0, 1, 0]), ("c", [0, 0, 1]))),
+        ["reaction_wheel[0].name", "once", "'one'"],
+    ),
+    "name of a place": (ARRAY.replace('"one"', '"payload"'), ["solar_array[0].name", "another place", "'payload'"]),
+    "unknown key": (ARRAY + "colour = 1\n", ["line 5", "solar_array[0].colour", "frequencies"]),
+    "rows": (ARRAY + "frequencies = [1.0]\n", ["participation", "each of 1 frequencies", "got 2"]),
+    "frequency": (ARRAY + "frequencies = [1.0, -2.0]\n", ["frequencies[1]", "positive", "-2.0"]),
+    "turned": (ARRAY + "dcm = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]\n", ["solar_array[0].dcm", "orthonormal"]),
+    "like": (ARRAY.replace('"reference"', '"two"'), ["solar_array[0].like", "reference", "'two'"]),
+    "shared": (
+        ARRAY + ARRAY.replace("one", "two").replace("A1", "A2") + 'parameters = "one"\nfrequencies = [0.7, 2.0]\n',
+        ["solar_array[1].frequencies", "'one'", "shares"],
+    ),
+    "two angles": (
+        ARRAY + ARRAY.replace("one", "two").replace("A1", "A2") + "theta_range = [-1.0, 1.0]\n",
+        ["solar_array[1].theta_range", "'one'", "one angle"],
+    ),
+    "angle": (ARRAY + "theta_range = [1.0, 2.0]\n", ["theta_range", "hold 0", "1 to 2"]),
+    "flat wheels": ("".join(WHEEL.format(n, [1, i, 0]) for i, n in enumerate("abc")), ["span the space", "rank 2"]),
+    "speeds": ("[reaction_wheel]\nazimuths_deg = [0, 120, 240]\n", ["default_speed", "each of 3 wheels", "got 4"]),
+    "no wheels": ("reaction_wheel = []\n", ["reaction_wheel", "got 0 wheels"]),
+    "actuators": ("[pma]\nazimuths_deg = [1.0, 2.0]\n", ["pma.azimuths_deg", "3 angles, or none", "got 2"]),
+    "no tables": ("appendage = 3\n", ["appendage", "must be tables", "3"]),
+}
+
+
+@pytest.mark.parametrize("name", list(BAD))
+def test_a_mistake_is_one_line(name: str, tmp_path: Path) -> None:
+    text, words = BAD[name]
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError) as found:
+        load_parameters(path)
+    message = str(found.value)
+    assert "\n" not in message and message.startswith(str(path))
+    for word in words:
+        assert word in message, message
+
+
+def test_examples_are_read() -> None:
+    folder = Path(__file__).parents[3] / "examples" / "spacecraft"
+    expected = {"earth_observer": (190, 9), "small_telescope": (172, 4)}
+    for name, (order, parameters) in expected.items():
+        telescope: Telescope = build_telescope(load_parameters(folder / f"{name}.toml"))
+        assert (telescope.system.order, len(telescope.system.parameters)) == (order, parameters)
+        assert linalg.eigvals(telescope.system.at({}).A).real.max() < 0.0
