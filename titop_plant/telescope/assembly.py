@@ -36,7 +36,7 @@ output                 size  meaning
 Rotation and rate are passed through the ports, the line of sight is a function of states, and nothing is
 integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
 reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port; the forces
-of proof-mass actuators stay an input without effect, since every command has room for them.
+of proof-mass actuators stay an input without effect, since every command holds six forces.
 """
 
 from __future__ import annotations

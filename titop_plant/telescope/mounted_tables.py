@@ -27,7 +27,7 @@ from titop_plant.telescope.parameter_check import ParameterFile
 Table = dict[str, Any]
 
 PMA_AZIMUTHS = 3
-"""Azimuths of the proof-mass actuators, two at each: the command has room for their forces."""
+"""Azimuths of the proof-mass actuators, two at each: a command holds six forces."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NUMBERED = re.compile(r"(wheel|array|drive)_\d+")
