@@ -37,12 +37,14 @@ class OpenLoop:
         As :func:`titop_plant.simulation.build.control_loop_plant` makes it.
     parameters : mapping
         Telescope parameters.
+    real : bool
+        Keep Delta real, with all channels of the arrays' angle.
     """
 
-    def __init__(self, system: System, parameters: Parameters) -> None:
+    def __init__(self, system: System, parameters: Parameters, *, real: bool = False) -> None:
         self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
         self.names = tuple(p.name for p in system.parameters)
-        kept = kept_channels(system)
+        kept = np.arange(len(system.channels)) if real else kept_channels(system)
         self.channels = len(kept)
         self.channel = np.array([self.names.index(system.channels[k]) for k in kept])
         self.angle = np.array([system.channels[k] == ANGLE for k in kept]) & (len(kept) < len(system.channels))

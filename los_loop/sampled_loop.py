@@ -226,10 +226,11 @@ def sampled_loop(
     ValueError
         The mirror's loop is closed and nothing says a sensitivity.
     """
-    if step is None and isinstance(plant, ModalPlant):
-        step = held_step(plant)
-    elif step is None:
-        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
+    if step is None:
+        if isinstance(plant, ModalPlant):
+            step = held_step(plant)
+        else:
+            step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
     n = step.shape[1] - COMMANDS
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)

@@ -17,8 +17,8 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import ClosedAt, ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, doubtful
-from los_loop.spec import ADDED, APPLIED
-from titop_plant.interface import FORCE_STAGES, MIRROR
+from los_loop.spec import APPLIED
+from titop_plant.interface import COMMANDS, FORCE_STAGES, MIRROR
 
 ROUNDING = 1e-12
 """Relative rounding of a norm that bounds a singular value."""
@@ -37,12 +37,16 @@ class Reach:
 
     def __init__(self, loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], changes: bool = True) -> None:
         self.loop, self.metrics, self.changes = loop, dict(metrics), changes
-        commands = (APPLIED.stop - APPLIED.start) if loop.stage in FORCE_STAGES else MIRROR.stop
-        self.rows = slice(0, max([APPLIED.start + commands, *(m.rows.stop for m in metrics.values())]))
-        self.columns = slice(0, max([ADDED.start + commands, *(m.columns.stop for m in metrics.values())]))
+        commands = COMMANDS if loop.stage in FORCE_STAGES else MIRROR.stop
+        added, size = loop.open.disturbances, loop.open.disturbances + COMMANDS
+        columns = {name: slice(*m.columns.indices(size)[:2]) for name, m in metrics.items()}
+        self.applied = slice(APPLIED.start, APPLIED.start + commands)
+        self.added = slice(added, added + commands)
+        self.rows = slice(0, max([self.applied.stop, *(m.rows.stop for m in metrics.values())]))
+        self.columns = slice(0, max([self.added.stop, *(s.stop for s in columns.values())]))
         blocks: dict[tuple[int, int, int, int], list[str]] = {}
         for name, m in metrics.items():
-            blocks.setdefault((m.rows.start, m.rows.stop, m.columns.start, m.columns.stop), []).append(name)
+            blocks.setdefault((m.rows.start, m.rows.stop, columns[name].start, columns[name].stop), []).append(name)
         self.blocks = [(slice(a, b), slice(c, d), names) for (a, b, c, d), names in blocks.items()]
 
     def responses(self, closed: ClosedAt, delta: ComplexArray) -> ComplexArray:
@@ -53,7 +57,7 @@ class Reach:
         """What :func:`los_loop.margins.doubtful` says of responses, shape (N, changes); without changes nothing."""
         if not self.changes:
             return np.zeros((len(T), len(change_names(self.loop.stage))), dtype=bool)
-        return doubtful(T[:, APPLIED, ADDED], omega, self.loop.stage)
+        return doubtful(T[:, self.applied, self.added], omega, self.loop.stage)
 
     def here(self, omega: float) -> list[tuple[slice, slice, dict[str, float]]]:
         """Blocks of the response with the metrics whose band has a frequency, and their factors there."""

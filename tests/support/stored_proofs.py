@@ -1,8 +1,8 @@
 """Proofs of the shipped pair as the tests keep them: Hermitian halves, rounded as far as the check allows, compressed.
 
 Any scalings that pass the check prove the level. So each strip keeps the fewest bits of its scalings with which the
-checker still accepts it; loop, claim and nodes are kept as they are. So far this is done for APE; the other four files
-hold all bits of the proofs that the command wrote. To store proofs anew::
+checker still accepts it; loop, claim and nodes are kept as they are. The file of the fast tones with both stages holds
+all bits of the proof that the command wrote: its 506 strips take an hour. To store proofs anew::
 
     los-testbed design certify --output FOLDER
     .venv/bin/python tests/support/stored_proofs.py FOLDER

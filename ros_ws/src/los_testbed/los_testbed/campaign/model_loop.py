@@ -157,7 +157,7 @@ class ModelLoop:
         cls, system: System, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
-        loop = ImplementedLoop(OpenLoop(system, parameters), k_fsm, k_pma, stage)
+        loop = ImplementedLoop(OpenLoop(system, parameters, real=True), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
         rng = np.random.default_rng(0)
         members = [*parameter_corners(parameters), *system.sample_values(rng, DRAWS)]
@@ -205,7 +205,7 @@ class ModelLoop:
 
 
 def _reduced(loop: ImplementedLoop, U: FloatArray, V: FloatArray, values: Mapping[str, Any]) -> FloatArray:
-    delta = loop.delta(loop.point(dict(values)))
+    delta = loop.delta(loop.point(dict(values))).real
     D = loop.system.D[: len(U), : len(U)]
     M = np.eye(len(U)) - D * delta
     right = V.T * delta  # V' Delta (I - D Delta)^-1 U
