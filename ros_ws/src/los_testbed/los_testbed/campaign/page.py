@@ -178,7 +178,8 @@ def _main_effects(name: str, parameters: Sequence[str], points: FloatArray, metr
                 centre, low, high, color=COLOURS[0], alpha=0.25, linewidth=0.0, label="80 % of the members"
             )
             axis.plot(centre, middle, color=COLOURS[0], label="median")
-            axis.locator_params(axis="x", nbins=3)
+            axis.locator_params(axis="x", nbins=2)
+            axis.tick_params(axis="x", labelsize="x-small")
             axis.set_xlabel(_label(parameter).replace(" [", "\n["))
         axes[0].set_ylabel(ERROR)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
