@@ -32,11 +32,11 @@ def test_a_run_with_the_library_is_that_of_the_designs(library: Path, tmp_path: 
     config = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", scenario="imbalance", start="rest", seed=3)
     run_in_process(config, tmp_path / "files")
     run_in_process(replace(config, k_fsm=str(library), k_pma=str(library)), tmp_path / "library")
-    files, flown = Run.open(tmp_path / "files"), Run.open(tmp_path / "library")
+    files, library_run = Run.open(tmp_path / "files"), Run.open(tmp_path / "library")
     for name in files.topics:
-        assert np.array_equal(files[name].values, flown[name].values, equal_nan=True), name
-    assert flown.parameters["k_fsm"] == str(library)
-    assert len(flown.parameters["k_fsm_source_sha256"]) == 64, "of the library"
+        assert np.array_equal(files[name].values, library_run[name].values, equal_nan=True), name
+    assert library_run.parameters["k_fsm"] == str(library)
+    assert len(library_run.parameters["k_fsm_source_sha256"]) == 64, "of the library"
 
 
 def test_a_replay_through_the_library_is_identical(library: Path) -> None:
