@@ -157,7 +157,7 @@ def gains(k_fsm: SampledSystem, matrix: FloatArray) -> dict[str, float]:
         "tuner": tuner,
         "proof": proof,
         "tuned": bool(free[:order].all()) and not free[order:].any(),
-        "tuned noise": float(problem.noise(x)[0]) * share,
+        "tuned noise": float(problem.noise(x)[1]) * share,
     }
 
 
