@@ -137,7 +137,9 @@ def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
     assert nominal_stable(loop)
 
 
-@pytest.mark.parametrize("figure", [pytest.param(name, marks=[pytest.mark.slow] * (name == "force")) for name in BANDS])
+@pytest.mark.parametrize(
+    "figure", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("fast", "force"))) for name in BANDS]
+)
 def test_the_scalings_do_not_prove_less_than_the_worst_point(figure: str, proofs: dict[str, Path]) -> None:
     """Level 0.5 % below the largest value known: the window of its frequency is refused for some part of the box."""
     proof = LoopProof.from_file(proofs[figure])
