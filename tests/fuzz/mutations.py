@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,6 +16,9 @@ from mcap.stream_reader import StreamReader
 
 from pointing_analysis.read.mcap.framing import Framing
 from pointing_analysis.read.mcap.records import MAGIC, RECORD
+
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Head of a message's record."""
 
 Key = tuple[str, int]
 Content = tuple[int, int, bytes]
@@ -165,6 +170,18 @@ def others_find(data: bytes, original: dict[Key, Content]) -> tuple[set[Key], se
 def others_get(data: bytes, original: dict[Key, Content]) -> int:
     """How many messages the better of the two readers gets."""
     return max(map(len, others_find(data, original)))
+
+
+def without_checksum(data: bytes, whole: bytes, keys: set[Key]) -> int:
+    """How many of some messages of a whole file have no checksum in a damaged one any more: nobody can say if they are
+    right where the checksum of their chunk is not."""
+    count = 0
+    for _, channel, m in make_reader(io.BytesIO(whole)).iter_messages(log_time_order=False):
+        if (channel.topic, m.sequence) in keys:
+            size = MESSAGE.size - RECORD.size + len(m.data)
+            head = MESSAGE.pack(5, size, channel.id, m.sequence, m.log_time, m.publish_time)
+            count += zlib.crc32(head + m.data).to_bytes(4, "little") not in data
+    return count
 
 
 def _keep(found: set[Key], topic: str, message: Message, original: dict[Key, Content]) -> None:
