@@ -93,6 +93,9 @@ def take_apart(body: bytes, cut: bool) -> Packed | None:
         at, name = min(found)
         return Packed(name, body[at:], size, checksum)
     if kind not in KINDS and agrees:
+        data = body[at + 8 :]
+        if checksum and len(data) == size and zlib.crc32(data) == checksum:  # not compressed, whatever its name is
+            return Packed("", data, size, checksum)
         raise BagError(f"chunk compression must be zstd, lz4 or none, got {kind!r}")
     return None
 

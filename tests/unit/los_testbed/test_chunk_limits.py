@@ -21,8 +21,9 @@ from simple_telescope import SimpleTelescope, write_controllers
 from pointing_analysis.read.mcap import chunks as mcap_chunks
 from pointing_analysis.read.mcap import manifest as chunk_manifest
 from pointing_analysis.read.mcap import walk as mcap_walk
+from pointing_analysis.read.mcap.chunks import take_apart
 from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest, salvage
-from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_SCHEMA, RECORD, FileInfo
+from pointing_analysis.read.mcap.records import MAX_NOTES, OP_CHUNK, OP_SCHEMA, RECORD, BagError, FileInfo
 from pointing_analysis.read.run import Run
 
 EIGHT_GB = 8 << 30
@@ -164,3 +165,17 @@ def test_damaged_places_are_told_up_to_a_number() -> None:
         info.note("a.mcap", i // 2, "damaged")
     assert len(info.damage) == len(info.problems) == MAX_NOTES + 1
     assert "not listed" in info.problems[-1]
+
+
+def test_an_unknown_compression_is_refused_unless_its_checksum_says_that_there_is_none() -> None:
+    content = b"records of a chunk" * 20
+    for data, refused in ((content, False), (content[:-1] + b"?", True)):
+        name = b"brotli"
+        head = struct.pack("<QQQI", 0, 1, len(content), zlib.crc32(content))
+        body = head + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(data)) + data
+        if refused:
+            with pytest.raises(BagError, match="must be zstd, lz4 or none, got 'brotli'"):
+                take_apart(body, cut=False)
+        else:
+            found = take_apart(body, cut=False)
+            assert found is not None and (found.kind, found.data) == ("", content)
