@@ -104,19 +104,10 @@ class AnySpacecraft(Spacecraft):
             frame = np.asarray(one.dcm, dtype=float) @ turn(axis, one.angle).T
             self.add_flexible(one.modes, linalg.block_diag(frame, frame) @ root, f"mounted_{i}", one.frequencies)
 
-    def close_loop(self, inertia: np.ndarray) -> None:
-        """Attitude law on the wheels' motors, allocated with least torque."""
-        table, J = self.parameters["attitude_control"], np.diag(np.diag(inertia))
-        motors, rotors = self.inputs["wheel_torque"], self.outputs["wheel_accel"]
-        Gamma = np.array([np.asarray(w.axis) / math.sqrt(np.dot(w.axis, w.axis)) for w in self.wheels], dtype=float).T
-        allocation = Gamma.T @ linalg.inv(Gamma @ Gamma.T)
-        attitude = self.twist_G[3:]
-        position = -allocation @ (table["bandwidth"] ** 2 * J) @ attitude
-        rate = -allocation @ (2.0 * table["damping"] * table["bandwidth"] * J) @ attitude
-        self.K -= self.B[:, motors] @ position
-        self.D -= self.B[:, motors] @ rate
-        self.Cp[rotors] += self.F[rotors, motors] @ position
-        self.Cv[rotors] += self.F[rotors, motors] @ rate
+    def wheel_axes(self) -> np.ndarray:
+        """Unit vectors of the wheels' axes, shape (3, wheels)."""
+        axes = np.array([np.asarray(wheel.axis, dtype=float) for wheel in self.wheels])
+        return (axes / linalg.norm(axes, axis=1)[:, None]).T
 
 
 def assemble_any(
@@ -138,6 +129,6 @@ def assemble_any(
     craft.add_payload()
     craft.add_mirror()
     craft.add_line_of_sight()
-    craft.close_loop(total_inertia(craft.M) if control_inertia is None else control_inertia)
+    craft.close_attitude(total_inertia(craft.M) if control_inertia is None else control_inertia)
     made = SecondOrder(craft.M, craft.D, craft.K, craft.B, craft.Ca, craft.Cv, craft.Cp, craft.F)
     return made, craft.inputs, craft.outputs

@@ -312,18 +312,21 @@ class Spacecraft:
         mirror = self.parameters["fsm"]["los_sensitivity"] * self.pick("fsm")
         self.Cp[self.outputs["los_controlled"]] = los + mirror
 
+    def wheel_axes(self) -> np.ndarray:
+        """Unit vectors of the wheels' axes, shape (3, wheels)."""
+        wheels = self.parameters["reaction_wheel"]
+        cant = math.radians(wheels["cant_deg"])
+        axes = [
+            [math.cos(cant) * math.cos(a), math.cos(cant) * math.sin(a), math.sin(cant)]
+            for a in np.radians(wheels["azimuths_deg"])
+        ]
+        return np.array(axes).T
+
     def close_attitude(self, inertia: np.ndarray) -> None:
         """u = -Gamma^+ (K_d rate + K_p angle) on the wheels' motors, J the diagonal of the total inertia."""
         table, J = self.parameters["attitude_control"], np.diag(np.diag(inertia))
         motors, rotors = self.inputs["wheel_torque"], self.outputs["wheel_accel"]
-        wheels = self.parameters["reaction_wheel"]
-        cant = math.radians(wheels["cant_deg"])
-        Gamma = np.array(
-            [
-                [math.cos(cant) * math.cos(a), math.cos(cant) * math.sin(a), math.sin(cant)]
-                for a in np.radians(wheels["azimuths_deg"])
-            ]
-        ).T
+        Gamma = self.wheel_axes()
         allocation = Gamma.T @ linalg.inv(Gamma @ Gamma.T)
         attitude = self.twist_G[3:]
         position = -allocation @ (table["bandwidth"] ** 2 * J) @ attitude
