@@ -24,7 +24,6 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,13 +39,12 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop import compiled_loop
 from los_testbed.loop.simulate import SIGNALS, SampleBlock, run_in_process, simulate
+from processor_time import least
 
 from los_estimator.runtime import hold_values
 from titop_plant.interface import CAMERA, COMMANDS, FORCES, HELD, MEASUREMENTS, MIRROR, PLATFORM
 from titop_plant.simulation import build, compilation
 from titop_plant.simulation.plant_step import step_matrix
-
-REPEATS = 5
 
 
 class Law:
@@ -115,16 +113,6 @@ class DenseLoop:
         np.minimum(u, self.authority, out=u)
         np.maximum(u, -self.authority, out=u)
         command[:] = u
-
-
-def least(run: Callable[[], None], repeats: int = REPEATS) -> float:
-    """Processor seconds, the least of some measurements."""
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time()
-        run()
-        seconds.append(time.process_time() - start)
-    return min(seconds)
 
 
 def dense(parts: RunParts, ticks: int) -> np.ndarray:

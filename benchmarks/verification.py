@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from processor_time import least
 from threadpoolctl import threadpool_limits
 
 from lftkit.analysis.frequency_response import FrequencyResponse
@@ -29,17 +29,6 @@ from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import load_parameters
 
 CLOSED, OMEGA = 300, 80.0
-
-
-def least(function: Callable[[], object], repeats: int = 5) -> float:
-    """Smallest processor time of a call [s]."""
-    function()
-    found = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        function()
-        found.append(time.process_time() - begin)
-    return min(found)
 
 
 def closing(open_loop: OpenLoop) -> dict[str, float]:
