@@ -12,9 +12,10 @@ from los_testbed.config import RunConfig
 from los_testbed.flight_code.laws import laws_of
 from los_testbed.flight_library import FlightLibraryError, LibraryLaw
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.replay import LAYOUT, controllers, drive
+from los_testbed.run.replay import LAYOUT, controllers, drive, write_bag
 from support.flight_library import LIBRARY, build, write
 
+from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
 
@@ -69,3 +70,15 @@ def test_the_state_of_another_order_is_refused(library: Path) -> None:
     law = LibraryLaw(library, "k_pma")
     with pytest.raises(FlightLibraryError, match="state must have shape"):
         law.reset(np.zeros(law.order + 1))
+
+
+def test_the_bag_of_a_replay_holds_the_library_and_not_the_recorded_designs(library: Path, tmp_path: Path) -> None:
+    """Else a replay of that bag would be through other controllers than those that made it."""
+    run = Run.open(BAG)
+    through = controllers(run, library, library)
+    write_bag(tmp_path / "new", run, drive(run, through, lambda done, total: None), through)
+    new = Run.open(tmp_path / "new")
+    assert set(new.attachments) == {"k_fsm.so", "k_pma.so", "run.yaml", "start.json"}
+    assert new.attachments["k_fsm.so"] == library.read_bytes()
+    with pytest.raises(BagError, match=r"must hold the controller k_fsm.json, got k_fsm.so, .*: give --k-fsm FILE"):
+        controllers(new)

@@ -264,7 +264,8 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
     metadata = {**recorded, **sources, "mode": "replay", "replay_loop": chosen.loop, "replay_of": run.path.name}
     if chosen.warnings:
         metadata["controller_warnings"] = "; ".join(chosen.warnings)
-    others = {name: data for name, data in run.attachments.items() if name not in chosen.files}
+    laws = {Path(name).stem for name in chosen.files}  # the recorded ones are not those of this bag
+    others = {name: data for name, data in run.attachments.items() if Path(name).stem not in laws}
     files = {name: ("application/octet-stream", data) for name, data in others.items()}
     kinds = {".json": "application/json", ".so": "application/octet-stream"}
     files.update({name: (kinds[Path(name).suffix], data) for name, data in chosen.files.items()})
