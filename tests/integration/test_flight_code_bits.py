@@ -15,7 +15,7 @@ from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import magnitudes, run_laws, without_frames
 from los_testbed.run.replay import LAYOUT, controllers
 from los_testbed.run_start import START_FILE, RunStart
-from support.flight_library import LEVELS, LIBRARY, STRICT, FlightController, FlightEstimator, build, same_bits, write
+from support.flight_library import LEVELS, LIBRARY, STRICT, FlightController, build, observer_of, same_bits, write
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem
@@ -62,7 +62,7 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
     library = build(write(FlightLaws.of(laws.estimator, laws.controller), tmp_path / "laws", LIBRARY), compiler, level)
     states = RunStart.from_bytes(recorded.attachments[START_FILE]).states
     assert states is not None
-    observer = FlightEstimator(library, (np.array(states.k_fsm), np.array(states.camera)))
+    observer = observer_of(library, (np.array(states.k_fsm), np.array(states.camera)))
     made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=LAYOUT)
     assert len(made.stamp) == 4100
     for name, (stamp, values) in made.topics().items():
@@ -101,7 +101,7 @@ def inputs(rng: np.random.Generator) -> FloatArray:
 
 
 def answers_of(library: Path, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
-    observer, controller, loop = FlightEstimator(library), FlightController(library), STAGES[-1]
+    observer, controller, loop = observer_of(library), FlightController(library), STAGES[-1]
     estimate, command = np.zeros((len(measurement), ESTIMATES)), np.zeros((len(measurement), COMMANDS))
     for row, y in enumerate(measurement):
         if STAGES[stages[row]] != loop:
@@ -208,7 +208,7 @@ def test_the_rounding_of_a_step_is_within_its_bound(shipped: Path) -> None:
     for _ in range(20):
         values, found = rng.standard_normal(n), np.zeros(ESTIMATES)
         state, held = values[: laws.k_fsm.order].copy(), np.zeros(2)
-        FlightEstimator(library, (state, held)).step(values[laws.k_fsm.order :].copy(), found)
+        observer_of(library, (state, held)).step(values[laws.k_fsm.order :].copy(), found)
         for row, sum_of in zip(matrix, found):
             terms = [Fraction(m) * Fraction(z) for m, z in zip(row.tolist(), values.tolist())]
             error = abs(Fraction(float(sum_of)) - sum(terms)) / sum(map(abs, terms))

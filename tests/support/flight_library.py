@@ -11,6 +11,7 @@ import numpy as np
 from los_testbed.flight_code.export import FILES, render
 from los_testbed.flight_code.laws import FlightLaws
 from los_testbed.flight_code.tables import HEADER, UNITS
+from los_testbed.flight_library import LibraryLaw
 
 from lftkit.arrays import BoolArray, FloatArray
 from titop_plant.interface import STAGES
@@ -48,24 +49,13 @@ def pointer(values: FloatArray) -> ctypes.c_void_p:
     return ctypes.c_void_p(values.ctypes.data)
 
 
-class FlightEstimator:
-    """Observer of a library, with the interface of `LosEstimator`."""
-
-    def __init__(self, library: Path, start: tuple[FloatArray, FloatArray] | None = None) -> None:
-        self._library = ctypes.CDLL(str(library))
-        self._self = ctypes.create_string_buffer(_ROOM)
-        self._start = start
-        self._library.los_k_fsm_init(self._self)
-        self.reset()
-
-    def step(self, measurement: FloatArray, out: FloatArray) -> None:
-        self._library.los_k_fsm_step(self._self, pointer(measurement), pointer(out))
-
-    def reset(self) -> None:
-        if self._start is None:
-            self._library.los_k_fsm_reset(self._self)
-        else:
-            self._library.los_k_fsm_reset_to(self._self, *map(pointer, self._start))
+def observer_of(library: Path, start: tuple[FloatArray, FloatArray] | None = None) -> LibraryLaw:
+    """Observer of a library, at rest or in a state with values that are held."""
+    law = LibraryLaw(library, "k_fsm")
+    if start is not None:
+        law.start_at(*start)
+    law.reset()
+    return law
 
 
 class FlightController:
