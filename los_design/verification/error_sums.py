@@ -20,14 +20,10 @@ from dataclasses import dataclass
 
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.simulation.disturbances import REFERENCE_CHANNELS
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, BAND_EDGE, ON_AXIS, combined_level
 from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
-
-ALL_CHANNELS = math.sqrt(REFERENCE_CHANNELS)
-"""Norm of all channels of the reference telescope at their own weights at once."""
 
 
 @dataclass(frozen=True)
