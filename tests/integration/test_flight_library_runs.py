@@ -38,6 +38,9 @@ def test_a_run_with_the_library_is_that_of_the_designs(library: Path, tmp_path: 
         assert np.array_equal(files[name].values, library_run[name].values, equal_nan=True), name
     assert library_run.parameters["k_fsm"] == str(library)
     assert len(library_run.parameters["k_fsm_source_sha256"]) == 64, "of the library"
+    for name in ("k_fsm", "k_pma"):
+        stated = library_run.parameters[f"{name}_tables_sha256"]
+        assert len(stated) == 64 and stated in (library.parent / f"{name}.c").read_text()
 
 
 def test_a_replay_through_the_library_is_identical(library: Path) -> None:

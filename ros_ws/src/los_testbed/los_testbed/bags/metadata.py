@@ -14,9 +14,11 @@ import yaml
 from los_design.synthesis.provenance import commit
 from los_testbed.config import RunConfig, physical_hash
 from los_testbed.factories import RunParts
+from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import source_hashes
 from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
+from los_testbed.user_blocks import UserBlock
 from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
@@ -42,7 +44,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     ``optics`` are those of its images; ``sensors`` are topic, unit, rate and noise of each sensor.
     ``proof`` says what is proven of the controllers that fly, with fine control.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
-    of the user.
+    of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
     """
     config, warnings = parts.config, parts.compare()
     return {
@@ -59,11 +61,18 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **proof_of(parts),
         **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
+        **tables_of(parts),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def tables_of(parts: RunParts) -> dict[str, str]:
+    """SHA-256 of the tables of each law that a flight library has, as ``los-testbed export check`` prints it."""
+    blocks = {name: law.block for name, law in parts.controllers.items() if isinstance(law, UserBlock)}
+    return {f"{name}_tables_sha256": law.tables_sha256 for name, law in blocks.items() if isinstance(law, LibraryLaw)}
 
 
 def optics_of(parts: RunParts) -> dict[str, str]:
