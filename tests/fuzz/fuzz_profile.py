@@ -48,8 +48,14 @@ def _one_more(test: Test) -> Test:
 def examples(fixed: int, times: int = 1) -> Callable[[Test], Test]:
     """Settings of a test: this number of examples, always the same, or `times` FUZZ_EXAMPLES random ones."""
     if EXAMPLES:
+        # hypothesis takes the same examples for every seed where the variable CI is set, unless it is told otherwise
         random = settings(
-            max_examples=times * EXAMPLES, deadline=None, print_blob=True, phases=PHASES, suppress_health_check=QUIET
+            max_examples=times * EXAMPLES,
+            derandomize=False,
+            deadline=None,
+            print_blob=True,
+            phases=PHASES,
+            suppress_health_check=QUIET,
         )
         return lambda test: random(_one_more(test))
     return settings(

@@ -114,7 +114,13 @@ def test_what_is_found_ends_it(tmp_path: Path, body: str, words: str) -> None:
     assert not examples_of(tmp_path, "two")
 
 
-def test_the_seed_gives_the_examples_and_a_table_counts_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ci", ["", "true"])
+def test_the_seed_gives_the_examples_and_a_table_counts_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ci: str
+) -> None:
+    monkeypatch.delenv("CI", raising=False)
+    if ci:
+        monkeypatch.setenv("CI", ci)
     body = """
     with (FOLDER / "numbers").open("a") as file:
         file.write(f"{number},")
