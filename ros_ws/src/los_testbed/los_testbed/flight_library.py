@@ -89,7 +89,8 @@ class LibraryLaw:
 
     def step(self, values: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick; `values` are the measurement, or the accelerations of the platform."""
-        self._step(_pointer(self._self), _pointer(np.ascontiguousarray(values)), _pointer(out))
+        given = np.ascontiguousarray(values, dtype=float)  # kept until the call returns
+        self._step(_pointer(self._self), _pointer(given), _pointer(out))
 
 
 def _pointer(values: FloatArray) -> ctypes.c_void_p:
