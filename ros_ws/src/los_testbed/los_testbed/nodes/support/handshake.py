@@ -18,12 +18,16 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.requesters import UNKNOWN
 from los_testbed.nodes.support.serialized_reader import Taken
 from los_testbed.topics import ISOLATOR_ACCEL
 from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
 """A plant on the same domain is discovered within 0.4 s with the discovery profile of this package."""
+
+NAME_S = 3.0
+"""So long the name of a node that was heard is waited for."""
 
 HOLD_PERIOD_S = 0.02
 
@@ -76,12 +80,21 @@ class OtherPlants:
                 raise self._error(taken)
 
     def _error(self, taken: Taken) -> ValueError:
-        nodes = {endpoint.gid: endpoint.node for endpoint in self._listener.endpoints()}
-        sender = nodes.get(taken.gid.hex()) or "of unknown name"
         return ValueError(
             f"ROS_DOMAIN_ID must be a domain without a plant, got one where {self._listener.name} is sent "
-            f"(node {sender})"
+            f"(node {self._sender(taken)})"
         )
+
+    def _sender(self, taken: Taken) -> str:
+        """Name of the node; it comes with a message of its own, which may be later than its first sample."""
+        end = time.monotonic() + NAME_S
+        while True:
+            nodes = {endpoint.gid: endpoint.node for endpoint in self._listener.endpoints()}
+            if name := nodes.get(taken.gid.hex()):
+                return name
+            if time.monotonic() > end:
+                return "of unknown name"
+            time.sleep(0.05)
 
     def close(self) -> None:
         """Stop listening: from now on the samples are this node's own."""
@@ -142,7 +155,7 @@ def _strangers_on(subscription: RawSubscription) -> str:
 def _called(endpoint: Endpoint, guard: SourceGuard) -> str:
     """How the node of a stranger is called."""
     same = endpoint.node == (guard.node or guard.expected)
-    return f"another node named {endpoint.node}" if same else endpoint.node
+    return f"another node named {endpoint.node}" if same else endpoint.node or UNKNOWN
 
 
 def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
