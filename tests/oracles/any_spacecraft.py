@@ -107,7 +107,7 @@ class AnySpacecraft(Spacecraft):
     def wheel_axes(self) -> np.ndarray:
         """Unit vectors of the wheels' axes, shape (3, wheels)."""
         axes = np.array([np.asarray(wheel.axis, dtype=float) for wheel in self.wheels])
-        return (axes / linalg.norm(axes, axis=1)[:, None]).T
+        return (axes / linalg.norm(axes, axis=1, keepdims=True)).T
 
 
 def assemble_any(
