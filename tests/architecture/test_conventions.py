@@ -54,16 +54,19 @@ def test_modules_have_telling_names(case: tuple[str, Path]) -> None:
     assert case[1].stem not in {"statistics", "utils", "core", "misc", "helpers", "common"}
 
 
-def test_importing_a_runtime_module_or_the_command_line_does_not_load_scipy() -> None:
+def test_what_is_imported_at_every_start_is_small() -> None:
+    """A runtime module or the command line needs no scipy, the table of a run nothing of it that is large."""
     import subprocess
 
     code = (
         "import sys, los_estimator.runtime, fsm_pma_controller.runtime, titop_plant.interface, los_testbed.cli.app\n"
         "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(m.RunParts(c.RunConfig()))\n"
-        "print([m for m in ('scipy', 'control', 'matplotlib') if m in sys.modules])"
+        "large = ['control', 'matplotlib', 'scipy.stats', 'scipy.optimize', 'scipy.signal', 'scipy.interpolate']\n"
+        "first = [m for m in ('scipy', *large) if m in sys.modules]\n"
+        "import los_testbed.run.summary; print(first, [m for m in large if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)
-    assert done.stdout.strip() == "[]", done.stderr
+    assert done.stdout.strip() == "[] []", done.stderr
 
 
 @pytest.mark.parametrize("case", MODULES, ids=identifier)

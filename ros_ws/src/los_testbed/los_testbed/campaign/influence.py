@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import stats
 
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.campaign.sampling import COLUMNS
@@ -45,6 +44,8 @@ def influences(parameters: FloatArray, metric: FloatArray) -> list[Influence]:
     x, y = parameters[known], metric[known]
     if len(y) < FEWEST or np.ptp(y) == 0.0:
         return []
+    from scipy import stats  # a slow, large import that few members do not need
+
     found = []
     for name, values in zip(COLUMNS, x.T):
         rank = float(stats.spearmanr(values, y).statistic) if np.ptp(values) > 0.0 else 0.0
