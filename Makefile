@@ -6,7 +6,8 @@ CASES ?=
 SEED ?=
 READY := .venv/.ready
 SKIPPED := .venv/skipped-tests.txt
-LANES := -n 2 --dist loadfile --no-loadscope-reorder
+# one process of them has the tests of nodes, which wait most of their time
+LANES := -n 3 --dist loadfile --no-loadscope-reorder
 PACKAGES := lftkit titop_plant los_estimator fsm_pma_controller los_loop los_design pointing_analysis
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -64,9 +65,9 @@ types: $(READY)
 types-of-tests: types
 	$(BESIDE) $(BIN)/mypy --config-file tests/mypy.ini tests
 
-# style and types take what the tests leave of the processors
+# style and types have the priority of the tests that start no nodes, see tests/support/lanes.py
 test: $(READY)
-	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 19" tests style types types-of-tests \
+	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 10" tests style types types-of-tests \
 	    || { echo "Something failed, see above; style and types alone: make lint"; exit 1; }
 
 tests: $(READY)

@@ -50,6 +50,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """In a process of several, tests that start no nodes give way to those that do."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        from support.lanes import give_way
+
+        give_way(item.nodeid)
+
+
 def pytest_collection_finish() -> None:
     """The collected tests stay until the end: later collections of garbage need not look at them."""
     gc.collect()

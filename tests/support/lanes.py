@@ -1,11 +1,13 @@
-"""Tests in two processes: those of the nodes one after the other in one of them, all others beside them.
+"""Tests in several processes: those of the nodes one after the other in one of them, all others beside them.
 
-Runs in real time have the machine to themselves but for one other test. The tests of a file stay together: what a
-module makes for all its tests is made once.
+Runs in real time have the processors when they want them: all other tests have a lower priority. A loop in real time
+waits most of its time, so that there are more processes of tests than processors. The tests of a file stay together:
+what a module makes for all its tests is made once.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 import pytest
@@ -13,6 +15,9 @@ from xdist.scheduler import LoadFileScheduling
 
 NODES = "tests/ros/"
 """Folder of the tests that start nodes."""
+GIVE_WAY = 10
+"""Niceness of the other tests above that of `make`: a tenth of the share of a node that is ready at the same time."""
+_START = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def lane_of(nodeid: str) -> str:
@@ -31,6 +36,15 @@ class Lanes(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return lane_of(nodeid)
+
+
+def give_way(nodeid: str) -> None:
+    """Lower the priority of this process and those that it starts, but for a test of the nodes.
+
+    A priority is never raised again; the process that has the tests of the nodes has them first.
+    """
+    if lane_of(nodeid) != NODES and os.getpriority(os.PRIO_PROCESS, 0) < _START + GIVE_WAY:
+        os.setpriority(os.PRIO_PROCESS, 0, _START + GIVE_WAY)
 
 
 def nodes_first(items: Sequence[pytest.Item]) -> list[pytest.Item]:
