@@ -93,7 +93,7 @@ def design_all(
     resume: bool = True,
     wall_limit: float = 3600.0,
     nominal: bool = False,
-    workers: int = 1,
+    workers: Workers | None = None,
 ) -> DesignSummary:
     """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
 
@@ -114,8 +114,8 @@ def design_all(
         in another call.
     nominal : bool
         Tune at the nominal parameters alone; the verification is that of the whole box.
-    workers : int
-        Processes; the result does not depend on their number.
+    workers : Workers, optional
+        Processes of searches and verification; the result does not depend on them.
 
     Raises
     ------
@@ -125,14 +125,16 @@ def design_all(
     if effort not in EFFORTS:
         raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
     _check_writable(folder)
-    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=wall_limit, nominal=nominal, workers=workers)
-    with one_thread(), Workers(workers) as processes:
+    workers = workers or Workers()
+    short, threads = effort == "short", workers.count
+    options = DesignOptions(seed=seed, short=short, wall_limit=wall_limit, nominal=nominal, workers=threads)
+    with one_thread():
         assembled = build_telescope(parameters)
 
         key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
-        k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report)
+        k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report, workers)
         report("worst points of the stages")
-        found = search_stages(parameters, k_fsm, k_pma, SEARCHES[effort], processes)
+        found = search_stages(parameters, k_fsm, k_pma, SEARCHES[effort], workers)
         adversarial = adversarial_points(found, (k_fsm, k_pma))
         basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
@@ -141,7 +143,7 @@ def design_all(
         at = verification_points(parameters, system, SAMPLES[effort], seed + 1)
         at = at if effort == "full" else [at[0], *at[1:129:8], *at[129:]]
         report(f"verification at {len(at) + len(adversarial)} parameter points")
-        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=processes)
+        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=workers)
     not_met = broken_requirements(check)
     content = {"implemented": check.to_mapping(), "not_met": not_met}
     write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
@@ -202,6 +204,7 @@ def _pair(
     key: dict[str, Any],
     resume: bool,
     report: Report,
+    workers: Workers,
 ) -> tuple[SampledSystem, SampledSystem]:
     """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
     files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
@@ -213,7 +216,7 @@ def _pair(
             return k_fsm, k_pma
     if not resume:
         rounds.unlink(missing_ok=True)
-    made = design_pair(telescope, parameters, options, report, (rounds, key))
+    made = design_pair(telescope, parameters, options, report, (rounds, key), workers)
     k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
     k_fsm.to_file(files[0])
     k_pma.to_file(files[1])

@@ -148,6 +148,7 @@ def design_pair(
     options: DesignOptions,
     report: Report = _silent,
     kept: tuple[Path, Mapping[str, Any]] | None = None,
+    workers: Workers | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
     """Tune both controllers of the implemented loop together.
 
@@ -160,6 +161,8 @@ def design_pair(
         Receives one line for each step.
     kept : (Path, mapping), optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
+    workers : Workers, optional
+        Of the searches; default: as many processes as the options say. The result does not depend on them.
 
     Returns
     -------
@@ -168,7 +171,8 @@ def design_pair(
     """
     if not options.implemented:
         raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
-    return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), ["k-fsm", "k-pma"], kept=kept)
+    both = ["k-fsm", "k-pma"]
+    return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), both, kept=kept, workers=workers)
 
 
 def _implemented(
@@ -180,12 +184,13 @@ def _implemented(
     kinds: Sequence[str],
     observer: SampledSystem | None = None,
     kept: tuple[Path, Mapping[str, Any]] | None = None,
+    workers: Workers | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
     """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""
     begin = time.monotonic()
     effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
-    with Workers(options.workers) as workers:
-        task = _task(telescope, parameters, options, tuned, workers)
+    with Workers(options.workers) as own:
+        task = _task(telescope, parameters, options, tuned, workers or own)
         start = partial(choose_start, task, telescope, parameters, options, observer, report)
         outcome = design_in_rounds(task, start, effort, report, kept)
     common = {

@@ -32,7 +32,7 @@ def stand_ins(monkeypatch) -> list[str]:
     made: list[str] = []
     k_fsm, k_pma = load_designs("implemented")
 
-    def pair(assembled, parameters, options, report, kept):
+    def pair(assembled, parameters, options, report, kept, workers):
         made.append(f"pair, seed {options.seed}, {'short' if options.short else 'full'}")
         made.append("goes on" if kept[0].exists() else "begins")
         report("round 1: fine")
@@ -105,9 +105,9 @@ def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, parameters, tmp_p
     late = tuple(replace(k, provenance={**k.provenance, "status": "out_of_time"}) for k in load_designs("implemented"))
     pair, limits = redesign.design_pair, []
 
-    def ended(assembled, parameters, options, report, kept):
+    def ended(assembled, parameters, options, report, kept, workers):
         limits.append(options.wall_limit)
-        pair(assembled, parameters, options, report, kept)
+        pair(assembled, parameters, options, report, kept, workers)
         return late
 
     monkeypatch.setattr(redesign, "design_pair", ended)

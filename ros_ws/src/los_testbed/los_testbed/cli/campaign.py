@@ -14,6 +14,7 @@ from rich.console import Console
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
+from los_testbed.cli.cluster_options import SchedulerOption, TlsCaFile, TlsCertificate, TlsKey
 from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, option, with_files
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen
@@ -59,12 +60,10 @@ def campaign(
     k_pma: ForceLawFile = None,
     designs: Designs = None,
     parameters: Telescope = None,
-    scheduler: Annotated[str, typer.Option(metavar="tls://HOST:PORT", help="A running Dask scheduler.")] = "",
-    tls_ca_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="For tls://: whom you trust, as PEM.")
-    ] = None,
-    tls_cert: Annotated[Path | None, typer.Option(metavar="FILE", help="For tls://: your certificate.")] = None,
-    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key; default: in --tls-cert.")] = None,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
     workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
     keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,

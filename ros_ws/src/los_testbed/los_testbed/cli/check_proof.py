@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from los_testbed.cli.cluster_options import WorkersOption, processes
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import print_json
 from los_testbed.cli.proofs import loops_of
-from los_testbed.cli.redesign import WorkersOption, processes
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 

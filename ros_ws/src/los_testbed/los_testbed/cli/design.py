@@ -14,9 +14,17 @@ from rich.table import Table
 from rich.text import Text
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.cli.redesign import ALL_EXAMPLES, WorkersOption, design_all, processes, verify_folder
+from los_testbed.cli.redesign import ALL_EXAMPLES, design_all, verify_folder
 from los_testbed.run.screen import Screen, met
 from titop_plant.interface import LOOP_DELAY
 
@@ -216,6 +224,10 @@ def verify(
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
     workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
     json_: Json = False,
 ) -> None:
     """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
@@ -225,12 +237,12 @@ def verify(
     """
     number("--samples", samples, 0, 1_000_000)
     from lftkit.support.threads import one_thread
-    from lftkit.support.workers import Workers
 
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     if folder is not None:
-        verify_folder(folder, samples, processes(workers), json_)
+        verify_folder(folder, samples, cluster, json_)
         return
-    with one_thread(), Workers(processes(workers)) as pool:
+    with one_thread(), cluster.workers() as pool:
         result, failed = _verified(samples, pool)
     if json_:
         print_json({**result, "failures": failed})

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,9 +16,17 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
 from los_testbed.cli.options import Json
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.cli.redesign import WorkersOption, designs_in, processes
+from los_testbed.cli.redesign import designs_in
 from los_testbed.run.screen import Screen
 from los_testbed.variants import WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file, check_output
@@ -35,7 +42,7 @@ from titop_plant.interface import (
 
 if TYPE_CHECKING:
     from los_design.search.worst_points import WorstPoint
-    from los_design.verification.certify import FigureBounds, Prover
+    from los_design.verification.certify import FigureBounds
     from los_loop.implemented_loop import ImplementedLoop
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
@@ -81,21 +88,16 @@ def certify(
     ] = None,
     wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
     workers: WorkersOption = 0,
-    scheduler: Annotated[
-        str, typer.Option(metavar="tls://HOST:PORT", help="A running Dask scheduler, whose workers prove the parts.")
-    ] = "",
-    tls_ca_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="For tls://: whom you trust, as PEM.")
-    ] = None,
-    tls_cert: Annotated[Path | None, typer.Option(metavar="FILE", help="For tls://: your certificate.")] = None,
-    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key; default: in --tls-cert.")] = None,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
-    from lftkit.support.workers import Workers
-    from los_design.verification.certify import certify_figure, prove_part
+    from los_design.verification.certify import certify_figure
     from los_design.verification.noise_certificate import NOISE, certify_noise
-    from los_testbed.campaign.tls_files import TlsFiles
+    from los_testbed.campaign.proof_parts import prover_of
 
     number("--level", level, 1e-6, 1e6)
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
@@ -104,7 +106,7 @@ def certify(
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
     chosen = _chosen(stage, figure)
-    count, tls = processes(workers), TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
@@ -113,12 +115,8 @@ def certify(
     loops, known = loops_of(folder, list(MIRROR_STAGES))
     found: list[FigureBounds] = []
     with ExitStack() as stack:
-        pool = stack.enter_context(Workers(count))
-        prove: Prover = partial(pool.each, prove_part)
-        if scheduler:
-            from los_testbed.campaign.proof_parts import prover_on
-
-            prove = stack.enter_context(prover_on(scheduler, tls))
+        pool = stack.enter_context(cluster.workers())
+        prove = prover_of(pool)
         stack.enter_context(_said_how_to_go_on())
         for s, name in chosen:
             with Progress(f"{s}, {name}") as bar:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sys
 from itertools import count
@@ -14,6 +13,14 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
 from los_testbed.cli.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.screen import Screen, met
@@ -37,11 +44,9 @@ The exit code is 1 if a requirement is not met.
     los-testbed run --designs designs/soft                 # the telescope and its controllers
 
     los-testbed design verify designs/soft
-"""
 
-WorkersOption = Annotated[
-    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
-]
+    los-testbed design all --output designs/mine --scheduler tcp://host:8786     # its workers search and verify
+"""
 
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
@@ -83,6 +88,10 @@ def design_all(
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
     time_limit: Annotated[float, typer.Option(help="Wall limit of the rounds [s]; run again to go on.")] = 3600.0,
     workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
     json_: Json = False,
 ) -> None:
     """See ALL_EXAMPLES."""
@@ -91,10 +100,11 @@ def design_all(
 
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     check_output(output, parameters)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
-    with Progress("design") as bar:
+    with cluster.workers() as pool, Progress("design") as bar:
         summary = redesign.design_all(
             load_parameters(parameters or REFERENCE),
             output,
@@ -104,15 +114,9 @@ def design_all(
             report=bar.print,
             nominal=nominal,
             wall_limit=time_limit,
-            workers=processes(workers),
+            workers=pool,
         )
     _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
-
-
-def processes(workers: int) -> int:
-    """The number of processes that an option asks for."""
-    number("--workers", workers, 0, 1000)
-    return workers or len(os.sched_getaffinity(0))
 
 
 def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
@@ -134,7 +138,7 @@ def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
     return parameters, k_fsm, k_pma
 
 
-def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None:
+def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> None:
     """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
 
     Raises
@@ -143,7 +147,6 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
         A file is missing.
     """
     from lftkit.support.threads import one_thread
-    from lftkit.support.workers import Workers
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
     from titop_plant.interface import design_warnings
@@ -153,7 +156,7 @@ def verify_folder(folder: Path, samples: int, workers: int, json_: bool) -> None
 
     parameters, k_fsm, k_pma = designs_in(folder)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
-    with one_thread(), Workers(workers) as pool, Progress(f"{folder.name} as implemented") as bar:
+    with one_thread(), cluster.workers() as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
         at = [*verification_points(parameters, system, samples), *adversarial]
