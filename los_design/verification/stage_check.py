@@ -11,19 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
-import scipy.optimize
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
+from los_design.verification.peaks import Bracket, worst_of
 from los_design.verification.sweep import Reach, Sweep, joined, sweep
-from los_loop.implemented_loop import HIGHEST, LOWEST, ClosedAt, ImplementedLoop, LoopMetric
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from los_loop.margins import changed_loops
 from los_loop.sampled_loop import radius_of
 from titop_plant.interface import COMMANDS
@@ -36,16 +36,6 @@ Result = TypeVar("Result")
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
 FINE_FROM, FINE_TO = 60.0, 1000.0
-NEAR = 0.8
-"""Peaks above this part of the largest one of their metric are refined."""
-RISE, SAME = 2.0, 1e-5
-"""Not those that stay below the largest one with this many times the slope at their value, up to the end of their
-bracket, or to the next slope of the other sign, unless a second singular value is near it, too; peaks that differ by
-less than the last part are one."""
-TANGENTS = 4
-"""Frequencies at which slopes say whether a peak is to be refined, at most."""
-ACCURACY = 1e-6
-"""Of the frequency of a refined peak; its value is then exact to better than 1e-4."""
 CHUNK, BLOCKS = 75, 24
 """Parameter points that a process looks at together, and parts of the grid, each over its whole range."""
 DRIFTS: FloatArray = np.asarray(np.geomspace(1e-5, 1e-2, 19)[:-1], dtype=float)
@@ -76,16 +66,6 @@ class StageCheck:
     stable: BoolArray
     unstable_changes: list[list[str]]
     envelope: dict[str, FloatArray]
-
-
-@dataclass(frozen=True)
-class Bracket:
-    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point."""
-
-    value: float
-    omega: float
-    ends: tuple[float, float]
-    point: FloatArray
 
 
 def grid() -> FloatArray:
@@ -278,56 +258,5 @@ def _brackets(metric: LoopMetric, omega: FloatArray, found: Sweep, cube: FloatAr
 
 
 def _worst_of(searches: Sequence[Search], item: tuple[int, str, Sequence[Bracket]]) -> WorstPoint:
-    return _worst(searches[item[0]], item[1:])
-
-
-def _worst(search: Search, item: tuple[str, Sequence[Bracket]]) -> WorstPoint:
-    """Worst point of a metric, its peak and those near it refined."""
-    name, brackets = item
-    metric, best = search.metrics[name], (0.0, 0.0, search.loop.point({}))
-    closed = cache(search.loop.at)  # many points have their largest value at one frequency of the grid
-    for bracket in sorted(brackets, key=lambda b: -b.value):
-        if bracket.value < NEAR * best[0]:
-            break
-        if not _may_exceed(search, metric, bracket, best[0], closed):
-            continue
-        point = bracket.point[None]
-
-        def lower(x: float, point: FloatArray = point) -> float:
-            return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point)[0])
-
-        ends = np.log(np.clip(bracket.ends, *metric.band))
-        found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
-        refined = max((-float(found.fun), float(np.exp(found.x))), (bracket.value, bracket.omega))
-        if refined[0] > best[0]:
-            best = (*refined, bracket.point)
-    return search.confirmed(metric, *best[1:])
-
-
-def _may_exceed(
-    search: Search, metric: LoopMetric, bracket: Bracket, largest: float, closed: Callable[[float], ClosedAt]
-) -> bool:
-    """Whether the peak in a bracket may exceed the largest one, by slopes; a resonance's rise is below its tangent.
-
-    From the value on, the peak is sought by its slopes for :data:`TANGENTS` frequencies at most. It may exceed if a
-    second singular value is near the largest peak: that one may rise where the first one does not.
-    """
-    ends = np.log(np.clip(bracket.ends, *metric.band)).tolist()
-    x, omega = float(np.log(bracket.omega)), bracket.omega
-    sides: list[tuple[float, float]] = [(0.0, 0.0), (0.0, 0.0)]
-    for _ in range(TANGENTS):
-        at = closed(omega) if omega == bracket.omega else search.loop.at(omega)
-        values = search.loop.all_gains(at, metric, bracket.point)
-        value, _, slope = search.loop.gain(at, metric, bracket.point)
-        if not 0.0 < value <= (1.0 + SAME) * largest or (len(values) > 1 and values[1] >= NEAR * largest):
-            return True
-        side = int(slope <= 0.0)
-        ends[side], sides[side] = x, (value, slope / value)
-        width = ends[1] - ends[0]
-        if min(v * np.exp(RISE * abs(rate) * width) for v, rate in sides if v) <= (1.0 + SAME) * largest:
-            return False
-        rise, fall = sides[0][1], -sides[1][1]
-        part = rise / (rise + fall) if sides[0][0] and sides[1][0] and rise + fall > 0.0 else 0.5
-        x = ends[0] + float(np.clip(part, 0.1, 0.9)) * width
-        omega = float(np.exp(x))
-    return True
+    stage, name, brackets = item
+    return worst_of(searches[stage], searches[stage].metrics[name], brackets)

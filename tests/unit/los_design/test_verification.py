@@ -15,7 +15,7 @@ from small_loop import small_controllers, small_family, small_plant
 
 from lftkit import SampledSystem, System
 from los_design.synthesis.store import load_designs
-from los_design.verification import stage_check, sweep, verification
+from los_design.verification import peaks, stage_check, sweep, verification
 from los_design.verification.verification import (
     ImplementedCheck,
     broken_requirements,
@@ -116,20 +116,32 @@ class TwoBranches:
     def point(self, values: dict) -> np.ndarray:
         return np.zeros(1)
 
-    def at(self, omega: float) -> float:
-        return omega
+    def at(self, omega: float) -> SimpleNamespace:
+        return SimpleNamespace(omega=omega)
 
-    def all_gains(self, omega: float, metric: object, point: np.ndarray) -> np.ndarray:
-        flat = (0.95, 0.96, 0.1)[int(point[0])]
-        other = 0.99 - 40.0 * (omega - 1.03) ** 2 if point[0] != 1.0 else 0.1
-        return np.sort([flat, other])[::-1]
+    def at_each(self, omega: np.ndarray) -> list[SimpleNamespace]:
+        return [self.at(float(w)) for w in omega]
 
-    def gains(self, omega: float, metric: object, points: np.ndarray) -> np.ndarray:
-        return np.array([self.all_gains(omega, metric, point)[0] for point in points])
+    def delta(self, points: np.ndarray) -> np.ndarray:
+        return points
 
-    def gain(self, omega: float, metric: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
-        both = [float(self.gains(omega * np.exp(h), metric, point[None])[0]) for h in (1e-7, -1e-7)]
-        return float(self.gains(omega, metric, point[None])[0]), np.zeros(1), (both[0] - both[1]) / 2e-7
+    def scale(self, metric: object, omega: float) -> float:
+        return 1.0
+
+    def responses(self, closed: SimpleNamespace, metric: object, points: np.ndarray) -> np.ndarray:
+        flat = np.array([0.95, 0.96, 0.1])[points[:, 0].astype(int)]
+        other = np.where(points[:, 0] != 1.0, 0.99 - 40.0 * (closed.omega - 1.03) ** 2, 0.1)
+        return np.stack([flat, other], axis=1)[:, :, None] * np.eye(2, dtype=complex)
+
+    def all_gains(self, closed: SimpleNamespace, metric: object, point: np.ndarray) -> np.ndarray:
+        return np.sort(np.abs(np.diag(self.responses(closed, metric, point[None])[0])))[::-1]
+
+    def gains(self, closed: SimpleNamespace, metric: object, points: np.ndarray) -> np.ndarray:
+        return np.array([self.all_gains(closed, metric, point)[0] for point in points])
+
+    def gain(self, closed: SimpleNamespace, metric: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
+        both = [float(self.gains(self.at(closed.omega * np.exp(h)), metric, point[None])[0]) for h in (1e-7, -1e-7)]
+        return float(self.gains(closed, metric, point[None])[0]), np.zeros(1), (both[0] - both[1]) / 2e-7
 
 
 @pytest.mark.parametrize(("point", "at_grid"), [(0.0, 0.998), (2.0, 0.98)])
@@ -141,14 +153,14 @@ def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_val
     search = SimpleNamespace(
         loop=loop,
         metrics={"m": SimpleNamespace(band=(0.1, 10.0))},
-        confirmed=lambda metric, omega, point: (float(loop.gains(omega, metric, point[None])[0]), omega),
+        confirmed=lambda metric, omega, point: (float(loop.gains(loop.at(omega), metric, point[None])[0]), omega),
     )
     brackets = [
-        stage_check.Bracket(float(loop.gains(at_grid, None, p[None])[0]), at_grid, (0.97, 1.06), p)
+        peaks.Bracket(float(loop.gains(loop.at(at_grid), None, p[None])[0]), at_grid, (0.97, 1.06), p)
         for p in (np.array([point]), np.ones(1))
     ]
     assert brackets[1].value > brackets[0].value
-    found: Any = stage_check._worst(search, ("m", brackets))
+    found: Any = peaks.worst_of(search, search.metrics["m"], brackets)
     value, omega = found
     assert value == pytest.approx(0.99, abs=1e-6)
     assert omega == pytest.approx(1.03, rel=1e-4)

@@ -1,0 +1,183 @@
+"""The worst point of a metric, from the largest values of many parameter points on a grid of frequencies.
+
+Peaks lie between the frequencies of a grid. Those near the largest one are refined, but not where slopes say that they
+stay below it: from its value on, a singular value is taken to rise with no more than :data:`RISE` times its slope, up
+to the end of its bracket or to the next slope of the other sign; a resonance's rise is below its tangent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from lftkit.analysis.batched_linalg import singular_values
+from lftkit.arrays import FloatArray
+from los_design.search.worst_case_search import Search
+from los_design.search.worst_points import WorstPoint
+from los_loop.implemented_loop import LoopMetric
+
+NEAR = 0.8
+"""Peaks above this part of the largest one of their metric are looked at."""
+RISE, SAME = 2.0, 1e-5
+"""Factor of a slope that bounds a rise; peaks that differ by less than the last part are one."""
+BESIDE = 1e-5
+"""Of log frequency, for slopes of all singular values."""
+LEVELS, SEVERAL, PARTS = 3, 4, 8
+"""How often brackets are cut into parts at whose frequencies all their points are looked at together, if so many share
+a bracket, and the number of parts."""
+ACCURACY, MOST = 1e-6, 40
+"""Of the log frequency of a refined peak, whose value is then exact to better than 1e-6, and slopes that it takes."""
+CLIP = 0.01
+"""Least part of a bracket between a slope's frequency and the next one."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """A value of a metric, its frequency, the frequencies between which its peak is refined, and its point."""
+
+    value: float
+    omega: float
+    ends: tuple[float, float]
+    point: FloatArray
+
+
+Peak = tuple[float, float]
+"""Value and frequency [rad/s]."""
+
+
+def worst_of(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> WorstPoint:
+    """Worst point of a metric, its peak and those near it refined."""
+    order = sorted(brackets, key=lambda b: -b.value)
+    if not order or not order[0].value > 0.0:
+        return search.confirmed(metric, 0.0, search.loop.point({}))
+    first = order[0]
+    best = (*(_refined(search, metric, first, 0.0) or (first.value, first.omega)), first.point)
+    others = [bracket for bracket in order[1:] if bracket.value >= NEAR * best[0]]
+    for _ in range(LEVELS):
+        bounds = _bounds(search, metric, others)
+        others = [bracket for bracket, bound in zip(others, bounds) if bound > (1.0 + SAME) * best[0]]
+        others = _narrowed(search, metric, others)
+        found = max(others, key=lambda b: b.value, default=first)
+        best = max(best, (found.value, found.omega, found.point), key=lambda entry: entry[0])
+    for bracket in sorted(others, key=lambda b: -b.value):
+        refined = _refined(search, metric, bracket, best[0])
+        if refined is not None and refined[0] > best[0]:
+            best = (*refined, bracket.point)
+    return search.confirmed(metric, *best[1:])
+
+
+def rise_bounds(here: FloatArray, above: FloatArray, below_end: FloatArray, above_end: FloatArray) -> FloatArray:
+    """Bounds of N peaks by the slopes of all their singular values.
+
+    Parameters
+    ----------
+    here, above : ndarray, shape (N, r)
+        Singular values at a frequency, and at :data:`BESIDE` above it.
+    below_end, above_end : ndarray
+        Distances in log frequency to the ends of the bracket, positive.
+
+    Examples
+    --------
+    >>> flat = np.ones((1, 1))
+    >>> rise_bounds(flat, flat, np.array([0.1]), np.array([0.1])).tolist()
+    [1.0]
+    """
+    rates = np.log(np.maximum(above, 1e-300) / np.maximum(here, 1e-300)) / BESIDE
+    width = np.where(rates > 0.0, above_end[:, None], below_end[:, None])
+    return np.asarray(np.max(here * np.exp(np.minimum(RISE * np.abs(rates) * width, 700.0)), axis=1))
+
+
+def _groups(brackets: Sequence[Bracket]) -> list[list[int]]:
+    """Places of the brackets with the same frequency and ends."""
+    groups: dict[tuple[float, float, float], list[int]] = {}
+    for k, bracket in enumerate(brackets):
+        groups.setdefault((bracket.omega, *bracket.ends), []).append(k)
+    return list(groups.values())
+
+
+def _values(search: Search, metric: LoopMetric, omega: FloatArray, points: FloatArray) -> FloatArray:
+    """All normalised singular values at some frequencies and points: shape (frequencies, N, r)."""
+    loop, delta = search.loop, search.loop.delta(points)
+    return np.array(
+        [
+            singular_values(loop.responses(closed, metric, delta)) * loop.scale(metric, closed.omega)
+            for closed in loop.at_each(omega)
+        ]
+    )
+
+
+def _bounds(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> FloatArray:
+    """What slopes say of each bracket's peak: those at one frequency together."""
+    found = np.zeros(len(brackets))
+    for own in _groups(brackets):
+        omega, ends = brackets[own[0]].omega, np.clip(brackets[own[0]].ends, *metric.band)
+        both = omega * np.exp([0.0, BESIDE])
+        here, above = _values(search, metric, both, np.array([brackets[k].point for k in own]))
+        below_end, above_end = np.abs(np.log(ends / omega))
+        found[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
+    return found
+
+
+def _narrowed(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> list[Bracket]:
+    """Brackets a few times as narrow, where several share their frequencies; the others as they are."""
+    found = []
+    for own in _groups(brackets):
+        some = [brackets[k] for k in own]
+        low, high = np.clip(some[0].ends, *metric.band)
+        if len(own) < SEVERAL or not low < high:
+            found += some
+            continue
+        omega = np.unique([*np.geomspace(low, high, PARTS + 1), np.clip(some[0].omega, low, high)])
+        values = _values(search, metric, omega, np.array([b.point for b in some])).max(axis=2)
+        for bracket, own_values in zip(some, values.T):
+            k = int(own_values.argmax())
+            ends = float(omega[max(k - 1, 0)]), float(omega[min(k + 1, len(omega) - 1)])
+            found.append(Bracket(float(own_values[k]), float(omega[k]), ends, bracket.point))
+    return found
+
+
+def _refined(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> Peak | None:
+    """The peak in a bracket by its slopes; None where they say that it does not exceed the largest one.
+
+    Where a second singular value is near it, which may rise where the first one does not, it is sought by values alone.
+    """
+    loop, ends = search.loop, np.log(np.clip(bracket.ends, *metric.band)).tolist()
+    x, omega, best = float(np.log(bracket.omega)), bracket.omega, (bracket.value, bracket.omega)
+    rates, bounds, weights, last = [0.0, 0.0], [np.inf, np.inf], [1.0, 1.0], -1
+    for _ in range(MOST):
+        closed = loop.at(omega)
+        value, _, slope = loop.gain(closed, metric, bracket.point)
+        others = loop.all_gains(closed, metric, bracket.point)[1:]
+        if not value > 0.0 or (len(others) and others[0] >= NEAR * max(largest, value)):
+            return _sought(search, metric, bracket)
+        best, side = max(best, (value, omega)), int(slope <= 0.0)
+        ends[side], rates[side], weights[side] = x, slope / value, 1.0
+        weights[1 - side] *= 0.5 if side == last else 1.0  # so that its end moves, too
+        width, last = ends[1] - ends[0], side
+        bounds[side] = value * np.exp(min(RISE * abs(rates[side]) * width, 700.0))
+        if min(bounds) <= (1.0 + SAME) * largest:
+            return None
+        following = ends[1 - side]  # where nothing is known on that side
+        if all(map(np.isfinite, bounds)):
+            rise, fall = weights[0] * rates[0], -weights[1] * rates[1]
+            part = rise / (rise + fall) if rise + fall > 0.0 else 0.5
+            following = ends[0] + float(np.clip(part, CLIP, 1.0 - CLIP)) * width
+        if width <= ACCURACY or abs(following - x) <= ACCURACY:
+            break
+        x, omega = following, float(np.exp(following))
+    return best
+
+
+def _sought(search: Search, metric: LoopMetric, bracket: Bracket) -> Peak:
+    """The peak in a bracket by values."""
+    point = bracket.point[None]
+
+    def lower(x: float) -> float:
+        return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point)[0])
+
+    ends = np.log(np.clip(bracket.ends, *metric.band))
+    found = scipy.optimize.minimize_scalar(lower, bounds=ends, method="bounded", options={"xatol": ACCURACY})
+    return max((-float(found.fun), float(np.exp(found.x))), (bracket.value, bracket.omega))
