@@ -124,6 +124,8 @@ bench: $(READY)
 	$(BIN)/python benchmarks/verification.py --points 8 --json
 	$(BIN)/python benchmarks/campaign.py --members 3 --json
 	$(BIN)/python benchmarks/tick.py --json
+	$(BIN)/python benchmarks/size.py --states 100,204 --json
+	$(BIN)/python benchmarks/goals.py --json
 	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/image_quality.py --json

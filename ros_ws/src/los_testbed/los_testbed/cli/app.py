@@ -16,56 +16,20 @@ import typer
 
 from lftkit.support.progress import choose_output, write_log
 from los_testbed import __version__
-from los_testbed.cli.analyse import ANALYSE_EXAMPLES, analyse
-from los_testbed.cli.bag import bag_app
-from los_testbed.cli.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
-from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
-from los_testbed.cli.budget import BUDGET_EXAMPLES, budget
-from los_testbed.cli.campaign import CAMPAIGN_EXAMPLES, campaign
-from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
-from los_testbed.cli.control import control_app
-from los_testbed.cli.design import design_app
-from los_testbed.cli.export import export_app
-from los_testbed.cli.image import image_app
-from los_testbed.cli.keys import KEYS_EXAMPLES, keys
-from los_testbed.cli.plant import plant_app
-from los_testbed.cli.proofs import CERTIFY_EXAMPLES, certify
-from los_testbed.cli.replay import REPLAY_EXAMPLES, replay
-from los_testbed.cli.report import REPORT_EXAMPLES, report
-from los_testbed.cli.run import RUN_EXAMPLES, SUPERVISED, run, with_lone_options
-from los_testbed.cli.stages import STAGES_EXAMPLES, stages
+from los_testbed.cli.command_group import CommandGroup
+from los_testbed.cli.environment import QUIET, SUPERVISED, TRACEBACK
 from los_testbed.exit_codes import ExitCode
-from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.run.memory import TOO_LITTLE_MEMORY
 from los_testbed.run.screen import printable
 
 app = typer.Typer(
+    cls=CommandGroup,
     name="los-testbed",
     help="Testbed for fine line-of-sight control of a flexible space telescope.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="markdown",
 )
-app.command(name="run", help=RUN_EXAMPLES)(run)
-app.command(name="analyse", help=ANALYSE_EXAMPLES)(analyse)
-app.command(name="report", help=REPORT_EXAMPLES)(report)
-app.command(name="replay", help=REPLAY_EXAMPLES)(replay)
-app.command(name="budget", help=BUDGET_EXAMPLES)(budget)
-app.command(name="stages", help=STAGES_EXAMPLES)(stages)
-app.command(name="campaign", help=CAMPAIGN_EXAMPLES)(campaign)
-app.command(name="keys", help=KEYS_EXAMPLES)(keys)
-bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
-bag_app.command(name="info", help=INFO_EXAMPLES)(info)
-bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
-bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
-app.add_typer(bag_app, name="bag")
-app.add_typer(image_app, name="image")
-app.add_typer(control_app, name="control")
-app.add_typer(plant_app, name="plant")
-design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
-design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
-app.add_typer(design_app, name="design")
-app.add_typer(export_app, name="export")
 
 
 def _print_version(asked: bool) -> None:
@@ -94,8 +58,6 @@ def _options(
         raise ValueError(f"--log must be a file that can be written, got {log}: {error.strerror}") from None
 
 
-QUIET, TRACEBACK = "LOS_TESTBED_QUIET", "LOS_TESTBED_TRACEBACK"
-"""Variables of the environment: as ``--quiet``; unexpected errors with their place."""
 COMMON = ("--quiet", "--verbose", "--log")
 """Options of all commands, which may stand anywhere on the command line."""
 
@@ -161,7 +123,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _not_raised
     try:
-        given = with_common_options_first(with_lone_options(sys.argv[1:] if arguments is None else arguments))
+        given = with_common_options_first(_with_lone_options(sys.argv[1:] if arguments is None else arguments))
         result = command_line()(args=given, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))
@@ -175,8 +137,6 @@ def main(arguments: list[str] | None = None) -> int:
                 f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}",
                 ExitCode.USER_ERROR,
             )
-        return _fail(str(error), ExitCode.FAILED)
-    except LoopDivergedError as error:
         return _fail(str(error), ExitCode.FAILED)
     except RuntimeError as error:
         return _fail(str(error), int(getattr(error, "code", ExitCode.FAILED)))
@@ -193,6 +153,15 @@ def main(arguments: list[str] | None = None) -> int:
     if result == ExitCode.INTERRUPTED:  # typer makes this of a KeyboardInterrupt
         return _fail("interrupted", ExitCode.INTERRUPTED)
     return _leave(result if isinstance(result, int) else 0)
+
+
+def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
+    """What :func:`los_testbed.cli.run.with_lone_options` makes of the words of a command."""
+    if all(argument.startswith("-") for argument in arguments):
+        return arguments  # without a command: help or version, which need no import
+    from los_testbed.cli.run import with_lone_options
+
+    return with_lone_options(arguments)
 
 
 def _unexpected(error: BaseException) -> str:

@@ -17,6 +17,7 @@ import typer
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli import live_options
+from los_testbed.cli.environment import SUPERVISED
 from los_testbed.cli.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
@@ -34,9 +35,6 @@ from pointing_analysis.read.mcap.records import ShortRunError
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-SUPERVISED = "LOS_TESTBED_SUPERVISED"
-"""Environment variable of a program: code of the user runs in a process of its own, and its end is watched."""
 
 FREE = "free"
 """Value of ``--domain`` for a domain that nobody uses on this machine."""

@@ -1,0 +1,147 @@
+"""The commands by name: each is imported when it is asked for, and the list of all needs none of them."""
+
+from __future__ import annotations
+
+from collections.abc import ItemsView, ValuesView
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A command or a group of commands.
+
+    Parameters
+    ----------
+    module : str
+        Below ``los_testbed.cli``.
+    about : str
+        First paragraph of its help, which the list of commands shows.
+    attribute : str
+        Of the module: the function of a command, or the Typer of a group.
+    help : str
+        Of the module: the help of a command; empty for a group, which has its own.
+    """
+
+    module: str
+    about: str
+    attribute: str
+    help: str = ""
+
+
+ENTRIES = {
+    "run": Entry("run", "Run the loop, record it, evaluate the record.", "run", "RUN_EXAMPLES"),
+    "analyse": Entry("analyse", "Evaluate recorded runs and write an HTML report.", "analyse", "ANALYSE_EXAMPLES"),
+    "report": Entry(
+        "report",
+        "Write one HTML page about one or several bags: verdict, requirements, figures, provenance.",
+        "report",
+        "REPORT_EXAMPLES",
+    ),
+    "replay": Entry("replay", "Drive controllers with the sensors of a bag.", "replay", "REPLAY_EXAMPLES"),
+    "budget": Entry(
+        "budget",
+        "Evaluate a pointing budget: contributions, total and margin for each requirement.",
+        "budget",
+        "BUDGET_EXAMPLES",
+    ),
+    "stages": Entry("stages", "Compare the four stages: none, isolator, fsm, fsm+pma.", "stages", "STAGES_EXAMPLES"),
+    "campaign": Entry(
+        "campaign",
+        "Evaluate many members of the telescope's family; one row a member in a Parquet data set.",
+        "campaign",
+        "CAMPAIGN_EXAMPLES",
+    ),
+    "keys": Entry(
+        "keys",
+        "Keys, certificates and signed permissions of the nodes, for a ROS 2 with DDS security (SROS 2).",
+        "keys",
+        "KEYS_EXAMPLES",
+    ),
+    "bag": Entry("groups", "Describe, check, sign and repair recorded runs.", "bag_app"),
+    "image": Entry("image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"),
+    "control": Entry(
+        "control",
+        "Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
+        "control_app",
+    ),
+    "plant": Entry("plant", "The telescope's model: order, parameters, poles, inertia, bodies.", "plant_app"),
+    "design": Entry("groups", "Make and check the controllers.", "design_app"),
+    "export": Entry("export", "Flight code of the laws in C.", "export_app"),
+}
+"""In the order of the help."""
+
+
+def _none() -> None:
+    """Callback that makes a group of one command."""
+
+
+def loaded(name: str) -> Any:
+    """The command of an entry, imported."""
+    entry, whole = ENTRIES[name], typer.Typer(rich_markup_mode="markdown")
+    module = import_module(f"los_testbed.cli.{entry.module}")
+    whole.callback()(_none)
+    if entry.help:
+        whole.command(name=name, help=getattr(module, entry.help))(getattr(module, entry.attribute))
+    else:
+        whole.add_typer(getattr(module, entry.attribute), name=name)
+    group: Any = typer.main.get_command(whole)
+    return group.commands[name]
+
+
+class Commands(dict[str, Any]):
+    """Commands by name, each imported when it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__(dict.fromkeys(ENTRIES))
+
+    def __getitem__(self, name: str) -> Any:
+        found = super().__getitem__(name)
+        if found is None:
+            found = self[name] = loaded(name)
+        return found
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The command of a name."""
+        if name not in self:
+            return default
+        return self[name]
+
+    def values(self) -> ValuesView[Any]:
+        """All commands."""
+        return {name: self[name] for name in self}.values()
+
+    def items(self) -> ItemsView[str, Any]:
+        """All names and commands."""
+        return {name: self[name] for name in self}.items()
+
+
+class CommandGroup(TyperGroup):
+    """The program: its help shows the commands by their entries."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = Commands()
+        self._listing = False
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Without importing a command."""
+        self._listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self._listing = False
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """In the order of the entries."""
+        return list(self.commands)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name; what stands for it in the list while that is made."""
+        if self._listing and cmd_name in ENTRIES:
+            return TyperCommand(cmd_name, help=ENTRIES[cmd_name].about)
+        return self.commands.get(cmd_name)

@@ -1,0 +1,19 @@
+"""Groups of commands whose commands are in several modules."""
+
+from __future__ import annotations
+
+from los_testbed.cli.bag import bag_app
+from los_testbed.cli.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
+from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
+from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
+from los_testbed.cli.design import design_app
+from los_testbed.cli.proofs import CERTIFY_EXAMPLES, certify
+
+bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
+bag_app.command(name="info", help=INFO_EXAMPLES)(info)
+bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
+bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
+design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
+design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
+
+__all__ = ["bag_app", "design_app"]
