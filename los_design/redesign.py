@@ -40,6 +40,7 @@ from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.layout import control_stages, mirror_stages
 from titop_plant.telescope.parameters import Parameters, parameters_hash
 
 Report = Callable[[str], None]
@@ -79,8 +80,8 @@ class DesignSummary:
 
     @property
     def gammas(self) -> dict[str, list[float]]:
-        """Gammas in the paper's order, mirror alone and with the proof-mass actuators."""
-        return {"fsm": self.check.fsm, "pma": self.check.pma}
+        """Gammas in the paper's order, mirror alone and with the proof-mass actuators where there are any."""
+        return self.check.gammas
 
 
 def design_all(
@@ -166,13 +167,14 @@ def search_stages(
         for isolated in (False, True)
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
-    for stage, system in zip(MIRROR_STAGES, (k_fsm, k_pma)):
+    stages = control_stages(parameters)
+    for stage, system in zip(mirror_stages(parameters), (k_fsm, k_pma)):
         known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
     return {
         stage: Search(ImplementedLoop(open_loops[stage != STAGES[0]], k_fsm, k_pma, stage), options).run(
             starts=known[stage], workers=workers
         )
-        for stage in STAGES
+        for stage in stages
     }
 
 
@@ -187,7 +189,8 @@ def adversarial_points(
     found: Mapping[str, Mapping[str, Sequence[WorstPoint]]], pair: Sequence[SampledSystem]
 ) -> list[dict[str, float]]:
     """Different parameters of the worst points of all bands with fine control, and those that a design was tuned at."""
-    points = [dict(p.parameters) for stage in MIRROR_STAGES for table in found[stage].values() for p in table]
+    fine = [found[stage] for stage in MIRROR_STAGES if stage in found]
+    points = [dict(p.parameters) for tables in fine for table in tables.values() for p in table]
     points += [dict(values) for system in pair for values in system.provenance.get("active_models", []) if values]
     return list({tuple(values.items()): values for values in points}.values())
 

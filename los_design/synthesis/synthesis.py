@@ -37,7 +37,7 @@ from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
-from los_design.synthesis.starts import random_start, screened
+from los_design.synthesis.starts import random_start, screened, zero_controller
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.synthesis.task import Task
@@ -46,6 +46,7 @@ from los_estimator.problem import kalman_start, observer_plant, observer_structu
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.layout import control_stages
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
 
 START_SEEDS = (2,)
@@ -152,6 +153,8 @@ def design_pair(
 ) -> tuple[SampledSystem, SampledSystem]:
     """Tune both controllers of the implemented loop together.
 
+    A telescope without proof-mass actuators has the stage of the mirror alone: K_FSM is tuned for it, K_PMA is zero.
+
     Parameters
     ----------
     telescope, parameters
@@ -171,8 +174,13 @@ def design_pair(
     """
     if not options.implemented:
         raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
-    both = ["k-fsm", "k-pma"]
-    return _implemented(telescope, parameters, options, report, (OBSERVER, ACTUATORS), both, kept=kept, workers=workers)
+    kinds = ["k-fsm", "k-pma"]
+    if STAGE_NAMES[BOTH] in control_stages(parameters):
+        tuned = (OBSERVER, ACTUATORS)
+        return _implemented(telescope, parameters, options, report, tuned, kinds, kept=kept, workers=workers)
+    k_fsm, _ = _implemented(telescope, parameters, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
+    made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
+    return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
 
 def _implemented(

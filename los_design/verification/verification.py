@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,6 +28,7 @@ from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_r
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
+from titop_plant.telescope.layout import mirror_stages
 from titop_plant.telescope.parameters import Parameters, parameter_corners
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
@@ -38,6 +39,14 @@ ENVELOPE = 0.7
 less in a window adds more to it, but by less than that."""
 DELAY_POINTS, DELAY_FREQUENCIES = 40, 400
 Values = Mapping[str, float]
+SHORT_NAMES = dict(zip(("fsm", "pma"), MIRROR_STAGES))
+"""Of the stages with fine control, in a mapping of metrics."""
+CLOSINGS = {
+    "fsm": (MIRROR_STAGES[0], "sensitivity, mirror", MIRROR),
+    "pma, mirror": (MIRROR_STAGES[1], "sensitivity, mirror", MIRROR),
+    "pma, forces": (MIRROR_STAGES[1], "sensitivity, forces", FORCES),
+}
+"""Where margins are given: name to stage, figure of merit and commands."""
 PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835, 0.1185]}
 PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
 
@@ -53,27 +62,41 @@ class ImplementedCheck:
 
     Parameters
     ----------
-    alone, both : StageCheck
-        The mirror alone, and with the proof-mass actuators.
+    checks : dict of str to StageCheck
+        By stage: the mirror alone, and with the proof-mass actuators where the telescope has them.
     noise : dict of str to (float, float)
         By stage, at the nominal point: line of sight due to sensor noise [rad rms], plain and as relative error.
     on_axis : dict of str to (float, float)
         By stage, of both kinds: the largest part of the noise's power along one axis.
     platform_noise : float
-        Line of sight due to the platform's accelerometers with both controllers [rad rms], the paper's figure.
+        Line of sight due to the platform's accelerometers with all controllers [rad rms], the paper's figure.
     delay : dict of str to float
-        Guaranteed delay margins [s]: ``fsm``, ``pma, mirror``, ``pma, forces``.
+        Guaranteed delay margins [s]: ``fsm``, ``pma, mirror``, ``pma, forces``; the last two with these actuators.
     parameters : mapping
         Telescope parameters.
     """
 
-    alone: StageCheck
-    both: StageCheck
+    checks: dict[str, StageCheck]
     noise: dict[str, tuple[float, float]]
     on_axis: dict[str, tuple[float, float]]
     platform_noise: float
     delay: dict[str, float]
     parameters: Parameters
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages with fine control that the telescope has."""
+        return tuple(self.checks)
+
+    @property
+    def alone(self) -> StageCheck:
+        """The mirror alone."""
+        return self.checks[MIRROR_STAGES[0]]
+
+    @property
+    def both(self) -> StageCheck:
+        """With the proof-mass actuators; KeyError: the telescope has none."""
+        return self.checks[MIRROR_STAGES[1]]
 
     @property
     def count(self) -> int:
@@ -82,21 +105,27 @@ class ImplementedCheck:
 
     @property
     def stable(self) -> int:
-        """Points at which the loops of both stages are stable."""
-        return int(np.sum(self.alone.stable & self.both.stable))
+        """Points at which the loops of all stages are stable."""
+        return int(np.sum(np.all([check.stable for check in self.checks.values()], axis=0)))
 
     @property
     def all_stable(self) -> bool:
-        """Whether both stages are stable at every point and at the nominal one."""
+        """Whether all stages are stable at every point and at the nominal one."""
         return self.stable == self.count and math.isfinite(self.platform_noise)
 
     def gamma(self, stage: str, requirement: str) -> float:
         """Worst gamma of a figure; ``RPE`` is the worse of slow and fast tones."""
-        check = self.alone if stage == "fsm" else self.both
+        check = self.checks[stage]
         if not check.stable.all():
             return math.inf
         names = ("slow", "fast") if requirement == "RPE" else (requirement,)
         return max((check.worst[n].gamma for n in names if n in check.worst), default=math.inf)
+
+    @property
+    def gammas(self) -> dict[str, list[float]]:
+        """Gammas by the short name of the stage, in the paper's order."""
+        found = {"fsm": self.fsm, "pma": self.pma if MIRROR_STAGES[1] in self.checks else []}
+        return {name: values for name, values in found.items() if values}
 
     @property
     def fsm(self) -> list[float]:
@@ -119,7 +148,7 @@ class ImplementedCheck:
 
     @cached_property
     def _totals(self) -> dict[str, float]:
-        return {stage: self._total(stage) for stage in MIRROR_STAGES}
+        return {stage: self._total(stage) for stage in self.stages}
 
     def _total(self, stage: str) -> float:
         level = 0.0
@@ -129,7 +158,7 @@ class ImplementedCheck:
 
     def _tones(self, stage: str) -> list[tuple[float, float]]:
         """Amplitudes [mas] and frequencies [rad/s] of tones: the slow one, and of the fast ones all that may matter."""
-        check = self.alone if stage == MIRROR_STAGES[0] else self.both
+        check = self.checks[stage]
         limit, fast = figure("fast").limit(self.parameters, stage) / MAS, check.envelope["fast"]
         least = ENVELOPE * self.gamma(stage, "fast")
         found = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
@@ -176,35 +205,34 @@ class ImplementedCheck:
 
     def margins(self) -> dict[str, Margins]:
         """What the peaks of the sensitivities guarantee."""
-        pairs = {
-            "fsm": (self.alone, "sensitivity, mirror"),
-            "pma, mirror": (self.both, "sensitivity, mirror"),
-            "pma, forces": (self.both, "sensitivity, forces"),
-        }
         return {
             name: Margins(MAX_SENSITIVITY * check.worst[metric].gamma, self.delay[name])
-            for name, (check, metric) in pairs.items()
-            if metric in check.worst
+            for name, (stage, metric, _) in CLOSINGS.items()
+            if (check := self.checks.get(stage)) is not None and metric in check.worst
         }
 
     def lost_margins(self) -> list[str]:
         """One text for each changed loop that is unstable somewhere."""
         lines = []
-        for check in (self.alone, self.both):
+        for check in self.checks.values():
             counts = Counter(name for names in check.unstable_changes for name in names)
             lines += [f"{check.stage}: {name} unstable at {n} points" for name, n in counts.items()]
         return lines
 
     def to_mapping(self) -> dict[str, Any]:
         """Metrics for the JSON line; ``"inf"`` where a loop is unstable."""
-        stages = {"fsm": self.alone, "pma": self.both}
-        names = {"fsm": "fsm", "pma": "fsm+pma"}
-        db, at = self.amplification
+        names = {short: stage for short, stage in SHORT_NAMES.items() if stage in self.checks}
+        compared: dict[str, Any] = {}
+        if len(names) > 1:
+            db, at = self.amplification
+            compared = {
+                "fast_tones_reduction_db": rounded(self.reduction),
+                "largest_amplification_db": {"db": rounded(db), "rad_s": rounded(at)},
+            }
         return {
             "samples": self.count,
             "stable_samples": self.stable,
-            "fsm": [rounded(v) for v in self.fsm],
-            "pma": [rounded(v) for v in self.pma],
+            **{short: [rounded(v) for v in values] for short, values in self.gammas.items()},
             "margins": {
                 **{name: margin.to_mapping() for name, margin in self.margins().items()},
                 "unstable_changes": self.lost_margins(),
@@ -216,8 +244,8 @@ class ImplementedCheck:
                     "channel": p.channel,
                     "parameters": dict(p.parameters),
                 }
-                for short, check in stages.items()
-                for name, p in check.worst.items()
+                for short, stage in names.items()
+                for name, p in self.checks[stage].worst.items()
             },
             "noise": {
                 short: {
@@ -233,8 +261,7 @@ class ImplementedCheck:
             "total_mas": {short: rounded(self.total(stage)) for short, stage in names.items()},
             "total_together_mas": {short: rounded(self.total_together(stage)) for short, stage in names.items()},
             "total_ape_arcsec": {short: rounded(self.total_ape(stage)) for short, stage in names.items()},
-            "fast_tones_reduction_db": rounded(self.reduction),
-            "largest_amplification_db": {"db": rounded(db), "rad_s": rounded(at)},
+            **compared,
         }
 
 
@@ -268,35 +295,36 @@ def check_implemented(
     at : iterable of mapping
         Parameter points; noise is evaluated at the nominal point whatever they are.
     tick : callable
-        Called twice for each point.
+        Called for each point and stage.
     changes : bool
         Check gains and one more tick of delay, too.
     workers : Workers, optional
         Processes; the result does not depend on them.
     """
     points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters)
-    loops = [ImplementedLoop(open_loop, *pair, stage) for stage in MIRROR_STAGES]
-    alone, both = check_stages(loops, points, changes=changes, tick=tick, workers=workers)
+    stages = mirror_stages(parameters)
+    loops = [ImplementedLoop(open_loop, *pair, stage) for stage in stages]
+    checks = dict(zip(stages, check_stages(loops, points, changes=changes, tick=tick, workers=workers)))
     nominal, noise, on_axis = system.at({}), {}, {}
-    for stage in MIRROR_STAGES:
+    for stage in stages:
         plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage)
         noise[stage] = noise_rms((plain, relative))
         on_axis[stage] = largest_part(plain), largest_part(relative)
-    platform = noise_rms(noise_covariances(nominal, *pair, parameters, loop=MIRROR_STAGES[-1], sensors="platform"))
-    delay = _delays(open_loop, pair, points)
-    return ImplementedCheck(alone, both, noise, on_axis, platform[0], delay, parameters)
+    platform = noise_rms(noise_covariances(nominal, *pair, parameters, loop=stages[-1], sensors="platform"))
+    delay = _delays(open_loop, pair, points, stages)
+    return ImplementedCheck(checks, noise, on_axis, platform[0], delay, parameters)
 
 
-def _delays(open_loop: OpenLoop, pair: tuple[SampledSystem, SampledSystem], points: list[Values]) -> dict[str, float]:
+def _delays(
+    open_loop: OpenLoop, pair: tuple[SampledSystem, SampledSystem], points: list[Values], stages: Sequence[str]
+) -> dict[str, float]:
     """Guaranteed delay margins [s] at up to :data:`DELAY_POINTS` of the points."""
     some = points[:: max(1, len(points) // DELAY_POINTS)]
     found = {}
     omega: FloatArray = np.asarray(np.geomspace(0.1, 2500.0, DELAY_FREQUENCIES), dtype=float)
-    for name, stage, channels in (
-        ("fsm", "fsm", MIRROR),
-        ("pma, mirror", "fsm+pma", MIRROR),
-        ("pma, forces", "fsm+pma", FORCES),
-    ):
+    for name, (stage, _, channels) in CLOSINGS.items():
+        if stage not in stages:
+            continue
         loop = ImplementedLoop(open_loop, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
         found[name] = delay_margin(loop, channels, cube, omega)
@@ -328,14 +356,15 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
     """One line for each requirement of the implemented loop that a pair of designs breaks; empty if all are met."""
     lines = [
         f"{stage}: {row.name} {gamma:.3f} of its limit, must be at most {row.allowed:g}"
-        for stage in MIRROR_STAGES
+        for stage in check.stages
         for row in gain_figures(stage)
         if not (gamma := check.gamma(stage, row.name)) <= row.allowed
     ]
-    fine = figure("RPE").limit(check.parameters, "fsm+pma") / MAS
-    if not check.total("fsm+pma") <= fine:
-        lines.append(f"fsm+pma: tones and noise {check.total('fsm+pma'):.1f} mas, must be at most {fine:g} mas")
-    for stage in MIRROR_STAGES:
+    last = check.stages[-1]
+    fine = figure("RPE").limit(check.parameters, last) / MAS
+    if not check.total(last) <= fine:
+        lines.append(f"{last}: tones and noise {check.total(last):.1f} mas, must be at most {fine:g} mas")
+    for stage in check.stages:
         absolute = figure("APE").limit(check.parameters, stage) / ARCSEC
         if not check.total_ape(stage) <= absolute:
             found = f"tone and noise {check.total_ape(stage):.2f} arcsec, must be at most {absolute:g} arcsec"

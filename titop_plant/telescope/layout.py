@@ -27,6 +27,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant import ports
 from titop_plant.blocks.pyramid import pyramid_axes
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, STAGES
 
 ARRAYS, WHEELS, APPENDAGES = "solar_array", "reaction_wheel", "appendage"
 """Tables of a parameter file."""
@@ -210,6 +211,27 @@ def speed_names(count: int) -> tuple[str, ...]:
     ('wheel_1.speed', 'wheel_2.speed')
     """
     return tuple(f"wheel_{i}.speed" for i in range(1, count + 1))
+
+
+def control_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Stages of the control that a telescope has: those with forces only where it has proof-mass actuators.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> reference = load_parameters()
+    >>> control_stages(reference)
+    ('none', 'isolator', 'fsm', 'fsm+pma')
+    >>> control_stages({**reference, "pma": {**reference["pma"], "azimuths_deg": []}})
+    ('none', 'isolator', 'fsm')
+    """
+    actuators = len(parameters["pma"]["azimuths_deg"]) > 0
+    return tuple(stage for stage in STAGES if actuators or stage not in FORCE_STAGES)
+
+
+def mirror_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Those of them with the mirror's loop closed: the last one is what the telescope is flown with."""
+    return tuple(stage for stage in control_stages(parameters) if stage in MIRROR_STAGES)
 
 
 def wheel_count(parameters: Mapping[str, Any]) -> int:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from lftkit.support.ordinary_file import read_ordinary_file
 from los_testbed.config import RunConfig, is_code, read_yaml
-from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, STAGES
+from titop_plant.interface import MIRROR_STAGES
 from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -74,14 +74,13 @@ def check_ranges(config: RunConfig, parameters: Parameters | None = None) -> Non
     ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
     from titop_plant.simulation.plant_config import check_wheels, frequencies
-    from titop_plant.telescope.layout import ANGLE, default_speeds
+    from titop_plant.telescope.layout import ANGLE, control_stages, default_speeds
     from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
 
     parameters = load_parameters(config.parameters or REFERENCE) if parameters is None else parameters
     table = uncertain_parameters(parameters)
-    if config.loop in FORCE_STAGES and not parameters["pma"]["azimuths_deg"]:
-        others = ", ".join(stage for stage in STAGES if stage not in FORCE_STAGES)
-        raise ValueError(f"loop must be one of {others} without proof-mass actuators, got {config.loop}")
+    if config.loop not in (stages := control_stages(parameters)):
+        raise ValueError(f"loop must be one of {', '.join(stages)} without proof-mass actuators, got {config.loop}")
     for name, omega in frequencies(config, parameters).items():
         _within(_setting_of(name, config), table[name], omega)
     check_wheels(config, parameters)

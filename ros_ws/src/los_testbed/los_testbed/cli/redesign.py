@@ -152,6 +152,7 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> 
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.layout import mirror_stages
     from titop_plant.telescope.parameters import design_basis
 
     parameters, k_fsm, k_pma = designs_in(folder)
@@ -160,9 +161,9 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> 
         system = control_loop_plant(build_telescope(parameters), parameters)
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
         at = [*verification_points(parameters, system, samples), *adversarial]
-        done = count(1)
+        done, total = count(1), len(mirror_stages(parameters)) * len(at)
         check = check_implemented(
-            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), 2 * len(at)), workers=pool
+            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), total), workers=pool
         )
     _show(folder, check.to_mapping(), broken_requirements(check), json_)
 
@@ -176,7 +177,7 @@ def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: 
         for column in ("stage", "requirement", "gamma", ""):
             table.add_column(column, justify="right" if column == "gamma" else "left")
         for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
-            for name, gamma in zip(names, implemented[stage]):
+            for name, gamma in zip(names, implemented.get(stage, ())):
                 table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
         Screen().print(table)
         for key in ("margins", "noise", "worst_point"):
