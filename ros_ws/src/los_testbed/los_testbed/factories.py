@@ -291,7 +291,7 @@ class RunParts:
             telescope = self.family.build(self.physical, state)
         own = config.disturbance_source if config.disturbance else None
         plant = telescope if own is None else self._driven(telescope, own)
-        plant = self._with_sources(plant)
+        plant = self.with_sources(plant)
         if not config.nonlinear:
             return plant
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
@@ -307,7 +307,7 @@ class RunParts:
         with one_thread():
             return DrivenPlant(plant, held_disturbance(self.family, self.physical, plant.dt), disturbance, source)
 
-    def _with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
+    def with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
         """The telescope under the sources of files, where there are any."""
         if not self.sources:
             return plant

@@ -121,7 +121,12 @@ class Campaign:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Columns of metrics."""
-        return metric_columns(self.depth, self.judged)
+        return metric_columns(self.depth, self.judged, self.sources)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the sources of disturbance of the parameter file, which act in each simulated member."""
+        return tuple(source.name for source in RunParts(self.base).sources) if self.depth == "time" else ()
 
     @property
     def chunk_count(self) -> int:

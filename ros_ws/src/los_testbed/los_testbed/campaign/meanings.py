@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -50,8 +51,8 @@ SCENARIOS = {
 """What disturbs the members of a simulated campaign."""
 
 
-def scenario_text(scenario: str, depth: str) -> str:
-    """What the members of a campaign are exposed to, in one sentence.
+def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str:
+    """What the members of a campaign are exposed to, in one sentence; one more on the sources of the parameter file.
 
     Examples
     --------
@@ -62,7 +63,8 @@ def scenario_text(scenario: str, depth: str) -> str:
         return (
             "Each member has its worst tone of norm 1 and the noise of its sensors, from its matrices; nothing is run."
         )
-    return f"In each member {SCENARIOS.get(scenario, scenario)}. Sensor noise is on."
+    text = f"In each member {SCENARIOS.get(scenario, scenario)}. Sensor noise is on."
+    return f"{text} Sources of the parameter file act, too: {', '.join(sources)}." if sources else text
 
 
 ABSOLUTE = ("APE", "MPE", "AKE", "MKE")
@@ -95,6 +97,8 @@ _COLUMN = re.compile(
     rf"_(?P<what>max|min|effective|p(?P<part>\d[\d.e+-]*)|(?P<side>above|below)_(?P<limit>{_NUMBER}))"
     r"(?:_(?P<unit>mas|arcsec))?"
 )
+
+_SOURCE = re.compile(r"source_(?P<name>\w+)_(?P<metric>ape_p997_arcsec|rpe_rms_mas)")
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,11 @@ def meaning(column: str) -> str:
     'absolute error, 95 % of the instants [arcsec]'
     >>> meaning("mtf_20ms_nyquist_p003")
     'MTF of the motion in an exposure of 20 ms, at Nyquist, 99.7 % of the exposures are above'
+    >>> meaning("source_cooler_rpe_rms_mas")
+    'source cooler alone: relative error in windows of 20 ms, rms [mas]'
     """
+    if source := _SOURCE.fullmatch(column):
+        return f"source {source['name']} alone: {MEANINGS[source['metric']]}"
     found = _COLUMN.fullmatch(column)
     if column in MEANINGS or not found:
         return MEANINGS.get(column, column.replace("_", " "))

@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -32,6 +33,7 @@ from los_testbed.factories import RunParts, assemble_controller
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, simulate
+from los_testbed.loop.source_alone import errors_of_source
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
 from pointing_analysis.read import mapped_arrays
@@ -74,17 +76,31 @@ DEPTHS = ("time", "model")
 """How a member is evaluated: from a simulated run, or from its matrices."""
 
 
-def metric_columns(depth: str, requirements: Sequence[Requirement]) -> tuple[str, ...]:
+def source_columns(source: str) -> tuple[str, str]:
+    """Columns of a source of disturbance: absolute and relative error that it makes alone.
+
+    Examples
+    --------
+    >>> source_columns("cooler 1")
+    ('source_cooler_1_ape_p997_arcsec', 'source_cooler_1_rpe_rms_mas')
+    """
+    stem = f"source_{re.sub(r'[^0-9A-Za-z]+', '_', source)}"
+    return f"{stem}_ape_p997_arcsec", f"{stem}_rpe_rms_mas"
+
+
+def metric_columns(depth: str, requirements: Sequence[Requirement], sources: Sequence[str] = ()) -> tuple[str, ...]:
     """Columns of metrics of a depth.
 
     Those of a simulated run are `COMMON_METRICS`, then of each requirement share of the samples beyond its limit,
     quantile, worst value and effective samples (:class:`los_testbed.campaign.meanings.RequirementColumns`); two
-    requirements that differ in their limits alone share what does not depend on it.
+    requirements that differ in their limits alone share what does not depend on it. Behind them are those of each
+    source of disturbance that the telescope's parameter file names (:func:`source_columns`).
     """
     if depth == "model":
         return model_metrics()
     of_requirements = zip(*(RequirementColumns.of(r).names for r in judged(requirements)))
-    return tuple(dict.fromkeys((*COMMON_METRICS, *(name for kind in of_requirements for name in kind))))
+    of_sources = (name for source in sources for name in source_columns(source))
+    return tuple(dict.fromkeys((*COMMON_METRICS, *(name for kind in of_requirements for name in kind), *of_sources)))
 
 
 def unformed(parts: RunParts) -> dict[Requirement, str]:
@@ -96,7 +112,7 @@ def unformed(parts: RunParts) -> dict[Requirement, str]:
         The parameter file cannot be read; with requirements on the image also: its optics make none.
     """
     config, requirements = parts.config, parts.requirements
-    left_out = default_transient(config.duration) if config.start == "rest" else 0.0
+    left_out = default_transient(config.duration) if config.start == "rest" or parts.sources else 0.0
     return refused(requirements, max(config.ticks - round(left_out / DT), 0), _image_optics(parts))
 
 
@@ -121,6 +137,8 @@ class MemberEvaluator:
         Of the telescope, those that a member's run can be judged by.
     optics : Optics, optional
         Of the telescope, for requirements on the image of a star.
+    sources : tuple of str
+        Names of the sources of disturbance of the parameter file, which act in each member.
     """
 
     base: RunConfig
@@ -129,6 +147,7 @@ class MemberEvaluator:
     telescope: DesignBasis
     requirements: tuple[Requirement, ...]
     optics: Optics | None = None
+    sources: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, base: RunConfig) -> MemberEvaluator:
@@ -142,7 +161,8 @@ class MemberEvaluator:
         parts = RunParts(base)
         known = unformed(parts)
         requirements = tuple(r for r in parts.requirements if r not in known)
-        return cls(base, parts.family, parts.models, parts.basis, requirements, _image_optics(parts))
+        names = tuple(source.name for source in parts.sources)
+        return cls(base, parts.family, parts.models, parts.basis, requirements, _image_optics(parts), names)
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -173,7 +193,7 @@ class MemberEvaluator:
     def _row(
         self, index: int, values: Mapping[str, Any], depth: str, evaluate: Callable[[], Mapping[str, float]]
     ) -> dict[str, Any]:
-        metrics, status, reason = dict.fromkeys(metric_columns(depth, self.requirements), math.nan), "ok", ""
+        metrics, status, reason = dict.fromkeys(self._columns(depth), math.nan), "ok", ""
         try:
             with one_thread(), np.errstate(all="ignore"):
                 metrics |= evaluate()
@@ -189,6 +209,9 @@ class MemberEvaluator:
             status, reason = "failed", " ".join(str(error).split()) or type(error).__name__
         return finished_row(index, values, metrics, status, reason)
 
+    def _columns(self, depth: str) -> tuple[str, ...]:
+        return metric_columns(depth, self.requirements, self.sources)
+
     def _simulated(self, config: RunConfig) -> dict[str, float]:
         """Metrics of a simulated run, start-up left out.
 
@@ -201,11 +224,12 @@ class MemberEvaluator:
         """
         parts = RunParts(config, self.controllers, known_family=self.family)
         start = parts.start
-        first = round((default_transient(config.duration) if start.states is None else 0.0) / DT)
+        unsteady = start.states is None or bool(parts.sources)
+        first = round((default_transient(config.duration) if unsteady else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
         rest = np.zeros(self.family.control_loop.order) if start.states is None else start.states.plant
-        plant = self.family.build(parts.physical, rest)
+        plant = parts.with_sources(self.family.build(parts.physical, rest))
         controllers = {name: replace(law) for name, law in self.controllers.items()}  # each with a state of its own
         estimator = LosEstimator(controllers["k_fsm"])
         controller = assemble_controller(controllers, self.telescope, config.loop)
@@ -219,7 +243,15 @@ class MemberEvaluator:
         )
         kernel()  # of many runs, so that the first one pays for all
         simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
-        return record.metrics(first, self.requirements, self.optics)
+        return record.metrics(first, self.requirements, self.optics) | self._of_sources(parts)
+
+    def _of_sources(self, parts: RunParts) -> dict[str, float]:
+        """What each source of disturbance does alone in a member."""
+        found: dict[str, float] = {}
+        for index, name in enumerate(self.sources):
+            alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT)
+            found |= dict(zip(source_columns(name), (alone.ape_p997, alone.rpe_rms)))
+        return found
 
     @cached_property
     def _model(self) -> ModelDepth:

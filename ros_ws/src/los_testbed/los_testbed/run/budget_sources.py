@@ -19,6 +19,7 @@ from los_loop.sampled_loop import SampledLoop, periodic_covariances
 from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
+from los_testbed.loop.source_alone import errors_of_source
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
@@ -28,8 +29,11 @@ from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
 
 GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
-PARTS = ("tones", "noise", "all")
-SETTINGS = {"theta", "tau", "wheel_speed", "parameters", "k_fsm", "k_pma", "camera_rate"}
+PARTS = ("tones", "noise", "sources", "all")
+SETTINGS = {
+    *("theta", "tau", "wheel_speed", "parameters", "k_fsm", "k_pma", "camera_rate"),
+    *("disturbance_files", "duration"),
+}
 
 
 def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float) -> list[Source]:
@@ -40,8 +44,8 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     path : tuple of str
         Of the table in the tree.
     table : mapping
-        ``loop``, ``scenario``, ``seed``; ``part``: ``tones``, ``noise`` or ``all`` (default); ``settings``: of the
-        run.
+        ``loop``, ``scenario``, ``seed``; ``part``: ``tones``, ``noise``, ``sources`` (files of disturbances) or
+        ``all`` (default); ``settings``: of the run.
     unit : float
         Unit of the budget [rad].
 
@@ -64,9 +68,11 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if not model.loop.spectral_radius() < 1:
         raise ValueError(f"{' / '.join(path)}: loop must be stable, got a spectral radius of 1 or more")
     found = []
-    if part != "noise":
+    if part in ("tones", "all"):
         found += _tones(path, model, unit)
-    if part != "tones" and config.loop in MIRROR_STAGES and config.noise:
+    if part in ("sources", "all"):
+        found += _of_files(path, parts, unit)
+    if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
         found += _noise(path, model.loop, parts.parameters, unit)
     return found
 
@@ -84,6 +90,14 @@ def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]
     return [
         kinds.tones((*path, f"tone {w / (2 * np.pi):.3f} Hz"), [w], phasors[:, i : i + 1], DT)
         for i, w in enumerate(model.omega)
+    ]
+
+
+def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Source]:
+    """One source for each file or table of disturbances: a run of the loop under it alone, start-up left out."""
+    return [
+        kinds.measured((*path, source.name), errors_of_source(parts, i, parts.config.ticks) / unit, DT)
+        for i, source in enumerate(parts.sources)
     ]
 
 
