@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from los_testbed.cli.options import Json
+from los_testbed.cli.options import Designs, Json
 from los_testbed.cli.output import print_json
 from los_testbed.run.screen import Screen
 
@@ -21,6 +22,8 @@ requirements of the reference telescope.
 
     los-testbed budget
 
+    los-testbed budget --designs examples/spacecraft/small_telescope
+
     los-testbed budget my_budget.toml --output budget.html --json
 """
 ROWS = 12
@@ -29,11 +32,12 @@ ROWS = 12
 def budget(
     file: Annotated[Path | None, typer.Argument(help="TOML file of the budget.")] = None,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    designs: Designs = None,
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
-    from los_testbed.run.budget_sources import testbed_requirements, testbed_sources
+    from los_testbed.run.budget_sources import testbed_requirements, testbed_sources, with_designs
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
     from pointing_analysis.report.budget_page import digits, render_budget, vector
@@ -41,7 +45,15 @@ def budget(
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
     if output is not None:
         check_output(output, "the page")
-    found = budget_file.load_budget(file or shipped, testbed_sources, testbed_requirements)
+
+    def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
+        return with_designs(table, designs) if designs else table
+
+    found = budget_file.load_budget(
+        file or shipped,
+        lambda path, table, unit: testbed_sources(path, of_designs(table), unit),
+        lambda table: testbed_requirements(of_designs(table)),
+    )
     verdicts = evaluate(found)
     console = Screen(stderr=json_)
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)

@@ -141,19 +141,18 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 
 
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
-    """One report per scenario: the four stages side by side, the model beside the measured lines."""
+    """One report per scenario: the stages side by side, the model beside the measured lines."""
     from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import REPORTED, WORST, select
     from los_testbed.run.summary import remarks_of
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels, write_report
     from pointing_analysis.requirements.summary import summarise
-    from titop_plant.interface import STAGES
 
     paths = []
     for scenario in plan.scenarios:
         shown = REPORTED if scenario == WORST else "nominal"
-        kept = [select(results, scenario, loop, "all")[shown].bag for loop in STAGES]
+        kept = [select(results, scenario, loop, "all")[shown].bag for loop in plan.stages]
         runs = [Run.open(bag) for bag in kept if bag is not None]
         model = {}
         for run, label in zip(runs, labels(runs)):

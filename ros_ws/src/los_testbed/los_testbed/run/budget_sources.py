@@ -20,11 +20,13 @@ from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.variants import of_designs
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES
+from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES, STAGES
 from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.telescope.layout import control_stages
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_samples
 
@@ -75,6 +77,22 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
         found += _noise(path, model.loop, parts.parameters, unit)
     return found
+
+
+def with_designs(table: Mapping[str, Any], designs: str) -> dict[str, Any]:
+    """A table of type ``testbed`` for the telescope and controllers of a folder of designs.
+
+    Its own settings win. A stage that the telescope does not have is its last one.
+
+    Raises
+    ------
+    ValueError
+        A controller is missing.
+    """
+    settings = {**of_designs(designs), **dict(table.get("settings", {}))}
+    parameters = RunParts(RunConfig.from_mapping(settings)).parameters
+    stages, loop = control_stages(parameters), table.get("loop", RunConfig().loop)
+    return {**table, "settings": settings, "loop": loop if loop in stages or loop not in STAGES else stages[-1]}
 
 
 def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:

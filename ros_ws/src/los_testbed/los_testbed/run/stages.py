@@ -1,4 +1,4 @@
-"""The four loop stages side by side: same seed, same disturbance, several telescopes, both parts of the error.
+"""The loop stages side by side: same seed, same disturbance, several telescopes, both parts of the error.
 
 Every metric is computed from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
 noise) and the noise alone (no disturbance). In the scenario worst_case each stage has its own worst parameters and
@@ -12,7 +12,7 @@ import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, ran
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
+from titop_plant.telescope.layout import control_stages
 
 WORST = SCENARIOS[0]
 
@@ -85,6 +86,11 @@ class Plan:
             found[f"sample-{seed}"] = RunConfig.from_mapping(layered(self.base.to_mapping(), member))
         return found
 
+    @cached_property
+    def stages(self) -> tuple[str, ...]:
+        """Stages that the telescope has."""
+        return control_stages(RunParts(self.base).parameters)
+
     def runs(self) -> list[StageRun]:
         """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
         found = []
@@ -96,7 +102,7 @@ class Plan:
             found += [
                 self._run(scenario, member, loop, part, config)
                 for member, config in self.members().items()
-                for loop in STAGES
+                for loop in self.stages
                 for part in self.parts
                 if part != "noise" or scenario == first
             ]
@@ -105,7 +111,7 @@ class Plan:
     def _worst_runs(self) -> list[StageRun]:
         """Each stage at its own worst parameters, for each index, with the noise and without."""
         found = []
-        for loop in STAGES:
+        for loop in self.stages:
             for index in WORST_INDICES:
                 member = worst_member(loop, index, self.base.parameters, self.designs)
                 own = {name: value for name, value in self.base.to_mapping().items() if name not in MEMBER}
@@ -257,6 +263,12 @@ def evaluate(plan: Plan, run: StageRun, bag: Path) -> StageResult:
     kept = bag if plan.keep or run.reported else None
     worst = worst_tone_of(opened) if alone and run.scenario == WORST else None
     return StageResult(run, dict(zip(METRICS, values)), summary.transient, tones, kept, worst=worst, summary=summary)
+
+
+def stages_of(results: Sequence[StageResult]) -> tuple[str, ...]:
+    """Stages of some results, in their order."""
+    found = {r.run.loop for r in results}
+    return tuple(stage for stage in STAGES if stage in found)
 
 
 def select(results: Sequence[StageResult], scenario: str, loop: str, part: str) -> dict[str, StageResult]:

@@ -10,10 +10,9 @@ from rich.table import Table
 
 from los_testbed.factories import RunParts
 from los_testbed.run import worst_case_rows
-from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select
+from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.rows import cells, heads
-from titop_plant.interface import STAGES
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -57,7 +56,7 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, me
 def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
     """Rows of the table of the scenario worst_case."""
     cells = []
-    for loop in STAGES:
+    for loop in plan.stages:
         whole = select(results, WORST, loop, "all")
         for index, alone in select(results, WORST, loop, "disturbance").items():
             summary = whole[index].summary
@@ -78,19 +77,23 @@ def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
 
 def rows(results: Sequence[StageResult], scenario: str, chosen: Sequence[tuple[str, str, str]]) -> list[list[str]]:
     """Rows of the table of a scenario: the stages."""
-    return [[loop, *(cell(results, scenario, loop, part, metric) for part, metric, _ in chosen)] for loop in STAGES]
+    return [
+        [loop, *(cell(results, scenario, loop, part, metric) for part, metric, _ in chosen)]
+        for loop in stages_of(results)
+    ]
 
 
 def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[str]], int]:
     """Transmissibility of the nominal telescope at the strongest tones, stage by stage, and the number of all tones."""
+    stages = stages_of(results)
     found = {
-        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in STAGES
+        loop: {t.omega: t for t in select(results, scenario, loop, "disturbance")["nominal"].tones} for loop in stages
     }
     omegas = sorted(set().union(*found.values()), key=lambda w: -max(f[w].model for f in found.values() if w in f))
     table = []
     for omega in sorted(omegas[:TONES_SHOWN]):
         row = [f"{omega / (2 * math.pi):.3f}"]
-        for loop in STAGES:
+        for loop in stages:
             tone = found[loop].get(omega)
             if tone is None:
                 row.append("-")
@@ -105,13 +108,13 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
 
 def requirement_rows(results: Sequence[StageResult], scenario: str) -> list[list[str]]:
     """Rows of the table of requirements of the nominal telescope: stage, requirement and verdict."""
-    found = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in STAGES]
+    found = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in stages_of(results)]
     return [[loop, *cells(row)] for loop, r in found if r is not None and r.summary for row in r.summary.rows]
 
 
 def requirement_heads(results: Sequence[StageResult], scenario: str) -> tuple[str, ...]:
     """Headings of `requirement_rows`."""
-    found = [select(results, scenario, loop, "all").get("nominal") for loop in STAGES]
+    found = [select(results, scenario, loop, "all").get("nominal") for loop in stages_of(results)]
     return ("stage", *heads([row for r in found if r is not None and r.summary for row in r.summary.rows]))
 
 
@@ -141,7 +144,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             yield _plain_table(
-                ("Hz", *STAGES),
+                ("Hz", *plan.stages),
                 found,
                 f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}",
             )
@@ -211,7 +214,7 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
                 "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
                 f"when settled, where it differs), {_of(found, total)}:",
                 "",
-                *_markdown_table(["Hz", *STAGES], found),
+                *_markdown_table(["Hz", *plan.stages], found),
                 "",
             ]
     return "\n".join(lines)
