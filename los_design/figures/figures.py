@@ -1,13 +1,15 @@
-"""Pictures of the design: the four stages over sampled parameters with their templates, and the controllers."""
+"""Pictures of a design: the stages over sampled parameters with their templates, and the controllers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import linalg
 
@@ -17,7 +19,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from los_design.figures.plant_figures import STYLE
-from los_design.search.worst_points import load_worst_points
+from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.verification import ARCSEC
 from los_estimator.kalman import kalman_observer
@@ -30,7 +32,8 @@ from titop_plant.interface import FORCES, LOOP_DELAY, MIRROR
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.budget import MAX_SENSITIVITY
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.layout import control_stages, mirror_stages
+from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
 STAGES = {
@@ -48,6 +51,9 @@ WIDTHS = (2.6, 2.0, 1.4, 0.8)
 """Widths of the curves of the stages: where two are the same, the wider one shows on both sides of the other."""
 
 
+DISTURBANCES = ("wheel_imbalance", "sadm_torque")
+"""Inputs with a weight, those of them that a telescope has."""
+
 FIGURES = ("stages_implemented", "stages_implemented_nominal", "controllers", "sensitivity")
 """Names of the pictures, and of their files."""
 
@@ -57,7 +63,62 @@ TITLES = {
 }
 
 
-def draw(output: Path, samples: int, seed: int = 0, names: Sequence[str] = FIGURES) -> list[Path]:
+@dataclass(frozen=True)
+class Designed:
+    """What is drawn: a telescope, its controllers, and the worst points that were found for them.
+
+    Parameters
+    ----------
+    parameters : mapping
+    file : str or None
+        Parameter file; None for the reference telescope.
+    pair : (SampledSystem, SampledSystem)
+    worst : mapping
+        By stage and figure of merit.
+    """
+
+    parameters: Parameters
+    file: str | None
+    pair: tuple[SampledSystem, SampledSystem]
+    worst: Mapping[str, Mapping[str, WorstPoint]]
+
+    @classmethod
+    def of(cls, designs: Path | None = None) -> Designed:
+        """Of a folder of `design all`; None: the stored designs of the reference telescope.
+
+        Raises
+        ------
+        ValueError
+            A file is missing or of another form.
+        """
+        if designs is None:
+            return cls(load_parameters(), None, load_designs("implemented"), load_worst_points())
+        file = designs / "telescope.toml"
+        pair = [SampledSystem.from_file(designs / f"{name}.json") for name in ("k_fsm", "k_pma")]
+        given = str(file) if file.exists() else None
+        return cls(load_parameters(given or REFERENCE), given, (pair[0], pair[1]), load_worst_points(designs))
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages that the telescope has."""
+        return control_stages(self.parameters)
+
+    @property
+    def system(self) -> System:
+        """The control-loop plant on its isolator."""
+        return control_loop_plant(telescope(self.file), self.parameters)
+
+    def worst_members(self) -> dict[str, list[dict[str, float]]]:
+        """Parameters of each stage that are worst for APE, slow and fast tones; first the nominal ones."""
+        return {
+            stage: [{}, *(dict(self.worst[stage][name].parameters) for name in ("APE", "slow", "fast"))]
+            for stage in self.stages
+        }
+
+
+def draw(
+    output: Path, samples: int, seed: int = 0, names: Sequence[str] | None = None, designs: Path | None = None
+) -> list[Path]:
     """Draw pictures as PNG and SVG into a folder; returns their paths.
 
     Parameters
@@ -66,77 +127,72 @@ def draw(output: Path, samples: int, seed: int = 0, names: Sequence[str] = FIGUR
     samples : int
         Random parameter points beside the worst ones of each stage.
     seed : int
-    names : sequence of str
-        Of :data:`FIGURES`.
+    names : sequence of str, optional
+        Of :data:`FIGURES`; default: all that there are.
+    designs : Path, optional
+        Folder of `design all`, which has no nominal design; default: the stored designs.
 
     Raises
     ------
     ValueError
         An unknown name, or a number of samples that is negative.
     """
-    if unknown := [name for name in names if name not in FIGURES]:
-        raise ValueError(f"names must be of {', '.join(FIGURES)}, got {unknown[0]!r}")
+    known = tuple(name for name in FIGURES if designs is None or not name.endswith("nominal"))
+    names = known if names is None else names
+    if unknown := [name for name in names if name not in known]:
+        raise ValueError(f"names must be of {', '.join(known)}, got {unknown[0]!r}")
     if samples < 0:
         raise ValueError(f"samples must not be negative, got {samples}")
-    parameters = load_parameters()
+    designed = Designed.of(designs)
     output.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     settings: Any = STYLE
     with mpl.rc_context(settings):
         for name in names:
             if name == "controllers":
-                figure = _controllers(parameters)
+                figure = _controllers(designed)
             elif name == "sensitivity":
-                figure = _sensitivities(parameters, samples, seed)
+                figure = _sensitivities(designed, samples, seed)
             else:
-                system: System = control_loop_plant(telescope(), parameters)
-                random = system.sample_values(np.random.default_rng(seed), samples)
-                members = {stage: [*worst, *random] for stage, worst in worst_members().items()}
-                figure = _stages(parameters, load_designs(name.removeprefix("stages_")), TITLES[name], members)
+                random = designed.system.sample_values(np.random.default_rng(seed), samples)
+                members = {stage: [*worst, *random] for stage, worst in designed.worst_members().items()}
+                variant = name.removeprefix("stages_")
+                drawn = replace(designed, pair=load_designs(variant)) if variant.endswith("nominal") else designed
+                figure = _stages(drawn, TITLES[name], members)
             paths += save_figure(figure, output / name)
     return paths
 
 
-def stage_curves(
-    parameters: Parameters, pair: tuple[SampledSystem, SampledSystem], stage: str, values: Mapping[str, float]
-) -> tuple[FloatArray, FloatArray]:
+def stage_curves(designed: Designed, stage: str, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
+    parameters = designed.parameters
     if stage in ("none", "isolator"):
-        system = telescope(None, stage != "none").system
-        data = system["los_controlled", ("wheel_imbalance", "sadm_torque")].at(values)
+        system = telescope(designed.file, stage != "none").system
+        there = [port.name for port in system.inputs]
+        data = system["los_controlled", tuple(name for name in DISTURBANCES if name in there)].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), LOWEST, HIGHEST, points=300, offsets=(0.0, 1.5, 3.0))
         response = frequency_response(data, omega)
     else:
-        plant = control_loop_plant(telescope(), parameters).at(values)
+        plant = designed.system.at(values)
         sensitivity = float(parameters["fsm"]["los_sensitivity"])
-        loop = sampled_loop(plant, *pair, loop=stage, los_sensitivity=sensitivity)
+        loop = sampled_loop(plant, *designed.pair, loop=stage, los_sensitivity=sensitivity)
         omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
         response = disturbance_response(loop, plant, omega)[:, :2]
     return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
 
 
-def worst_members() -> dict[str, list[dict[str, float]]]:
-    """Worst parameter values of each stage for the APE, slow and fast tones; the first of each is the nominal one."""
-    found = load_worst_points()
-    return {stage: [{}, *(dict(found[stage][name].parameters) for name in ("APE", "slow", "fast"))] for stage in STAGES}
-
-
-def _stages(
-    parameters: Parameters,
-    pair: tuple[SampledSystem, SampledSystem],
-    title: str,
-    members: Mapping[str, Sequence[Mapping[str, float]]],
-) -> Figure:
+def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
     """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
     figure = Figure(figsize=(9.6, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    table = parameters["weights"]
+    table = designed.parameters["weights"]
     edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
     middle = np.sqrt(edges[1:] * edges[:-1])
-    for (stage, (label, colour)), width in zip(STAGES.items(), WIDTHS):
+    for stage, width in zip(designed.stages, WIDTHS):
+        label, colour = STAGES[stage]
         largest = np.full((2, BINS), np.nan)
         for values in members[stage]:
-            omega, los = stage_curves(parameters, pair, stage, values)
+            omega, los = stage_curves(designed, stage, values)
             error = los * rpe_weight(omega, table["rpe_window"])
             index = np.clip(np.searchsorted(edges, omega) - 1, 0, BINS - 1)
             for row, curve in enumerate((los / ARCSEC, 1e3 * error / ARCSEC)):
@@ -147,7 +203,8 @@ def _stages(
     left.axhline(
         table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label=f"APE {table['ape_limit'] / ARCSEC:.3g} arcsec"
     )
-    for limit, style in ((table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")):
+    limits = [(table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")]
+    for limit, style in limits[: len(mirror_stages(designed.parameters))]:
         value = 1e3 * limit / ARCSEC
         right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")
     left.set(xlim=(LOWEST, 30.0), ylim=(1e-2, 300.0), title="line of sight [arcsec]")
@@ -168,12 +225,13 @@ def _to_radians(hertz: FloatArray) -> FloatArray:
     return hertz * (2.0 * np.pi)
 
 
-def _controllers(parameters: Parameters) -> Figure:
-    k_fsm, k_pma = load_designs("implemented")
-    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+def _controllers(designed: Designed) -> Figure:
+    (k_fsm, k_pma), forces = designed.pair, len(mirror_stages(designed.parameters)) > 1
+    figure = Figure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
+    left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
     omega = np.geomspace(1e-2, 3e3, 400)
-    kalman = kalman_observer(parameters, telescope().bodies[1], lead=LOOP_DELAY)
+    assembled = telescope(designed.file)
+    kalman = kalman_observer(designed.parameters, assembled.bodies[1], lead=LOOP_DELAY)
     for system, colour, label in (
         (kalman, "#999999", "Kalman observer"),
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
@@ -183,6 +241,13 @@ def _controllers(parameters: Parameters) -> Figure:
             left.loglog(omega, gains, color=colour, ls=style, label=f"{label}: {port}")
     left.set(title="Observer, largest singular value", xlabel="frequency [rad/s]", ylabel="estimate per input [rad/SI]")
     left.legend()
+    for right in others:
+        _force_law(right, k_pma, omega)
+    return figure
+
+
+def _force_law(right: Axes, k_pma: SampledSystem, omega: FloatArray) -> None:
+    """Singular values of K_PMA."""
     gains = singular_values(frequency_response(continuous(k_pma).at({}), omega))
     right.loglog(omega, np.maximum(gains, 1e-12 * gains.max()), color="#1f5fa8", lw=0.9)
     right.set(
@@ -191,22 +256,20 @@ def _controllers(parameters: Parameters) -> Figure:
         ylabel="force per acceleration [N/SI]",
         ylim=(1e-4 * gains.max(), 2.0 * gains.max()),
     )
-    return figure
 
 
-def _sensitivities(parameters: Parameters, samples: int, seed: int) -> Figure:
+def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
-    system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
-    worst, open_loop = load_worst_points(), OpenLoop(system, parameters)
-    rng = np.random.default_rng(seed)
-    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
-    for axes, (stage, name, channels, title) in zip(
-        figure.subplots(1, 2, sharey=True),
-        (
-            ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
-            ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
-        ),
-    ):
+    system, pair, worst = designed.system, designed.pair, designed.worst
+    open_loop, rng = OpenLoop(system, designed.parameters), np.random.default_rng(seed)
+    panels = [
+        ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
+        ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
+    ]
+    panels = [panel for panel in panels if panel[0] in designed.stages]
+    figure = Figure(figsize=(3.6 * len(panels), 3.2), layout="constrained")
+    columns = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (stage, name, channels, title) in zip(columns, panels):
         loop = ImplementedLoop(open_loop, *pair, stage)
         members = [{}, *system.sample_values(rng, samples), dict(worst[stage][name].parameters)]
         points = np.array([loop.point(values) for values in members])

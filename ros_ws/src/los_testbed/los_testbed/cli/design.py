@@ -22,7 +22,7 @@ from los_testbed.cli.cluster_options import (
     TlsKey,
     WorkersOption,
 )
-from los_testbed.cli.options import DesignSeed, Json, Telescope
+from los_testbed.cli.options import Designs, DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.cli.redesign import ALL_EXAMPLES, design_all, verify_folder
 from los_testbed.run.screen import Screen, met
@@ -317,8 +317,9 @@ def _rng() -> Any:
 def figures(
     output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
     samples: Annotated[int, typer.Option(help="Random parameter points in the clouds.")] = 12,
+    designs: Designs = None,
 ) -> None:
-    """Draw the four stages over sampled parameters with their templates, and the controllers."""
+    """Draw the stages over sampled parameters with their templates, and the controllers."""
     from lftkit.support.threads import one_thread
     from los_design.figures.figures import draw
     from pointing_analysis.files.atomic_output import check_output
@@ -326,6 +327,6 @@ def figures(
     number("--samples", samples, 0, 10_000)
     check_output(output, "--output", folder=True)
     with one_thread(), Progress("figures"):
-        paths = list(draw(output, samples))
+        paths = list(draw(output, samples, designs=None if designs is None else Path(designs)))
     for path in paths:
         sys.stdout.write(f"{path}\n")
