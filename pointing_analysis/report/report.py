@@ -35,6 +35,7 @@ from pointing_analysis.report.exposure_figure import over_exposure
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
+from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
 from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
@@ -124,12 +125,19 @@ class Drawn:
     limits : sorted limits of the APE and of the RPE [rad]
     model : what a model expects at the disturbance lines
     requirements : of all runs
+    loops : of each run its loop, broken at one place after the other; empty without any
     """
 
     views: Sequence[RunView]
     limits: Mapping[str, list[float]]
     model: Model
     requirements: Sequence[Requirement] = ()
+    loops: Sequence[Sequence[LoopCurves]] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Labels of the runs."""
+        return [v.label for v in self.views]
 
     @cached_property
     def images(self) -> tuple[ImageView, ...]:
@@ -176,6 +184,8 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     _relative_exceedance,
     lambda d: over_exposure(d.views, d.requirements),
     lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
+    lambda d: nyquist(d.names, d.loops),
+    lambda d: sensitivity(d.names, d.loops),
     _intervals,
     _latency,
 )
@@ -183,10 +193,13 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
 
 
 def pictures(
-    views: Sequence[RunView], requirements: Sequence[Requirement], model: Model | None = None
+    views: Sequence[RunView],
+    requirements: Sequence[Requirement],
+    model: Model | None = None,
+    loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {}, requirements)
+    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {}, requirements, loops)
     made: list[Picture] = []
     for draw in PICTURES:
         found = draw(drawn)
@@ -247,6 +260,7 @@ def render(
     remarks: Sequence[Sequence[str]] = (),
     sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
+    loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -260,6 +274,7 @@ def render(
     remarks : for each run sentences to print beside its verdict; by default none at all
     sources : for each run its sources of disturbance with their own errors; by default none at all
     summaries : for each run what `summarise` made of it with the same arguments; by default made here
+    loops : for each run its loop as a model has it, for Nyquist curves and sensitivity; by default none at all
 
     Raises
     ------
@@ -278,7 +293,7 @@ def render(
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     found = [s.budget.found if s.budget is not None else () for s in summaries]
     views = [view(run, name, transient, lines) for run, name, lines in zip(runs, names, found)]
-    drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model)
+    drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model, loops)
     rows = _rows(names, summaries)
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -358,12 +373,13 @@ def write_report(
     remarks: Sequence[Sequence[str]] = (),
     sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
+    loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions, remarks, sources, summaries : see `render`
+    runs, transient, requirements, model, predictions, remarks, sources, summaries, loops : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -381,6 +397,7 @@ def write_report(
         remarks=remarks,
         sources=sources,
         summaries=summaries,
+        loops=loops,
     )
     write_text(target, page)
     return target

@@ -142,6 +142,7 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the stages side by side, the model beside the measured lines."""
+    from los_testbed.run.loop_curves import loop_curves
     from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import REPORTED, WORST, select
     from los_testbed.run.summary import remarks_of
@@ -162,5 +163,7 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
         if runs:
             page = plan.folder / f"report-{scenario}.html"
             remarks = [remarks_of(run, summarise(run)) for run in runs]
-            paths.append(write_report(runs, page, model=model, predictions=predictions(runs), remarks=remarks))
+            expected = predictions(runs)
+            loops = loop_curves(runs)
+            paths.append(write_report(runs, page, model=model, predictions=expected, remarks=remarks, loops=loops))
     return paths

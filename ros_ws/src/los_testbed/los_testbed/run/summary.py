@@ -130,6 +130,7 @@ class JudgedRuns:
         self, path: Path, remarks: Sequence[Sequence[str]], start: float = 0.0, stop: float = math.inf
     ) -> None:
         """Write the HTML report; `start` and `stop` are the part of each bag that was read [s]."""
+        from los_testbed.run.loop_curves import loop_curves
         from los_testbed.run.predictions import predictions
         from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
@@ -142,6 +143,7 @@ class JudgedRuns:
             remarks=remarks,
             sources=self.shares,
             summaries=self.summaries,
+            loops=loop_curves(self.runs),
         )
 
 

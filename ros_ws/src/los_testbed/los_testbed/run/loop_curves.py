@@ -1,0 +1,99 @@
+"""Nyquist curves and sensitivity of the loop that ran, for the report: from configuration and controllers in the bag.
+
+The loop is that of :mod:`los_loop.implemented_loop` at the parameters of the run, broken at the mirror's commands or at
+the forces, with the other loop closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.support.threads import one_thread
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
+from los_loop.open_loop import OpenLoop
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.run.replay import controller_of
+from los_testbed.run_start import START_FILE, RunStart
+from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.read.mcap.bag_metadata import value_of
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.loop_figures import LoopCurves
+from titop_plant.interface import FORCE_STAGES, FORCES, FRAME_TICKS, MIRROR, MIRROR_STAGES
+from titop_plant.simulation.plant_config import parameter_values
+from titop_plant.telescope.budget import MAX_SENSITIVITY
+
+POINTS = 500
+"""Frequencies, beside those at the telescope's modes."""
+
+_SIDE = np.geomspace(1e-4, 2e-2, 12)
+AT_MODES: FloatArray = np.concatenate([-_SIDE[::-1], [0.0], _SIDE])
+"""Relative distances of frequencies around each mode, which is narrower than the steps of the grid."""
+
+FROM, TO = 1.0, 1000.0
+"""Range of modes [rad/s]."""
+
+
+def loop_curves(runs: Sequence[Recording]) -> list[tuple[LoopCurves, ...]]:
+    """Of each run the loop broken at the mirror, and at the forces where they act.
+
+    Nothing for a run whose loop is not known: another program's bag, a stage without fine control, a telescope that
+    moves or is no longer that of the run, a camera at another rate, code of the user.
+    """
+    return [_curves(run) if isinstance(run, Run) else () for run in runs]
+
+
+def _curves(run: Run) -> tuple[LoopCurves, ...]:
+    known = run.parameters.get("plant_parameters_hash")
+    if known is None or not {"run.yaml", START_FILE, "k_fsm.json", "k_pma.json"} <= set(run.attachments):
+        return ()
+    try:
+        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
+        moves = config.ramp_duration or config.plant
+        if config.loop not in MIRROR_STAGES or moves or config.frame_ticks != FRAME_TICKS:
+            return ()
+        start = RunStart.from_bytes(run.attachments[START_FILE])
+        parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
+        # the disturbance is no part of the loop
+        telescope = value_of(known.partition(" with ")[0]) if isinstance(known, str) else known
+        if parts.physical.ramps or value_of(parts.family.name(parts.physical)) != telescope:
+            return ()
+        values = parameter_values(parts.settings, parts.parameters)
+        with one_thread():
+            open_loop = OpenLoop(parts.family.control_loop, parts.parameters)
+            loop = ImplementedLoop(open_loop, parts.models["k_fsm"], parts.models["k_pma"], config.loop)
+            return broken_loops(loop, loop.point(values))
+    except (ValueError, TypeError, OSError, OverflowError):
+        return ()
+
+
+def broken_loops(loop: ImplementedLoop, point: FloatArray) -> tuple[LoopCurves, ...]:
+    """The loop at a point of the unit cube, broken at the mirror, and at the forces where they act."""
+    modes = loop.open.modes(point, FROM, TO)
+    around = np.concatenate([modes * (1.0 + offset) for offset in AT_MODES])
+    omega = np.union1d(np.geomspace(LOWEST, HIGHEST, POINTS), around)
+    S = np.concatenate([loop.sensitivities(closed, point[None]) for closed in loop.at_each(omega)])
+    places = {"mirror": MIRROR, **({"forces": FORCES} if loop.stage in FORCE_STAGES else {})}
+    return tuple(_broken(place, omega, S[:, channels, channels]) for place, channels in places.items())
+
+
+def _broken(place: str, omega: FloatArray, S: ComplexArray) -> LoopCurves:
+    open_loops = [linalg.inv(at) - np.eye(len(at)) for at in S]
+    loci = np.array([linalg.eigvals(L) for L in open_loops], dtype=complex)
+    for k in range(1, len(loci)):  # each column is one curve: the nearest eigenvalue of the frequency before
+        loci[k] = _ordered(loci[k], loci[k - 1])
+    return LoopCurves(place, omega, loci, largest_gains(S), MAX_SENSITIVITY)
+
+
+def _ordered(values: ComplexArray, before: ComplexArray) -> ComplexArray:
+    """Eigenvalues in the order of those nearest to them at the frequency before."""
+    from scipy.optimize import linear_sum_assignment
+
+    _, order = linear_sum_assignment(np.abs(before[:, None] - values))
+    return np.asarray(values[order])

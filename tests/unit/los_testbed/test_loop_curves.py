@@ -1,0 +1,82 @@
+"""Nyquist curves of the loop that ran: where they cross the negative real axis, the exact loop becomes unstable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.loop_curves import broken_loops, loop_curves
+
+from los_design.synthesis.store import load_designs
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.margins import scaled
+from los_loop.open_loop import OpenLoop
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
+from pointing_analysis.report.report import render
+from titop_plant.interface import COMMANDS, MIRROR
+from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.telescope.parameters import load_parameters
+
+
+@pytest.fixture(scope="module")
+def mirror_loop() -> ImplementedLoop:
+    parameters = load_parameters()
+    return ImplementedLoop(
+        OpenLoop(control_loop_plant(telescope(), parameters), parameters), *load_designs("implemented"), "fsm"
+    )
+
+
+def gain_margin(curve: LoopCurves) -> float:
+    """Smallest factor above 1 that takes a curve through -1: at its crossings of the negative real axis."""
+    crossings = []
+    for locus in curve.loci.T:
+        k = np.flatnonzero(np.diff(np.sign(locus.imag)) != 0.0)
+        part = locus.imag[k] / (locus.imag[k] - locus.imag[k + 1])
+        real = locus.real[k] + part * (locus.real[k + 1] - locus.real[k])
+        crossings += [float(x) for x in real if -1.0 < x < 0.0]
+    return -1.0 / min(crossings)
+
+
+def test_the_exact_loop_becomes_unstable_where_the_curve_reaches_the_critical_point(
+    mirror_loop: ImplementedLoop,
+) -> None:
+    point = mirror_loop.point({})
+    (curve,) = broken_loops(mirror_loop, point)
+    factor = gain_margin(curve)
+    assert 1.9 < factor < 5.0
+    _, exact = mirror_loop.sampled_at(mirror_loop.values(point))
+    radii = []
+    for gain in (0.97 * factor, 1.03 * factor):
+        gains = np.ones(COMMANDS)
+        gains[MIRROR] = gain
+        radii.append(scaled(exact, gains).spectral_radius())
+    assert radii[0] < 1.0 < radii[1]
+
+
+def test_the_distance_from_the_critical_point_bounds_the_sensitivity(mirror_loop: ImplementedLoop) -> None:
+    (curve,) = broken_loops(mirror_loop, mirror_loop.point({}))
+    nearest = np.abs(1.0 + curve.loci).min(axis=1)
+    assert np.all(curve.sensitivity >= (1.0 - 1e-9) / nearest)
+    assert 1.5 < curve.sensitivity.max() < curve.limit == 2.0
+    assert np.abs(np.diff(curve.loci, axis=0)).max() < 0.5 * np.abs(curve.loci).max(), "columns are curves"
+
+
+@pytest.mark.pictures
+def test_the_report_of_a_run_has_them(tmp_path: Path) -> None:
+    runs = []
+    for loop in ("fsm+pma", "isolator"):
+        run_in_process(RunConfig(mode="inprocess", duration=2.0, loop=loop, scenario="design"), tmp_path / loop)
+        runs.append(Run.open(tmp_path / loop))
+    found = loop_curves(runs)
+    assert [[curve.place for curve in curves] for curves in found] == [["mirror", "forces"], []]
+    page = render(runs, loops=found)
+    assert page.count('id="nyquist"') == page.count('id="sensitivity"') == 1
+    assert 'id="nyquist"' not in render(runs, loops=[(), ()])
+
+
+def test_without_a_loop_there_is_no_picture() -> None:
+    assert nyquist(["a"], [()]) is None and sensitivity([], []) is None
