@@ -331,6 +331,16 @@ def test_nothing_overlaps_or_leaves_its_box(chromium, page) -> None:
 
 
 @needs_browser
+def test_the_requirements_of_several_runs_show_all_columns(chromium, page) -> None:
+    """The last one, the remark, was cut on the right of a window of 1280 pixels."""
+    chromium.open(page, 1280)
+    table = "document.querySelector('#requirements .scroll')"
+    heads = chromium.value("[...document.querySelectorAll('#requirements th')].map(e => e.textContent)")
+    assert (heads[0], heads[-1]) == ("Run", "Remark")
+    assert chromium.value(f"{table}.scrollWidth - {table}.clientWidth") <= 0
+
+
+@needs_browser
 def test_keyboard_reaches_links_tables_and_details(chromium, page) -> None:
     chromium.open(page, 1280)
     seen = []
