@@ -37,6 +37,7 @@ from lftkit.tuning.structures import AffineStructure, Structure, controller
 AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
 OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
+ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
 MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
@@ -162,6 +163,7 @@ def tune(
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     min_decay: float = MIN_DECAY,
+    met: float = -np.inf,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune `structure` against `requirements` on all `models` at once.
@@ -180,6 +182,10 @@ def tune(
         Delay of the loop [s].
     min_decay : float
         Stable means that every closed-loop pole decays faster than this [rad/s].
+    met : float
+        Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
+        whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
+        the certificate's upper sides say so: no controller has less, and the stationarity is zero.
     options : TuningOptions, optional
 
     Returns
@@ -206,6 +212,8 @@ def tune(
     ('converged', -4.0, 0.2)
     """
     options = options or TuningOptions()
+    # a little below, so that the upper side of the certificate is not above
+    options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
     given = [start_checked(x, structure) for x in initial]
@@ -221,6 +229,8 @@ def tune(
         runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
         runs = [*runs, *_refined(problem, runs, options, deadline)]
         result = result_of(problem, runs, time.monotonic() - start_time)
+    if _all_met(problem, result.certificate, met):
+        return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
     cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
     status = TuningStatus.OUT_OF_TIME if cut else result.status
     return replace(result, status=status, advice=_advice(status, result.at_bounds))
@@ -371,6 +381,14 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         tuple(r.name for r in problem.given),
         at_bounds,
     )
+
+
+def _all_met(problem: Problem, certificate: Certificate | None, met: float) -> bool:
+    """Whether the certificate's upper sides are at most `met`, those of hard requirements 1."""
+    if certificate is None or not met > -np.inf:
+        return False
+    limits = np.array([1.0 + FEASIBLE if requirement.hard else met for requirement in problem.given])
+    return bool(np.all(certificate.upper <= limits[:, None]))
 
 
 def _at_bounds(problem: Problem, x: FloatArray) -> tuple[str, ...]:
