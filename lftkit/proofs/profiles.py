@@ -177,6 +177,7 @@ def gain_profile(
 
 def _boxed(system: System, box: Mapping[str, tuple[float, float]] | None) -> System:
     """The system with the ranges of its parameters replaced by the box."""
+    system.require_real()
     ends = intervals_of(system, box)
     parameters = tuple(replace(p, lower=low, upper=high) for p, (low, high) in zip(system.parameters, ends))
     return replace(system, elements=parameters)

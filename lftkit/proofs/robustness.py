@@ -13,12 +13,14 @@ from lftkit.proofs.state_space.bounds import (
     SHARE,
     WHOLE,
     Bounds,
+    DiskGainByCells,
     GainByCells,
     checked_band,
     factor_of,
     intervals_of,
     stability_by_cells,
 )
+from lftkit.proofs.state_space.disks import disks_of, real_first
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
@@ -101,13 +103,14 @@ def worst_case_gain(
     True
     """
     checked_band(band, level, gap, wall_limit)
-    chosen = system.select(inputs=inputs, outputs=outputs).sorted_channels()
+    chosen = real_first(system.select(inputs=inputs, outputs=outputs))
     ends = intervals_of(chosen, box)
     over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
     with one_thread():
         if over_axis:
             return gain_over_axis(chosen, ends, band, level, gap, wall_limit, seed)
-        return GainByCells(chosen, ends, band, level, gap, wall_limit, max_tests, seed, progress).run()
+        by_cells = DiskGainByCells if disks_of(chosen) else GainByCells
+        return by_cells(chosen, ends, band, level, gap, wall_limit, max_tests, seed, progress).run()
 
 
 def _over_axis(system: System, box: list[tuple[float, float]], method: str | None, usual: bool = True) -> bool:
@@ -115,10 +118,10 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
     if method not in (None, "cells", "axis"):
         raise ValueError(f"method must be cells or axis, got {method!r}")
     if method == "axis":
-        system.require_continuous()
+        system.require_continuous(), system.require_real()
     if method is not None:
         return method == "axis"
-    return usual and not system.dt and system.order > FEW_STATES and axis_takes(system, box)
+    return usual and not system.dt and not disks_of(system) and system.order > FEW_STATES and axis_takes(system, box)
 
 
 def robust_stability(
@@ -168,7 +171,7 @@ def robust_stability(
     """
     if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
         raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
-    chosen = system.select(inputs=(), outputs=()).sorted_channels()
+    chosen = real_first(system.select(inputs=(), outputs=()))
     ends = intervals_of(chosen, box)
     until = time.monotonic() + wall_limit
     over_axis = _over_axis(chosen, ends, method)
@@ -229,7 +232,7 @@ def robust_performance(
         raise ValueError(f"largest must be positive, got {largest}")
     if not (system.inputs and system.outputs):
         return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
-    system.require_continuous()
+    system.require_continuous(), system.require_real()
     chosen = system.sorted_channels()
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():

@@ -21,6 +21,8 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.checker import Inequality, frequencies
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
+from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
+from lftkit.proofs.state_space.disks import disks_of, dynamics_with, scaled_radii, without_disks
 from lftkit.proofs.state_space.proof import Proof, finished, proven_cell, stable_member, statement
 from lftkit.proofs.state_space.search import (
     Member,
@@ -32,6 +34,8 @@ from lftkit.proofs.state_space.search import (
 )
 from lftkit.support.progress import Progress
 from lftkit.systems.system import System
+from lftkit.uncertainty.elements import ComplexParameter
+from lftkit.uncertainty.parameters import RealParameter
 
 WHOLE = (0.0, np.inf)
 SMALLEST, NEGLIGIBLE = 1e-100, 1e-9
@@ -57,7 +61,8 @@ class Bounds:
         Proven never to be exceeded; for stability the factor of the box with an unstable member at `point`.
         Infinite where nothing was proven (found).
     point : mapping of str to float
-        Parameters of the worst member found.
+        Parameters of the worst member found: complex numbers for complex elements, for dynamics a stable
+        :class:`System` that has this value at `frequency`.
     frequency : float
         Where it is worst [rad/s].
     proof : Proof, AxisProof or None
@@ -92,9 +97,9 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
     Raises
     ------
     ValueError
-        Complex or dynamic elements; unknown names, ends in the wrong order or outside the range of the parameter.
+        Unknown names, or those of complex and dynamic elements, whose disk is always whole; ends in the wrong order or
+        outside the range of the parameter.
     """
-    system.require_real()
     given = dict(box or {})
     for name, (low, high) in given.items():
         parameter = system.parameter(name)
@@ -128,7 +133,8 @@ class _Cover:
     @classmethod
     def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> _Cover:
         part = static_part(system) if static else over_axis(system)
-        cover = cls(CellTest(part, claim["kind"] == "gain" and not static), Inequality(claim, static), [])
+        radii = {disk["name"]: disk["radius"] for disk in claim["system"].get("disks", [])}
+        cover = cls(CellTest(part, claim["kind"] == "gain" and not static, radii), Inequality(claim, static), [])
         cover.push(0.0, cell)
         return cover
 
@@ -216,7 +222,7 @@ class GainByCells:
         """The bounds, with the proof of the upper one."""
         start = time.monotonic()
         self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
-        self.worst = worst_member(self.axis, self.box, self.over, seed=self.seed)
+        self.worst = self._searched()
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
         if self._violated():
@@ -243,6 +249,15 @@ class GainByCells:
         proof = finished({**claim, "level": upper}, cover.proven, stable, posed)
         return self._bounds(upper, proof, "closed" if closed else "out_of_time")
 
+    def _searched(self) -> Member:
+        """The worst member that a search of the box finds before cells are proven."""
+        return worst_member(self.axis, self.box, self.over, seed=self.seed)
+
+    def _at_middle(self, cell: Cell) -> Member:
+        """A member of a cell, or one that it leads to."""
+        member = member_gain(self.axis, cell.middle(), self.over)
+        return climbed(self.axis, self.box, self.over, member, 60) if member.gain > 0.98 * self.worst.gain else member
+
     def _target(self) -> float:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
@@ -254,9 +269,7 @@ class GainByCells:
 
     def _failed(self, cell: Cell) -> bool:
         """Look for a larger gain in a cell that was not proven; True when there is nothing left to prove."""
-        member = member_gain(self.axis, cell.middle(), self.over)
-        if member.gain > 0.98 * self.worst.gain:
-            member = climbed(self.axis, self.box, self.over, member, 60)
+        member = self._at_middle(cell)
         if member.gain > self.worst.gain:
             self.worst = member
         return bool(np.isinf(self.worst.gain)) or self._violated()
@@ -264,6 +277,23 @@ class GainByCells:
     def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
         worst, left = reached(self.system, self.worst), cells_of_system(self.system, uncovered)
         return Bounds(worst.gain, upper, _named(self.system, worst), worst.frequency, proof, status, left)
+
+
+class DiskGainByCells(GainByCells):
+    """The same for systems with complex or dynamic elements, members of which have values at a frequency."""
+
+    def _searched(self) -> Member:
+        search = self._search = DiskSearch(self.axis, self.box, self.over, self.seed)
+        middle = np.array([0.5 * (low + high) for low, high in self.box])
+        real = member_gain(self.axis, middle, self.over)
+        if np.isinf(real.gain):
+            return real
+        unstable = search.unstable(1.0) if self.over == WHOLE else None
+        return search.largest_gain() if unstable is None else unstable[1]
+
+    def _at_middle(self, cell: Cell) -> Member:
+        low, high = cell.band
+        return self._search.gain_near(cell.middle(), 0.5 * (low + high) if np.isfinite(high) else 2.0 * low)
 
 
 def stability_by_cells(
@@ -281,8 +311,7 @@ def stability_by_cells(
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
         return Bounds(0.0, 0.0, _named(system, first), first.frequency, None, "unstable")
-    factor, point, frequency = smallest_unstable_factor(axis, box, largest, seed=seed)
-    worst = Member(np.inf, point, frequency)
+    factor, worst = _smallest_unstable(axis, box, largest, seed)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
     left: tuple[Cell, ...] = ()
@@ -290,8 +319,8 @@ def stability_by_cells(
         for _ in range(ATTEMPTS):
             if time.monotonic() > until:
                 break
-            ends = scaled_box(system, box, target)
-            claim = statement(system, "stability", ends, None, WHOLE)
+            ends, radii = scaled_box(system, box, target), scaled_radii(system, target)
+            claim = statement(system, "stability", ends, None, WHOLE, radii)
             cover = _Cover.of(system, claim, Cell(tuple(ends), WHOLE))
             found: list[Member] = []
 
@@ -319,6 +348,17 @@ def stability_by_cells(
     return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, left)
 
 
+def _smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
+    """Smallest factor of the box that is found to have an unstable member, infinite if none was, and the member."""
+    factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
+    worst = Member(np.inf, point, frequency)
+    if disks_of(axis):
+        found = DiskSearch(axis, box, WHOLE, seed).unstable(largest)
+        if found is not None and found[0] < factor:
+            factor, worst = found
+    return factor, worst
+
+
 def cells_of_system(system: System, cells: Sequence[Cell]) -> tuple[Cell, ...]:
     """Cells with frequencies in rad/s."""
     return tuple(Cell(cell.intervals, frequencies(cell.band, system.dt)) for cell in cells)
@@ -334,5 +374,15 @@ def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray)
     return float(max(factors))
 
 
-def _named(system: System, member: Member) -> dict[str, float]:
-    return {p.name: float(v) for p, v in zip(system.parameters, member.point)}
+def _named(system: System, member: Member) -> dict[str, Any]:
+    values: dict[str, Any] = {p.name: float(v) for p, v in zip(system.parameters, member.point)}
+    for e in system.elements:
+        if isinstance(e, RealParameter):
+            continue
+        deviation = member.disks.get(e.name) if isinstance(member, DiskMember) else None
+        if isinstance(e, ComplexParameter):
+            values[e.name] = e.nominal + (0.0 if deviation is None else complex(deviation[0, 0]))
+        else:
+            zero = np.zeros((e.outputs, e.inputs))
+            values[e.name] = dynamics_with(zero if deviation is None else deviation, member.frequency, system.dt)
+    return values

@@ -7,6 +7,7 @@ infinity where it has no end. With D and G of full size on that block the test l
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,7 +17,16 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, BarrierProblem, Scalings, find_scalings
+from lftkit.proofs.state_space.barrier import (
+    COMPLEX,
+    FULL,
+    REAL,
+    BarrierBlock,
+    BarrierProblem,
+    Scalings,
+    find_scalings,
+)
+from lftkit.proofs.state_space.disks import disks_of
 from lftkit.systems.system import System
 
 NARROW = 1e-7
@@ -91,7 +101,7 @@ class CellScalings:
     P, Q : ndarray
         Hermitian, (n, n): of the frequency, P > 0.
     D, G : dict
-        Parameter name to Hermitian (k, k), D > 0.
+        Parameter name to Hermitian (k, k), D > 0; complex and dynamic elements have D alone.
     centre : float
         Frequency [rad/s] about which the test was set up.
     performance : float
@@ -121,20 +131,24 @@ class CellTest:
     Parameters
     ----------
     system : System
-        Channels of each parameter adjacent (:meth:`System.sorted_channels`).
+        Channels of each element adjacent, those of real ones first (:func:`~lftkit.proofs.state_space.disks.real_first`).
     gain : bool
         Whether the gain from all inputs to all outputs is bounded; otherwise stability alone.
+    radii : mapping of str to float, optional
+        Of complex and dynamic elements in the place of their own.
     """
 
-    def __init__(self, system: System, gain: bool) -> None:
+    def __init__(self, system: System, gain: bool, radii: Mapping[str, float] | None = None) -> None:
         self.system, self.gain = system, gain
+        self.disks = disks_of(system, radii)
         q = len(system.channels)
         columns = system.B.shape[1] if gain else q
         rows = system.C.shape[0] if gain else q
         self.q, self.n = q, system.order
         self.A, self.B = system.A, system.B[:, :columns]
         self.C, self.D = system.C[:rows], system.D[:rows, :columns]
-        self.sizes = list(system.occurrences().values())
+        self.sizes = [system.occurrences()[p.name] for p in system.parameters]
+        self.sizes += [len(disk.channels) for disk in self.disks]
         self.nominal = [p.nominal for p in system.parameters]
         poles = np.abs(linalg.eigvals(self.A)) if self.n else np.ones(1)
         poles = poles[poles > 1e-12 * poles.max(initial=0.0)] if np.any(poles > 0.0) else np.ones(1)
@@ -150,7 +164,7 @@ class CellTest:
             A pole on the imaginary axis, or a singular LFT, in the middle of the cell.
         """
         maps, factors = self._maps(cell)
-        scale = balanced(maps, self.n + self.q)
+        scale = self._common(balanced(maps, self.n + self.q))
         blocks = self._blocks(maps, scale, level)
         found = find_scalings(blocks, until=until)
         if found.margin <= 0.0 and max(np.abs(g).max(initial=0.0) for g in found.G) > FREE:
@@ -200,11 +214,13 @@ class CellTest:
         return 0.5 * (low + high), max(0.5 * (high - low), NARROW * max(high, 1e-300)), False
 
     def _parameter_intervals(self, cell: Cell) -> tuple[FloatArray, FloatArray]:
-        """Centres of (value - nominal) and half widths."""
+        """Centres of (value - nominal) and half widths; of a disk zero and its radius."""
         ends = np.array(cell.intervals, dtype=float).reshape(-1, 2)
         ranges = np.array([max(p.upper - p.lower, abs(p.nominal), 1e-300) for p in self.system.parameters])
         widths = np.maximum(0.5 * (ends[:, 1] - ends[:, 0]), NARROW * ranges)
-        return 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal), widths
+        centres = 0.5 * (ends[:, 0] + ends[:, 1]) - np.array(self.nominal)
+        radii = [disk.radius for disk in self.disks]
+        return np.concatenate([centres, np.zeros(len(radii))]), np.concatenate([widths, radii])
 
     def _blocks(self, M: ComplexArray, scale: FloatArray, level: float) -> list[BarrierBlock]:
         n, total = self.n, self.n + self.q
@@ -212,12 +228,25 @@ class CellTest:
         scaled = M / _column_scale(scale, M.shape[1])
         scaled[:total] *= scale[:total, None]
         blocks, at = [], 0
-        for size in ([n] if n else []) + self.sizes:
+        for size in ([n] if n else []) + self.sizes[: len(self.nominal)]:
             blocks.append(BarrierBlock(REAL, scaled[at : at + size], inputs[at : at + size]))
             at += size
+        for disk in self.disks:
+            into = [n + channel for channel in disk.channels[: disk.inputs if disk.full else None]]
+            out = [n + channel for channel in disk.channels]
+            blocks.append(BarrierBlock(FULL if disk.full else COMPLEX, scaled[into], inputs[out]))
         if self.gain:
             blocks.append(BarrierBlock(FULL, scaled[total:] * (scale[total] / level), inputs[total:]))
         return blocks
+
+    def _common(self, scale: FloatArray) -> FloatArray:
+        """One scale for all channels of a matrix of dynamics."""
+        for disk in self.disks:
+            if disk.full:
+                own = [self.n + channel for channel in disk.channels]
+                both = own[: min(disk.outputs, disk.inputs)]  # the others have no column, or no row
+                scale[own] = float(np.exp(np.mean(np.log(scale[both]))))
+        return scale
 
     def _axis(self, found: Scalings, cell: Cell) -> int:
         """Number of the interval with the largest loss; intervals that are points are not bisected.
@@ -226,9 +255,9 @@ class CellTest:
         is. The losses of narrow intervals are therefore taken in proportion to their width.
         """
         if self.n and self._wide(cell.band):
-            return len(self.sizes)
+            return len(self.nominal)
         first = 1 if self.n else 0
-        losses = list(found.losses[first : first + len(self.sizes)])
+        losses = list(found.losses[first : first + len(self.nominal)])
         low, high = cell.band
         losses.append(found.losses[0] if self.n and high - low > 1e-12 * high else 0.0)
         parts = [
@@ -252,7 +281,7 @@ class CellTest:
         first = [] if n else [np.zeros((0, 0), complex)]
         matrices_D, matrices_G = [*first, *found.D], [*first, *found.G]
         for d, g, size, width in zip(matrices_D, matrices_G, [n, *self.sizes], widths):
-            s = np.outer(scale[at : at + size], scale[at : at + size])
+            s = np.outer(scale[at : at + len(d)], scale[at : at + len(d)])
             at += size
             D.append(s * d / width**2)
             G.append(s * g / width)
@@ -260,8 +289,9 @@ class CellTest:
         if endless:
             D[0], G[0] = 4.0 * width**3 * D[0], 2.0 * width**2 * G[0]
         names = [p.name for p in self.system.parameters]
+        every = [*names, *(disk.name for disk in self.disks)]
         performance = 2.0 * float(found.D[-1][0, 0].real) * (scale[-1] / level) ** 2 if self.gain else 1.0
-        return CellScalings(D[0], G[0], dict(zip(names, D[1:])), dict(zip(names, G[1:])), centre, performance)
+        return CellScalings(D[0], G[0], dict(zip(every, D[1:])), dict(zip(names, G[1:])), centre, performance)
 
 
 def _column_scale(scale: FloatArray, columns: int) -> FloatArray:

@@ -12,6 +12,14 @@ negative definite in (x, w, d), P and D positive definite, Q and G Hermitian: on
 term are not negative, so the first one is negative. For a band from a to infinity the term of P is
 ``2 Re (v - j a x)* P j x``.
 
+The proof may have *disks*: complex numbers and stable dynamics whose value Delta at each frequency is any complex
+matrix with a norm of at most `radius`. In each of their occurrences i, ``w_i = Delta z_i``, so that for Hermitian D > 0
+
+    sum over i and j of D_ij (radius^2 z_i* z_j - w_i* w_j)
+
+is not negative, and it is added. The sets contain zero, where the stable member has them, and with each Delta all its
+multiples by numbers of 0 to 1: where I - M Delta is regular along the axis for all of them, no pole crosses it.
+
 In discrete time the states of the system are s, and its next states A s + B1 w + B2 d. Then ``x`` stands for the sum of
 both and ``v`` for their difference, the second less the first: on the unit circle, z = exp(j omega dt), they satisfy
 ``v = j tan(omega dt / 2) x``, and this tangent is the frequency of bands and cells. What infinite frequency is in
@@ -28,6 +36,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +134,34 @@ def definite_ratio(matrix: Ball) -> float:
     return factor / 4.0 if factor > 1.0 else 0.0
 
 
+@dataclass(frozen=True)
+class Disk:
+    """A complex number or dynamics: occurrences with the channels that go into it and those that come out."""
+
+    name: str
+    radius: float
+    into: list[list[int]]
+    out: list[list[int]]
+
+    @classmethod
+    def of(cls, content: dict[str, Any], channels: list[str]) -> Disk:
+        """As a proof has it; each occurrence takes as many channels as the larger of its sizes."""
+        name, radius = str(content["name"]), float(content["radius"])
+        outputs, inputs = int(content["outputs"]), int(content["inputs"])
+        width, own = max(outputs, inputs), [i for i, channel in enumerate(channels) if channel == name]
+        if min(outputs, inputs) < 1 or not own or len(own) % width or not 0.0 < radius < math.inf:
+            raise ProofError(f"disk {name!r} must have a positive radius, sizes and channels for each occurrence")
+        places = [own[at : at + width] for at in range(0, len(own), width)]
+        return cls(name, radius, [place[:inputs] for place in places], places)
+
+
+@dataclass(frozen=True)
+class CheckedCells(CheckedProof):
+    """What a proof by cells guarantees; `disks`: radii of complex numbers and bounds of dynamics by name."""
+
+    disks: dict[str, float] = field(default_factory=dict)
+
+
 class Inequality:
     """The inequality of a cell of one system; `static`: of its channels without states, inputs and outputs."""
 
@@ -136,6 +173,10 @@ class Inequality:
         self.names = [str(p["name"]) for p in system["parameters"]]
         self.nominal = {p["name"]: float(p["nominal"]) for p in system["parameters"]}
         channels = list(enumerate(system["channels"]))
+        self.disks = [Disk.of(content, system["channels"]) for content in system.get("disks", [])]
+        elements = [*self.names, *(disk.name for disk in self.disks)]
+        if len(set(elements)) != len(elements):
+            raise ProofError(f"each element must have a name of its own, got {elements}")
         self.rows = {name: [i for i, channel in channels if channel == name] for name in self.names}
         self.gain = proof["kind"] == "gain"
         n, q = int(system["order"]), len(channels)
@@ -186,6 +227,10 @@ class Inequality:
             rest = z.times(self.delta(name, upper)) - w
             total = total + off.transposed() @ (Ball(D) @ rest) + z.transposed() @ (turned @ w)
             ratios.append(definite_ratio(Ball(D)))
+        for disk in self.disks:
+            D = hermitian(cell["D"][disk.name], len(disk.into), f"D of {disk.name}")
+            ratios.append(definite_ratio(Ball(D)))
+            total = total + self.disk_form(disk, D, coordinates)
         total = total + total.transposed()
         if self.gain:
             factor = float(cell["performance"])
@@ -195,6 +240,16 @@ class Inequality:
             allowed = (d.transposed() @ d).times(number(level)).times(number(level))
             total = total + (e.transposed() @ e - allowed).times(number(factor))
         return min(*ratios, definite_ratio(Ball(0.0 * total.mid) - total))
+
+    def disk_form(self, disk: Disk, D: FloatArray, coordinates: FloatArray) -> Ball:
+        """``sum of D_ij (radius^2 z_i* z_j - w_i* w_j)``; what a disk's channels have beyond its sizes is zero in w."""
+        forms = []
+        for part, places in ((self.z, disk.into), (self.w, disk.out)):
+            signal = exact_product(embedded(part[[row for place in places for row in place]]), coordinates)
+            scaling = Ball(np.kron(D, np.eye(len(places[0]))))
+            forms.append(signal.transposed() @ (scaling @ signal))
+        radius = number(disk.radius)
+        return forms[0].times(radius).times(radius) - forms[1]
 
     def coordinates(self, cell: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
         """Any basis of (x, w, d); this one makes the terms of the inequality small where they cancel."""
@@ -228,6 +283,13 @@ class Inequality:
             if not np.all(weights >= 0.0):
                 raise ProofError("weights must not be negative")
             total = total - off.transposed() @ (Ball(np.diag(weights)) @ off)
+        for disk in self.disks:
+            rows = [row for place in disk.out for row in place]
+            w = exact_product(self.w[rows][:, part], basis)
+            weights = np.array(stable["weights"][disk.name], dtype=float).reshape(len(rows))
+            if not np.all(weights >= 0.0):
+                raise ProofError("weights must not be negative")
+            total = total - w.transposed() @ (Ball(np.diag(weights)) @ w)
         states = exact_product(L, T)
         return min(definite_ratio(states.transposed() @ states), definite_ratio(Ball(0.0 * total.mid) - total))
 
@@ -238,7 +300,7 @@ def digest(proof: dict[str, Any]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def check_proof(proof: Any) -> CheckedProof:
+def check_proof(proof: Any) -> CheckedCells:
     """Verify a proof; a ProofError says why it is refused.
 
     Parameters
@@ -263,7 +325,7 @@ def _band(ends: Any) -> tuple[float, float]:
     return band
 
 
-def _checked(proof: dict[str, Any]) -> CheckedProof:
+def _checked(proof: dict[str, Any]) -> CheckedCells:
     if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
         raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
     if proof["sha256"] != digest(proof):
@@ -287,7 +349,8 @@ def _checked(proof: dict[str, Any]) -> CheckedProof:
     if proof["kind"] == "stability" and not stable:
         raise ProofError("a proof of stability must have a stable member and a band from zero to infinity")
     named, omega = dict(zip(inequality.names, box)), frequencies(band, inequality.dt)
-    return CheckedProof(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable)
+    disks = {disk.name: disk.radius for disk in inequality.disks}
+    return CheckedCells(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable, disks)
 
 
 def _smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:

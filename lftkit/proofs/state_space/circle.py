@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
+from lftkit.proofs.state_space.disk_search import DiskMember
 from lftkit.proofs.state_space.search import Member
 from lftkit.systems.system import System
 
@@ -70,7 +71,7 @@ def reached(system: System, found: Member) -> Member:
     if not system.dt:
         return found
     omega = 2.0 / system.dt * math.atan(found.frequency)
-    if np.isinf(found.gain) or not (system.inputs and system.outputs):
+    if np.isinf(found.gain) or not (system.inputs and system.outputs) or isinstance(found, DiskMember):
         return replace(found, frequency=omega)
     values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
     response = system.at(values, beyond_range=True).response(omega)[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -14,6 +14,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
 from lftkit.proofs.state_space.checker import DISCRETE, FORMAT, Inequality, digest
+from lftkit.proofs.state_space.disks import disks_of
 from lftkit.systems.system import System
 
 
@@ -45,12 +46,17 @@ def statement(
     box: Sequence[tuple[float, float]],
     level: float | None,
     band: tuple[float, float],
+    radii: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """What a proof claims, without cells: the system, the box, the band and the level.
+    """What a proof claims, without cells: the system, the box, the band, the level; `radii` as for a cell test.
 
     The band is that of the axis: in discrete time ``tan(omega dt / 2)``.
     """
     q = len(system.channels)
+    disks = [
+        {"name": disk.name, "radius": disk.radius, "outputs": disk.outputs, "inputs": disk.inputs}
+        for disk in disks_of(system, radii)
+    ]
     return {
         "format": DISCRETE if system.dt else FORMAT,
         "kind": kind,
@@ -64,6 +70,7 @@ def statement(
             "outputs": system.C.shape[0] - q,
             "channels": list(system.channels),
             "parameters": [{"name": p.name, "nominal": p.nominal, "unit": p.unit} for p in system.parameters],
+            **({"disks": disks} if disks else {}),
             **{key: getattr(system, key).tolist() for key in "ABCD"},
         },
     }
@@ -92,7 +99,8 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
     """Factor of a Lyapunov matrix and weights that prove the member at `point` stable; None if none were found."""
     values = {p.name: float(v) for p, v in zip(system.parameters, point)}
     inequality, q = Inequality(claim), len(system.channels)
-    deviation = np.array([values[c] - system.parameter(c).nominal for c in system.channels])
+    deviations = {p.name: values[p.name] - p.nominal for p in system.parameters}
+    deviation = np.array([deviations.get(c, 0.0) for c in system.channels])
     loop = np.eye(q) - system.D[:q, :q] * deviation
     through = np.eye(q) + deviation[:, None] * linalg.solve(loop, system.D[:q, :q]) if q else np.eye(0)
     A, channels = np.array(system.at(values, beyond_range=True).A), system.B[:, :q] @ through
@@ -147,4 +155,4 @@ def _lyapunov_factors(A: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
 
 def _weights(system: System, weights: FloatArray) -> dict[str, list[float]]:
     names = list(system.channels)
-    return {p.name: [float(w) for w, n in zip(weights, names) if n == p.name] for p in system.parameters}
+    return {e.name: [float(w) for w, n in zip(weights, names) if n == e.name] for e in system.elements}

@@ -1,0 +1,299 @@
+"""Members of a system with complex or dynamic elements that are unstable, or have a large gain, by search.
+
+At a frequency the value of such an element is any complex matrix of bounded norm. The frequencies are those of a grid
+and, about the worst of them, of a search along the axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.state_space.disks import DiskChannels, disks_of
+from lftkit.proofs.state_space.search import Member
+from lftkit.proofs.structured.lower import lower_bound
+from lftkit.proofs.structured.structure import complex_block, full_block, real_block
+from lftkit.proofs.structured.upper import balanced_matrix
+from lftkit.systems.lft import response
+from lftkit.systems.system import System
+
+sl_optimize: Any = optimize
+Interval = tuple[float, float]
+GRID = 30
+"""Frequencies between a tenth of the slowest pole and ten times the fastest, beside those of the poles."""
+REFINED = 2
+"""Best frequencies of the grid about which the axis is searched."""
+EVALUATIONS = 12
+STARTS = 4
+"""Members with which the search for a gain at a frequency begins."""
+FIRST, LATER = (1, 1), (2, 2)
+"""Vectors with which the search for a singular loop begins, and attempts to find on which side of its nominal value
+each parameter is where sides have other widths: on the grid, and about its best frequencies."""
+ASCENTS, CLIMBED = 40, 1e-7
+"""Most steps of an ascent; least relative increase that is worth another one."""
+SHORT = 1e-3
+"""Shortest step of an ascent, as a part of the way to the point that the slopes name."""
+
+
+@dataclass(frozen=True)
+class DiskMember(Member):
+    """A member with the deviations of complex and dynamic elements at its frequency, by name (outputs, inputs)."""
+
+    disks: Mapping[str, ComplexArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DiskSearch:
+    """Search at frequencies of a continuous system with real elements first.
+
+    Parameters
+    ----------
+    system : System
+    box : sequence of (low, high)
+        Of its real elements.
+    band : (low, high)
+        Frequencies [rad/s].
+    seed : int
+    """
+
+    system: System
+    box: Sequence[Interval]
+    band: Interval
+    seed: int
+
+    @cached_property
+    def disks(self) -> list[DiskChannels]:
+        """Complex and dynamic elements."""
+        return disks_of(self.system)
+
+    @cached_property
+    def deviations(self) -> FloatArray:
+        """Ends of the real elements' deviations (p, 2)."""
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        return np.array(self.box, dtype=float).reshape(-1, 2) - nominal[:, None]
+
+    @cached_property
+    def groups(self) -> list[list[int]]:
+        """Channels of each real element."""
+        names = [p.name for p in self.system.parameters]
+        return [[i for i, channel in enumerate(self.system.channels) if channel == name] for name in names]
+
+    def response(self, omega: float) -> ComplexArray:
+        """Of all channels at a frequency, which may be infinite."""
+        if math.isinf(omega) or not self.system.order:
+            return np.asarray(self.system.D, complex)
+        return np.asarray(response(self.system.lft, 1j * omega), complex)
+
+    def frequencies(self) -> FloatArray:
+        """Grid of the band, its ends included."""
+        poles = np.abs(self.system.poles())
+        poles = poles[poles > 0.0] if np.any(poles > 0.0) else np.ones(1)
+        low, high = self.band
+        inside = [*np.geomspace(0.1 * poles.min(), 10.0 * poles.max(), GRID), *poles, low, high]
+        return np.unique([w for w in inside if low <= w <= high])
+
+    def worst(
+        self, at: Callable[[float], tuple[float, Any]], closely: Callable[[float], tuple[float, Any]] | None = None
+    ) -> tuple[float, float, Any]:
+        """Largest value over the band of a function of frequency, its frequency, and what comes with it.
+
+        `closely` is the function about the best frequencies of the grid, the same by default.
+        """
+        closely = closely or at
+        omega = self.frequencies()
+        found = [at(float(w)) for w in omega]
+        order = np.argsort([-value for value, _ in found], kind="stable")
+        best = found[order[0]][0], float(omega[order[0]]), found[order[0]][1]
+
+        def objective(where: float) -> float:
+            nonlocal best
+            w = math.exp(where)
+            value, what = closely(w)
+            if value > best[0]:
+                best = value, w, what
+            return -value
+
+        for k in order[:REFINED]:
+            low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+            high = high if np.isfinite(high) else 10.0 * max(low, 1e-300)
+            low = low if low > 0.0 else 1e-3 * high
+            if low < high:
+                options = {"maxiter": EVALUATIONS, "xatol": 1e-7}
+                sl_optimize.minimize_scalar(
+                    objective, bounds=(math.log(low), math.log(high)), method="bounded", options=options
+                )
+        return best
+
+    # stability
+
+    def unstable(self, largest: float) -> tuple[float, DiskMember] | None:
+        """Smallest factor of box and radii, up to `largest`, with a member that has a pole on the axis."""
+        value, omega, found = self.worst(lambda w: self._singular_at(w, *FIRST), lambda w: self._singular_at(w, *LATER))
+        if not value * largest > 1.0:
+            return None
+        point, values = found
+        return 1.0 / value, DiskMember(np.inf, point, omega, values)
+
+    def _singular_at(self, omega: float, starts: int, attempts: int) -> tuple[float, Any]:
+        """One over the smallest factor found at a frequency, and the member there."""
+        M = self.response(omega)[: len(self.system.channels), : len(self.system.channels)]
+        sides = np.abs(self.deviations).max(axis=1)
+        best: tuple[float, Any] = (0.0, None)
+        for _ in range(attempts):
+            value, delta, values = self._smallest(M, sides, starts)
+            if not value:
+                break
+            real = delta * sides
+            allowed = np.where(real < 0.0, -self.deviations[:, 0], self.deviations[:, 1])
+            own = np.abs(real[real != 0.0]) / np.maximum(allowed[real != 0.0], 1e-300)
+            size = max([*own, *(linalg.norm(v, 2) / d.radius for v, d in zip(values.values(), self.disks))])
+            if 1.0 / size > best[0]:
+                nominal = np.array([p.nominal for p in self.system.parameters])
+                best = 1.0 / float(size), (nominal + real, values)
+            if np.array_equal(allowed, sides) or not np.all(allowed > 0.0):
+                break
+            sides = allowed
+        return best
+
+    def _smallest(
+        self, M: ComplexArray, sides: FloatArray, starts: int
+    ) -> tuple[float, FloatArray, dict[str, ComplexArray]]:
+        """Smallest perturbation of elements that are scaled by `sides` and radii, one over its size first."""
+        into, out, scale, structure = [], [], [], []
+        for group, side in zip(self.groups, sides):
+            into, out = into + group, out + group
+            scale += [side] * len(group)
+            structure.append(real_block(len(group)))
+        for disk in self.disks:
+            into += disk.channels[: disk.inputs if disk.full else None]
+            own = disk.channels[: disk.outputs if disk.full else None]
+            out += own
+            scale += [disk.radius] * len(own)
+            structure.append(full_block(disk.outputs, disk.inputs) if disk.full else complex_block(len(disk.channels)))
+        matrix = M[np.ix_(into, out)] * np.array(scale)
+        value, found = lower_bound(balanced_matrix(matrix, structure)[0], structure, starts=starts, seed=self.seed)
+        if found is None:
+            return 0.0, np.zeros(len(sides)), {}
+        reals, values, row, column = np.zeros(len(sides)), {}, 0, 0
+        for k, group in enumerate(self.groups):
+            reals[k] = found[row, column].real
+            row, column = row + len(group), column + len(group)
+        for disk in self.disks:
+            rows = disk.outputs if disk.full else len(disk.channels)
+            columns = disk.inputs if disk.full else len(disk.channels)
+            size = (rows, columns) if disk.full else (1, 1)
+            values[disk.name] = disk.radius * found[row : row + size[0], column : column + size[1]]
+            row, column = row + rows, column + columns
+        return value, reals, values
+
+    # gain
+
+    def largest_gain(self) -> DiskMember:
+        """Member of the box with the largest gain found."""
+        value, omega, found = self.worst(self._gain_at)
+        point, values = found
+        return DiskMember(value, point, omega, values)
+
+    def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
+        """That of an ascent from a member's real elements at one frequency."""
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        value, found = self._ascent(self.response(omega), np.asarray(point) - nominal, self._random_disks())
+        return DiskMember(value, found[0], omega, found[1])
+
+    def _gain_at(self, omega: float) -> tuple[float, Any]:
+        M = self.response(omega)
+        rng = np.random.default_rng(self.seed)
+        starts = [self.deviations.mean(axis=1)]
+        starts += [np.where(rng.random(len(self.box)) < 0.5, *self.deviations.T) for _ in range(STARTS - 1)]
+        found = [self._ascent(M, start, self._random_disks(rng)) for start in starts]
+        return max(found, key=lambda pair: pair[0])
+
+    def _random_disks(self, rng: np.random.Generator | None = None) -> dict[str, ComplexArray]:
+        rng = rng or np.random.default_rng(self.seed)
+        values = {}
+        for disk in self.disks:
+            u, v = (rng.normal(size=n) + 1j * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
+            values[disk.name] = np.asarray(disk.radius * np.outer(u, v) / (linalg.norm(u) * linalg.norm(v)))
+        return values
+
+    def _ascent(
+        self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]
+    ) -> tuple[float, tuple[FloatArray, dict[str, ComplexArray]]]:
+        """Gain at the end of steps towards the members that the slopes name, and the member."""
+        gain, towards = self._gain(M, real, values)
+        for _ in range(ASCENTS):
+            length, before = 1.0, gain
+            aim_real, aim_values = towards(real, values)
+            while length >= SHORT:
+                tried = []
+                for part in (length, 0.5 * length):
+                    new_real = real + part * (aim_real - real)
+                    new_values = {d.name: _between(values[d.name], aim_values[d.name], part, d) for d in self.disks}
+                    tried.append((*self._gain(M, new_real, new_values), new_real, new_values))
+                best = max(tried, key=lambda member: member[0])
+                if best[0] > gain:
+                    gain, towards, real, values = best
+                    break
+                length *= 0.25
+            if not gain > before * (1.0 + CLIMBED):
+                break
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        return gain, (nominal + real, values)
+
+    def _gain(
+        self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]
+    ) -> tuple[float, Callable[[FloatArray, dict[str, ComplexArray]], tuple[FloatArray, dict[str, ComplexArray]]]]:
+        """Gain of a member, and a function that names the member with the largest linearised gain."""
+        q = len(self.system.channels)
+        delta = self._delta(real, values)
+        try:
+            inner = np.asarray(linalg.solve(np.eye(q) - M[:q, :q] @ delta, M[:q]), complex)
+        except linalg.LinAlgError:
+            return np.inf, lambda a, b: (a, b)
+        seen = inner[:, q:]
+        through = M[q:, :q] @ (np.eye(q) + delta @ inner[:, :q])
+        whole = np.asarray(M[q:, q:] + M[q:, :q] @ delta @ seen, complex)
+        left, gains, right = linalg.svd(whole, full_matrices=False)
+        # the slope of the gain by delta is the real part of back* d(delta) z
+        z, back = seen @ right[0].conj(), through.conj().T @ left[:, 0]
+
+        def towards(at: FloatArray, _: dict[str, ComplexArray]) -> tuple[FloatArray, dict[str, ComplexArray]]:
+            slopes = np.array([np.vdot(back[group], z[group]).real for group in self.groups])
+            aim = np.where(slopes > 0.0, self.deviations[:, 1], self.deviations[:, 0]) if len(at) else at
+            best = {}
+            for disk in self.disks:
+                if disk.full:
+                    u, v = back[list(disk.channels[: disk.outputs])], z[list(disk.channels[: disk.inputs])]
+                    matrix = np.outer(u, v.conj())
+                else:
+                    own = list(disk.channels)
+                    matrix = np.array([[np.conj(np.vdot(back[own], z[own]))]])
+                best[disk.name] = np.asarray(disk.radius * matrix / max(float(linalg.norm(matrix, 2)), 1e-300))
+            return aim, best
+
+        return float(gains[0]), towards
+
+    def _delta(self, real: FloatArray, values: Mapping[str, ComplexArray]) -> ComplexArray:
+        delta = np.zeros((len(self.system.channels),) * 2, complex)
+        for group, value in zip(self.groups, real):
+            delta[group, group] = value
+        for disk in self.disks:
+            own = list(disk.channels)
+            if disk.full:
+                delta[np.ix_(own[: disk.outputs], own[: disk.inputs])] = values[disk.name]
+            else:
+                delta[own, own] = values[disk.name][0, 0]
+        return delta
+
+
+def _between(value: ComplexArray, aim: ComplexArray, part: float, disk: DiskChannels) -> ComplexArray:
+    """Of rank one and full norm, between two values: the gain has no maximum inside."""
+    left, _, right = linalg.svd(value + part * (aim - value), full_matrices=False)
+    return np.asarray(disk.radius * left[:, :1] @ right[:1], complex)

@@ -1,0 +1,148 @@
+"""Complex and dynamic elements of a system: their channels, sizes and radii, as tests of cells and proofs have them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import ComplexArray, Matrices
+from lftkit.systems.sampling import discretise
+from lftkit.systems.system import System
+from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
+from lftkit.uncertainty.parameters import RealParameter
+
+REAL, NEAR = 1e-9, 1e-9
+"""Phase [rad] that counts as zero; frequency [rad/s] in the place of zero, and one over that of infinity."""
+
+
+@dataclass(frozen=True)
+class DiskChannels:
+    """An element whose value at a frequency is any complex matrix with a norm of at most `radius`.
+
+    Parameters
+    ----------
+    name : str
+    radius : float
+    outputs, inputs : int
+        Sizes of an occurrence, which takes as many channels as the larger one.
+    channels : tuple of int
+        Of all occurrences.
+    """
+
+    name: str
+    radius: float
+    outputs: int
+    inputs: int
+    channels: tuple[int, ...]
+
+    @property
+    def full(self) -> bool:
+        """Whether it is a matrix; otherwise a number, which may occur several times."""
+        return max(self.outputs, self.inputs) > 1
+
+
+def disks_of(system: System, radii: Mapping[str, float] | None = None) -> list[DiskChannels]:
+    """Complex and dynamic elements, with `radii` in the place of their own radii and bounds.
+
+    Raises
+    ------
+    ValueError
+        A matrix of dynamics that occurs more than once.
+    """
+    found = []
+    for e in system.elements:
+        if isinstance(e, RealParameter):
+            continue
+        radius = e.radius if isinstance(e, ComplexParameter) else e.bound
+        outputs, inputs = (e.outputs, e.inputs) if isinstance(e, DynamicElement) else (1, 1)
+        channels = tuple(i for i, name in enumerate(system.channels) if name == e.name)
+        if width(e) > 1 and len(channels) > width(e):
+            raise ValueError(
+                f"{system.name}: a matrix of dynamics must occur once in a bound, got element {e.name!r} "
+                f"{len(channels) // width(e)} times"
+            )
+        found.append(DiskChannels(e.name, (radii or {}).get(e.name, radius), outputs, inputs, channels))
+    return found
+
+
+def real_first(system: System) -> System:
+    """The system with the channels of each element adjacent, those of real elements first."""
+    names = [p.name for p in system.parameters]
+    others = [e.name for e in system.elements if not isinstance(e, RealParameter)]
+    return system.sorted_channels([*names, *others])
+
+
+def without_disks(system: System) -> System:
+    """The system with its complex and dynamic elements at their nominal values."""
+    real = [p.name for p in system.parameters]
+    kept = [i for i, channel in enumerate(system.channels) if channel in real]
+    q = len(system.channels)
+    columns, rows = [*kept, *range(q, system.D.shape[1])], [*kept, *range(q, system.D.shape[0])]
+    return replace(
+        system,
+        B=system.B[:, columns],
+        C=system.C[rows],
+        D=system.D[np.ix_(rows, columns)],
+        channels=tuple(system.channels[i] for i in kept),
+        elements=system.parameters,
+    )
+
+
+def scaled_radii(system: System, factor: float) -> dict[str, float]:
+    """Radii of complex and dynamic elements times a factor, by name."""
+    return {disk.name: factor * disk.radius for disk in disks_of(system)}
+
+
+def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System:
+    """Stable dynamics of the same largest gain at all frequencies whose value at one of them is a matrix of rank one.
+
+    ``u v*`` becomes ``a(s) b(s)'``, the entries of a and b all-pass systems ``g (s - c) / (s + c)``.
+
+    Parameters
+    ----------
+    matrix : ndarray, complex, shape (outputs, inputs)
+        Of a higher rank the part of rank one is taken.
+    omega : float
+        Frequency [rad/s].
+    dt : float
+        Period of dynamics in discrete time.
+
+    Examples
+    --------
+    >>> member = dynamics_with(np.array([[0.3j]]), 2.0)
+    >>> np.round(member(2.0j), 12), member.order
+    (0.3j, 1)
+    """
+    where = 2.0 / dt * math.tan(0.5 * omega * dt) if dt else omega
+    given = np.atleast_2d(np.asarray(matrix, complex))
+    left, sizes, right = linalg.svd(given)
+    (A, B, C, D), (E, F, G, H) = _all_passes(left[:, 0], where), _all_passes(right[0], where)
+    # b(s)' with an input for each entry, then a(s) with one
+    first = E, G.T, F.T, H[None, :]
+    dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
+    into, out = np.vstack([first[1], B @ first[3]]), np.hstack([D[:, None] @ first[2], C])
+    whole = dynamics, into, sizes[0] * out, sizes[0] * D[:, None] @ first[3]
+    member = System(*whole, [("u", given.shape[1])], [("y", given.shape[0])], "dynamics")
+    return discretise(member, dt) if dt else member
+
+
+def _all_passes(values: ComplexArray, omega: float) -> Matrices:
+    """All-pass systems (k,) of one input with values of these phases at a frequency, times their magnitudes.
+
+    At the ends of the axis, where they are real, phases are those of a frequency near by.
+    """
+    size, phase = np.abs(values), np.angle(values)
+    real = np.minimum(np.abs(phase), np.pi - np.abs(phase)) < REAL
+    sign = np.where(real, np.where(np.abs(phase) < 1.0, 1.0, -1.0), np.where(phase > 0.0, 1.0, -1.0))
+    # the phase of (s - c) / (s + c) is pi - 2 atan(omega / c)
+    turned = np.where(phase > 0.0, phase, phase + np.pi)[~real]
+    at = min(max(omega, NEAR), 1.0 / NEAR)
+    corner = at / np.tan(0.5 * (np.pi - turned))
+    own, gain = np.flatnonzero(~real), sign * size
+    out = np.zeros((len(values), len(own)))
+    out[own, np.arange(len(own))] = -2.0 * corner * gain[own]
+    return np.diag(-corner), np.ones((len(own), 1)), out, gain

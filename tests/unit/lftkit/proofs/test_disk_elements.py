@@ -1,0 +1,210 @@
+"""Bounds with complex and dynamic elements: closed forms, members that are what they are said to be, forged proofs."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lftkit import System, complex_gain, discretise, dynamic, feedback, hinf_norm, matrix, real, s
+from lftkit.proofs import (
+    ProofError,
+    check_proof,
+    gain_profile,
+    robust_performance,
+    robust_stability,
+    stability_profile,
+    worst_case_gain,
+)
+from lftkit.proofs.state_space.checker import digest
+from lftkit.proofs.state_space.disks import dynamics_with
+from lftkit.uncertainty.elements import DynamicElement
+
+LONG = 3600.0
+
+
+def lag(element: Any, dt: float = 0.0) -> System:
+    """``1 / (s + 1 + element)``."""
+    system: System = (1 / (s + 1 + element)).system("u", "y")
+    return discretise(system, dt) if dt else system
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("element", [complex_gain("f", 0.0, radius=0.5), dynamic("f", bound=0.5)])
+def test_a_lag_by_hand(element: Any, dt: float) -> None:
+    """Gain 1 / (1 - 0.5) at zero, unstable from radius 1 on, twice the given one."""
+    system = lag(element, dt)
+    gain, margin = worst_case_gain(system, wall_limit=LONG), robust_stability(system, wall_limit=LONG)
+    assert gain.status == margin.status == "closed"
+    assert gain.lower == pytest.approx(2.0, rel=1e-6) and 2.0 <= gain.upper <= 1.05 * 2.0
+    assert margin.upper == pytest.approx(2.0, rel=1e-6) and 2.0 / 1.05 <= margin.lower <= 2.0
+    for bounds, radius in ((gain, 0.5), (margin, margin.lower * 0.5)):
+        checked = check_proof(bounds.proof)
+        assert checked.stable and checked.disks == {"f": radius} and checked.box == {}
+
+
+def test_a_centre_that_is_not_zero() -> None:
+    """c within 0.5 of 2 in ``1 / (s + c)``: 1 / 1.5; unstable four radii away."""
+    c = complex_gain("c", 2.0, radius=0.5)
+    system = (1 / (s + c)).system("u", "y")
+    assert worst_case_gain(system).lower == pytest.approx(1 / 1.5, rel=1e-6)
+    margin = robust_stability(system)
+    assert margin.upper == pytest.approx(4.0, rel=1e-6) and margin.point["c"] == pytest.approx(0.0, abs=1e-6)
+    assert check_proof(margin.proof).stable
+
+
+def test_a_number_that_occurs_twice() -> None:
+    """``1 / ((s + 1)^2 - f^2)``, two occurrences: poles -1 +- f, unstable from 1 on, and the phase of f is free."""
+    f = complex_gain("f", 0.0, radius=0.5)
+    system = (1 / ((s + 1) ** 2 - f * f)).system("u", "y")
+    assert system.occurrences() == {"f": 2}
+    margin = robust_stability(system)
+    assert margin.status == "closed" and margin.upper == pytest.approx(2.0, rel=1e-6)
+    worst = worst_case_gain(system)
+    assert worst.lower == pytest.approx(1 / 0.75, rel=1e-6) and worst.upper <= 1.05 / 0.75
+    assert check_proof(margin.proof).stable and check_proof(worst.proof).stable
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (1, 3), (3, 2)])
+def test_a_matrix_of_dynamics_has_the_margin_of_the_norm(shape: tuple[int, int]) -> None:
+    """One full block: the margin is one over the norm of what it sees."""
+    rng = np.random.default_rng(sum(shape))
+    A, B, C = -np.diag([1.0, 2.0, 3.0]), rng.normal(size=(3, shape[0])), rng.normal(size=(shape[1], 3))
+    width = max(shape)
+    into, out = np.zeros((3, width)), np.zeros((width, 3))
+    into[:, : shape[0]], out[: shape[1]] = B, C
+    element = DynamicElement("f", *shape, bound=0.2)
+    system = System(A, into, out, np.zeros((width, width)), (), (), channels=("f",) * width, elements=(element,))
+    margin = robust_stability(system, wall_limit=LONG)
+    exact = 5.0 / hinf_norm(A, B, C, np.zeros((shape[1], shape[0]))).value
+    assert margin.upper == pytest.approx(exact, rel=1e-5) and exact / 1.05 <= margin.lower <= exact
+    assert check_proof(margin.proof).stable
+    poles = system.at(margin.point).poles()
+    assert np.abs(poles - 1j * margin.frequency).min() < 1e-6 * max(1.0, margin.frequency)
+
+
+def mixed(dt: float = 0.0) -> System:
+    k, f = real("k", 10, 7, 14), dynamic("f", bound=0.2)
+    plant = (18 / (s**2 + 1.8 * s + k) * (1 + f)).system("u", "y")
+    law = (0.1 + 0.3 / s).system("e", "u")
+    loop = feedback(plant @ law)
+    return discretise(loop, dt) if dt else loop
+
+
+@pytest.mark.parametrize("dt", [0.0, pytest.param(0.05, marks=pytest.mark.slow)])
+def test_members_that_are_named_are_as_bad_as_is_said(dt: float) -> None:
+    """An asymmetric real parameter beside dynamics: the margin's member has its pole on the axis, or on the circle."""
+    loop = mixed(dt)
+    margin = robust_stability(loop, wall_limit=LONG, gap=0.1)
+    assert margin.status == "closed" and margin.lower <= margin.upper <= 1.1 * margin.lower
+    poles = loop.at(margin.point, beyond_range=True).poles()
+    at = np.exp(1j * margin.frequency * dt) if dt else 1j * margin.frequency
+    assert np.abs(poles - at).min() < 1e-5 * max(1.0, abs(at))
+    size = hinf_norm(*margin.point["f"].matrices, dt=dt).value / 0.2
+    offset = margin.point["k"] - 10.0
+    assert max(size, offset / 4.0 if offset > 0.0 else -offset / 3.0) == pytest.approx(margin.upper, rel=1e-6)
+    assert check_proof(margin.proof).disks == {"f": pytest.approx(0.2 * margin.lower)}
+    small = {"k": (9.5, 10.5)}
+    worst = worst_case_gain(loop, small, wall_limit=LONG, gap=0.1)
+    assert worst.status == "closed" and worst.lower <= worst.upper <= 1.1 * worst.lower
+    member = loop.at(worst.point)
+    assert hinf_norm(*member.matrices, dt=dt).value >= worst.lower * (1.0 - 1e-6)
+
+
+def test_no_member_is_above_what_is_proven() -> None:
+    """Random members, dynamics as all-pass systems: stable, with gains below the upper bound."""
+    loop, box = mixed(), {"k": (9.5, 10.5)}
+    worst = worst_case_gain(loop, box, gap=0.2, wall_limit=LONG)
+    rng = np.random.default_rng(4)
+    for values in loop.sample_values(rng, 100):
+        member = loop.at({**values, "k": rng.uniform(9.5, 10.5)})
+        assert member.poles().real.max() < 0.0
+        assert hinf_norm(*member.matrices).value <= worst.upper
+
+
+def test_an_unstable_member_is_named() -> None:
+    bounds = worst_case_gain(lag(dynamic("f", bound=1.2)))
+    assert bounds.status == "unstable" and bounds.proof is None
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.3, 20.0])
+@pytest.mark.parametrize("dt", [0.0, 0.05])
+def test_dynamics_have_the_value_and_the_norm_that_is_asked(omega: float, dt: float) -> None:
+    rng = np.random.default_rng(2)
+    u, v = (rng.normal(size=n) + 1j * rng.normal(size=n) * (omega > 0.0) for n in (3, 2))
+    value = np.outer(u, v)
+    member = dynamics_with(value, omega, dt)
+    at = np.exp(1j * omega * dt) if dt else 1j * omega
+    np.testing.assert_allclose(member(at), value, atol=1e-12 * linalg.norm(value))
+    for w in (0.0, 0.1, 1.0, 7.0, 60.0):
+        there = np.exp(1j * w * dt) if dt else 1j * w
+        assert linalg.norm(member(there), 2) == pytest.approx(linalg.norm(value, 2), rel=1e-9)
+    assert np.all(np.abs(member.poles()) < 1.0) if dt else np.all(member.poles().real < 0.0)
+
+
+@pytest.fixture(scope="module")
+def content() -> dict[str, Any]:
+    bounds = robust_stability(mixed(), gap=0.3, wall_limit=LONG)
+    assert bounds.proof is not None
+    check_proof(bounds.proof)
+    return dict(bounds.proof.content)
+
+
+def _disk(content: dict[str, Any], **changes: Any) -> None:
+    content["system"]["disks"][0].update(changes)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: _disk(c, radius=2.0 * c["system"]["disks"][0]["radius"]),
+        lambda c: _disk(c, radius=-1.0),
+        lambda c: _disk(c, radius=float("nan")),
+        lambda c: _disk(c, name="k"),
+        lambda c: _disk(c, name="g"),
+        lambda c: _disk(c, outputs=2),
+        lambda c: _disk(c, inputs=0),
+        lambda c: c["system"].pop("disks"),
+        lambda c: c["system"].update(disks=2 * c["system"]["disks"]),
+        lambda c: c["stable"]["weights"].pop("f"),
+        lambda c: c["stable"]["weights"].update(f=[-1.0]),
+        lambda c: [cell["D"].pop("f") for cell in c["cells"]],
+        lambda c: [cell["D"].update(f=[[[0.0]], [[0.0]]]) for cell in c["cells"]],
+        lambda c: [cell["D"].update(f=[[[-cell["D"]["f"][0][0][0]]], [[0.0]]]) for cell in c["cells"]],
+        lambda c: c["system"]["channels"].reverse(),
+    ],
+)
+def test_a_forged_proof_is_refused(content: dict[str, Any], change: Callable[[dict[str, Any]], Any]) -> None:
+    forged = copy.deepcopy(content)
+    change(forged)
+    forged["sha256"] = digest(forged)
+    with pytest.raises(ProofError):
+        check_proof(forged)
+
+
+def test_a_smaller_radius_follows(content: dict[str, Any]) -> None:
+    other = copy.deepcopy(content)
+    _disk(other, radius=0.9 * other["system"]["disks"][0]["radius"])
+    other["sha256"] = digest(other)
+    assert check_proof(other).stable
+
+
+def test_what_is_not_available_is_a_line() -> None:
+    loop = mixed()
+    twice = matrix([[s + 1, 0], [0, s + 2]]).inverse() @ dynamic("f", 2, 2, bound=0.1)
+    repeated = (twice @ twice).system([("u", 2)], [("y", 2)])
+    for call, message in (
+        (lambda: worst_case_gain(loop, method="axis"), "elements must be real, got the dynamic element 'f'"),
+        (lambda: robust_performance(loop), "elements must be real, got the dynamic element 'f'"),
+        (lambda: gain_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
+        (lambda: stability_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
+        (lambda: worst_case_gain(loop, {"f": (0.0, 0.1)}), "element 'f' must be real"),
+        (lambda: robust_stability(repeated), "a matrix of dynamics must occur once in a bound, got element 'f' 2"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
