@@ -57,7 +57,8 @@ from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash, without_image_optics
+from titop_plant.telescope.guide_camera import without_images
+from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
@@ -216,7 +217,7 @@ def write_bundle(
         Files of ``design certify``.
     """
     members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
-    of_loop = without_image_optics(parameters)
+    of_loop = without_images(parameters)
     content = {key: dict(value) if isinstance(value, Mapping) else value for key, value in of_loop.items()}
     for body in OWN_BODIES:
         file = content[body].get("modal_data", "")

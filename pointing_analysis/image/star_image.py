@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from pointing_analysis.arrays import ComplexArray, FloatArray
+from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray
 from pointing_analysis.image.motion_blur import centred, motion_transfer, sizes
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quadrature import Quadrature
@@ -21,6 +23,50 @@ def mean_transfer(paths: FloatArray, frequencies: FloatArray) -> ComplexArray:
     for path in centred(paths):
         total += motion_transfer(path[None], frequencies)[0]
     return np.asarray(total / len(paths))
+
+
+@dataclass(frozen=True)
+class ImageGrid:
+    """Spatial frequencies that an image is the sum of: all that the aperture transmits, in steps of 1 / width.
+
+    Parameters
+    ----------
+    optics : Optics
+    line : ndarray, shape (n,)
+        Places of the image along each axis [rad].
+    width : float
+        Of the field [rad], beyond which the image repeats itself.
+    """
+
+    optics: Optics
+    line: FloatArray
+    width: float
+
+    @cached_property
+    def axis(self) -> FloatArray:
+        """Frequencies along each axis, shape (m,), zero in the middle [cycles/rad]."""
+        count = math.ceil(self.optics.cutoff * self.width)
+        return np.asarray(np.arange(-count, count + 1) / self.width)
+
+    @cached_property
+    def _inside(self) -> tuple[BoolArray, FloatArray]:
+        f = np.stack(np.meshgrid(self.axis, self.axis), axis=-1)
+        inside = np.hypot(f[..., 0], f[..., 1]) < self.optics.cutoff
+        return inside, f[inside]
+
+    @property
+    def frequencies(self) -> FloatArray:
+        """Those that the aperture transmits, shape (k, 2) [cycles/rad]."""
+        return self._inside[1]
+
+    def spectrum(self, transfer: ComplexArray, pixels: bool) -> ComplexArray:
+        """Spectrum of the image, rows along y, of a transfer of the motion at `frequencies`: (k,) -> (m, m)."""
+        inside, chosen = self._inside
+        found = np.zeros(inside.shape, dtype=complex)
+        found[inside] = self.optics.diffraction(chosen) * transfer
+        if pixels:
+            found[inside] *= self.optics.detector(chosen)
+        return found
 
 
 def star_image(
@@ -51,16 +97,9 @@ def star_image(
     apart = optics.pixel if step is None else step
     line = apart * np.arange(-half, half + 1)
     width = 2 * (half * apart + float(sizes(paths).max()) + WINGS * optics.resolution)
-    count = math.ceil(optics.cutoff * width)
-    axis = np.arange(-count, count + 1) / width
-    f = np.stack(np.meshgrid(axis, axis), axis=-1)
-    inside = np.hypot(f[..., 0], f[..., 1]) < optics.cutoff
-    spectrum = np.zeros(inside.shape, dtype=complex)
-    chosen = f[inside]
-    spectrum[inside] = optics.diffraction(chosen) * mean_transfer(paths, chosen)
-    if pixels:
-        spectrum[inside] *= optics.detector(chosen)
-    turn = np.exp(2j * math.pi * np.outer(line, axis))
+    grid = ImageGrid(optics, line, width)
+    spectrum = grid.spectrum(mean_transfer(paths, grid.frequencies), pixels)
+    turn = np.exp(2j * math.pi * np.outer(line, grid.axis))
     return np.asarray((turn @ spectrum @ turn.T).real * (optics.pixel / width) ** 2)
 
 

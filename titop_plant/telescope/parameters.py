@@ -17,6 +17,7 @@ from typing import Any
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
+from titop_plant.telescope.guide_camera import with_guide_camera, without_images
 from titop_plant.telescope.layout import (
     ANGLE,
     APPENDAGES,
@@ -43,17 +44,6 @@ else:
 Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
-IMAGE_OPTICS = (
-    "aperture_diameter",
-    "obscuration",
-    "spider_vanes",
-    "spider_width",
-    "wavelength",
-    "pixel_mas",
-    "weight_mas",
-    "pupil",
-)
-"""Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
 OWN_BODIES = ("body", "payload")
 """Bodies whose modal data may be a file of the user."""
 SOURCES = "disturbance"
@@ -75,9 +65,10 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
         ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
         tables without names are replaced. A relative ``body.modal_data``, ``payload.modal_data`` or ``optics.pupil`` is
-        looked for beside it. Tables ``[[solar_array]]``, ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on
-        board, see :mod:`titop_plant.telescope.layout`. Tables ``[[disturbance]]`` are kept as they are, each with the
-        folder of the file.
+        looked for beside it. Low-pass and noise of a camera that is no vector are those of its table, see
+        :mod:`titop_plant.telescope.guide_camera`. Tables ``[[solar_array]]``, ``[[reaction_wheel]]`` and
+        ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`. Tables ``[[disturbance]]`` are
+        kept as they are, each with the folder of the file.
 
     Raises
     ------
@@ -97,13 +88,14 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
     merged = with_limits(file.merged(reference, own), own, limits, file)
+    if merged["optics"]["pupil"]:
+        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
+    merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
     for name in OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
             merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
-    if merged["optics"]["pupil"]:
-        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
     return MappingProxyType(merged)
@@ -166,20 +158,16 @@ def _parsed(text: str) -> bytes:
     return pickle.dumps(tomllib.loads(text))
 
 
-def without_image_optics(parameters: Parameters) -> dict[str, Any]:
-    """The parameters without `IMAGE_OPTICS`: those of plant, loop and designs."""
-    optics = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
-    return {**parameters, "optics": optics}
-
-
 def parameters_hash(parameters: Parameters) -> str:
     """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
 
     Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
     that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
-    optics those of images (`IMAGE_OPTICS`) do not count, nor do sources of disturbance: no design depends on them.
+    optics those of images (`IMAGE_OPTICS`) do not count, nor does the table of the guide camera, of which the low-pass
+    and the noise under ``sensors`` count where they follow from it, nor do sources of disturbance: no design depends on
+    them.
     """
-    known = without_image_optics(parameters)
+    known = without_images(parameters)
     content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES)}
     requirements = telescope_requirements(parameters)
     parts = {

@@ -11,6 +11,7 @@ Times are nanoseconds since the epoch of the run's clock.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +21,16 @@ from numpy.typing import NDArray
 
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.messages.message_types import ACCEL, COLUMNS, HEADER, JOINT_NAMES, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.message_types import (
+    ACCEL,
+    COLUMNS,
+    HEADER,
+    IMAGE,
+    IMAGE_ENCODING,
+    JOINT_NAMES,
+    JOINT_STATE,
+    VECTOR3,
+)
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 PLAIN_CDR = {0: ">", 1: "<"}
@@ -65,6 +75,11 @@ def _template(type_name: str, size: int, frame_id: str) -> tuple[bytes, int]:
     data = ENCAPSULATION + bytes(STAMP.size) + _string(frame_id)
     if type_name == HEADER:
         return data, len(data)
+    if type_name == IMAGE:
+        side = math.isqrt(size)
+        data = _padded(data, 4) + 2 * _LENGTH.pack(side) + _string(IMAGE_ENCODING) + b"\x00"  # little-endian
+        data = _padded(data, 4) + _LENGTH.pack(2 * side) + _LENGTH.pack(2 * size)
+        return data + bytes(2 * size), len(data)
     if type_name == JOINT_STATE:
         data = _padded(data, 4) + _LENGTH.pack(size)
         for i in range(size):
@@ -80,10 +95,10 @@ class Encoder:
     Parameters
     ----------
     type_name : str
-        AccelStamped, Vector3Stamped, JointState (efforts) or Header.
+        AccelStamped, Vector3Stamped, JointState (efforts), Image (square, 16 bit) or Header.
     size : int
         Number of values: 6 (acceleration: linear then angular), 2 or 3 (a vector; what is left out is sent as 0), any
-        number of efforts, 0 (header).
+        number of efforts, the square of a whole number (pixels, row by row), 0 (header).
     frame_id : str
         Frame in the header.
 
@@ -100,16 +115,19 @@ class Encoder:
     """
 
     def __init__(self, type_name: str, size: int, frame_id: str) -> None:
-        if type_name not in (*_FIXED, JOINT_STATE):
-            raise ValueError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE))}, got {type_name!r}")
+        if type_name not in (*_FIXED, JOINT_STATE, IMAGE):
+            raise ValueError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE, IMAGE))}, got {type_name!r}")
         if not 0 <= size <= _FIXED.get(type_name, size):
             raise ValueError(f"size must be 0 to {_FIXED.get(type_name)} for {type_name}, got {size}")
+        if type_name == IMAGE and math.isqrt(size) ** 2 != size:
+            raise ValueError(f"size must be the square of a whole number for {type_name}, got {size}")
         self.type_name = type_name
         self.size = size
         self.frame_id = frame_id
         template, self._offset = _template(type_name, size, frame_id)
         self._buffer = bytearray(template)
-        self._values = np.frombuffer(self._buffer, "<f8", size, self._offset) if size else _NO_VALUES
+        self.number = np.dtype("<u2" if type_name == IMAGE else "<f8")
+        self._values = np.frombuffer(self._buffer, self.number, size, self._offset) if size else _NO_VALUES
         self._template = np.frombuffer(template, np.uint8)
 
     @property
@@ -129,8 +147,8 @@ class Encoder:
         seconds, rest = np.divmod(stamps_ns, NS_PER_S)
         out[:, 4:8] = seconds.astype("<i4")[:, None].view(np.uint8)
         out[:, 8:12] = rest.astype("<u4")[:, None].view(np.uint8)
-        stop = self._offset + 8 * self.size
-        out[:, self._offset : stop] = np.ascontiguousarray(values, "<f8").view(np.uint8)
+        stop = self._offset + self.number.itemsize * self.size
+        out[:, self._offset : stop] = np.ascontiguousarray(values, self.number).view(np.uint8)
         return out
 
 

@@ -9,6 +9,9 @@ ACCEL = "geometry_msgs/msg/AccelStamped"
 VECTOR3 = "geometry_msgs/msg/Vector3Stamped"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 HEADER = "std_msgs/msg/Header"
+IMAGE = "sensor_msgs/msg/Image"
+IMAGE_ENCODING = "mono16"
+"""Of the pixels of an image: whole numbers of 16 bit, one channel."""
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     ACCEL: ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z"),
@@ -30,6 +33,10 @@ TIME_DEFINITION = "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 HEADER_DEFINITION = "std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 _VECTOR3 = "geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
 _ACCEL = "geometry_msgs/Accel\nVector3 linear\nVector3 angular\n"
+_IMAGE = (
+    "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
+    "uint8[] data\n"
+)
 _JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
 
 DEFINITIONS = {
@@ -38,5 +45,6 @@ DEFINITIONS = {
     ),
     VECTOR3: SEPARATOR.join(["std_msgs/Header header\nVector3 vector\n", HEADER_DEFINITION, TIME_DEFINITION, _VECTOR3]),
     JOINT_STATE: SEPARATOR.join([_JOINT_STATE, HEADER_DEFINITION, TIME_DEFINITION]),
+    IMAGE: SEPARATOR.join([_IMAGE, HEADER_DEFINITION, TIME_DEFINITION]),
 }
 """Full ros2msg text of each type, dependencies included."""

@@ -42,7 +42,8 @@ from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash, without_image_optics
+from titop_plant.telescope.guide_camera import without_images
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
 STAGE, FIGURE = "fsm+pma", "slow"
 Mutation = Callable[[dict[str, bytes]], None]
@@ -89,7 +90,7 @@ def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: Im
     with open_bundle(written) as bundle:
         assert bundle.subject == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
         assert bundle.figures == ((STAGE, FIGURE),) and bundle.proof(STAGE, FIGURE).level == 0.9
-        assert dict(bundle.parameters) == without_image_optics(loop.parameters)
+        assert dict(bundle.parameters) == without_images(loop.parameters)
         kept = bundle.folder
     assert not kept.exists()
 

@@ -26,7 +26,8 @@ from lftkit import SampledSystem
 from los_design.synthesis.store import VARIANTS, load_designs
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
-from titop_plant.telescope.parameters import IMAGE_OPTICS, design_basis, load_parameters
+from titop_plant.telescope.guide_camera import IMAGE_OPTICS, without_images
+from titop_plant.telescope.parameters import design_basis, load_parameters
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -85,7 +86,7 @@ def test_the_stored_designs_are_made_for_the_reference_telescope() -> None:
 def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
     """A controller made for the reference is refused or warned about, whatever number the user's file changes."""
     known, pair = design_basis(REFERENCE).parameters_hash, load_designs("implemented")
-    without = {**REFERENCE, "optics": {k: v for k, v in REFERENCE["optics"].items() if k not in IMAGE_OPTICS}}
+    without = without_images(REFERENCE)
     walked = list(numbers(without))
     tables = {number[0] for number in walked}
     assert {"fsm", "pma", "sensors", "optics", "isolator", "payload", "body", "solar_array", "weights"} <= tables

@@ -22,6 +22,7 @@ from los_testbed.config import RunConfig, is_code
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, needs_tone, with_tones
+from los_testbed.topics import TOPICS, TopicDefinition, image_topic
 from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_testbed.disturbance_files import Entry
+    from los_testbed.image_camera import Telescope
     from pointing_analysis.image.optics import Optics
+    from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.driven_plant import DrivenPlant
@@ -113,7 +116,7 @@ class RunParts:
     def optics(self) -> Optics:
         """Optics of the images of the telescope; OpticsError: they make none."""
         from pointing_analysis.image.optics import from_mapping
-        from titop_plant.telescope.parameters import IMAGE_OPTICS
+        from titop_plant.telescope.guide_camera import IMAGE_OPTICS
 
         table = {key: self.parameters["optics"][key] for key in IMAGE_OPTICS}
         return from_mapping(table, self.config.parameters or "reference.toml", self.pupil_file)
@@ -196,9 +199,11 @@ class RunParts:
             A parameter outside its range; the message names both.
         """
         from titop_plant.simulation.build import PlantConfig
+        from titop_plant.telescope.guide_camera import check_exposure
 
         config = self.config
         check_ranges(config, self.parameters)
+        check_exposure(self.parameters, config.frame_ticks)
         told = config.scenario_acts and config.scenario != "worst_case"
         return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
 
@@ -293,10 +298,33 @@ class RunParts:
         plant = telescope if own is None else self._driven(telescope, own)
         plant = self.with_sources(plant)
         if not config.nonlinear:
-            return plant
+            return self._with_images(plant)
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
 
-        return NonlinearPlant(plant, DeviceLimits(), self.parameters["pma"])
+        return self._with_images(NonlinearPlant(plant, DeviceLimits(), self.parameters["pma"]))
+
+    def _with_images(self, plant: Telescope) -> Plant:
+        """The telescope with the camera that takes images, where the parameter file asks for it."""
+        if self.star_camera is None:
+            return plant
+        from los_testbed.image_camera import ImagePlant
+
+        return ImagePlant(plant, self.star_camera, self.config.seed, self.config.noise)
+
+    @cached_property
+    def star_camera(self) -> StarCamera | None:
+        """Camera that takes images; None where it takes none."""
+        from titop_plant.telescope.guide_camera import star_camera, takes_images
+
+        if self.config.plant or not takes_images(self.parameters):
+            return None
+        return star_camera(self.parameters, self.config.parameters or "reference.toml")
+
+    @property
+    def topics(self) -> tuple[TopicDefinition, ...]:
+        """Topics of the run, those of the loop first."""
+        camera = self.star_camera
+        return TOPICS if camera is None else (*TOPICS, image_topic(camera.camera.window))
 
     def _driven(self, plant: SampledPlant, source: str) -> DrivenPlant:
         """The telescope under the disturbance of the user."""
@@ -449,7 +477,10 @@ def plant_notes(plant: Plant) -> dict[str, str]:
     tones = getattr(plant, "tones", None)
     if tones is not None:
         notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
-    motion = getattr(getattr(plant, "plant", plant), "motion", None)  # of the telescope behind its devices
+    telescope = plant
+    while not hasattr(telescope, "motion") and hasattr(telescope, "plant"):  # the telescope behind its devices
+        telescope = telescope.plant
+    motion = getattr(telescope, "motion", None)
     if motion is not None:
         notes["motion"] = json.dumps(motion)
     parameters_hash = getattr(plant, "parameters_hash", None)

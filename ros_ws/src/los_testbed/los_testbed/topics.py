@@ -8,12 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from los_testbed.config import NAMESPACE
-from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS, sample_ticks
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
+
+IMAGE_VECTOR = "image"
+"""Vector of the pixels of a frame, row by row."""
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -33,7 +36,7 @@ class TopicDefinition:
     publisher : str
         Node that sends it: plant, estimator or controller.
     vector : str
-        Vector of the loop it carries: measurement, truth, los_estimate or command.
+        Vector of the loop it carries: measurement, truth, los_estimate or command; or image.
     columns : slice
         Columns of its values in that vector.
     port : str
@@ -104,6 +107,22 @@ COMMANDS = (FSM_COMMAND, PMA_COMMAND)
 
 TOPICS = (*SENSORS, TRUTH_LOS, LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
 """Every topic that a bag holds, in the order of its channels."""
+
+IMAGE_NAME = "camera/image"
+"""Topic of the frames of a camera that takes images, with the stamp of the angles that they give."""
+
+
+def image_topic(window: int) -> TopicDefinition:
+    """Topic of the frames; a bag with it has it last.
+
+    Parameters
+    ----------
+    window : int
+        Pixels along each axis.
+    """
+    columns = slice(0, window**2)
+    return TopicDefinition(IMAGE_NAME, IMAGE, "guide_camera", "plant", IMAGE_VECTOR, columns, CAMERA_PORT, "e-", True)
+
 
 DEPTH = 100
 """Messages that a writer keeps for reliable readers: 0.1 s at the tick rate. A lost packet is asked for

@@ -12,7 +12,6 @@ from pointing_analysis.read.messages.message_types import JOINT_STATE
 
 _FRAME_OFFSET = STAMP_OFFSET + STAMP.size
 _LITTLE_ENDIAN = ENCAPSULATION[:2]
-_NUMBER = np.dtype("<f8")
 
 
 class CodecError(ValueError):
@@ -51,9 +50,9 @@ class Codec(Encoder):
         """
         fixed = data[_FRAME_OFFSET : self._offset] == self._fixed
         if fixed and len(data) == len(self._buffer) and data[:2] == _LITTLE_ENDIAN:
-            out[:] = np.frombuffer(data, _NUMBER, self.size, self._offset)
+            out[:] = np.frombuffer(data, self.number, self.size, self._offset)
         else:
-            out[:] = np.frombuffer(data, _NUMBER, self.size, self._find(data))
+            out[:] = np.frombuffer(data, self.number, self.size, self._find(data))
         seconds, rest = STAMP.unpack_from(data, STAMP_OFFSET)
         return int(seconds) * NS_PER_S + int(rest)
 

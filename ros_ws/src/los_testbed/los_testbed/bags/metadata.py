@@ -27,7 +27,8 @@ from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.parameters import IMAGE_OPTICS, Parameters, differences, parameters_hash
+from titop_plant.telescope.guide_camera import IMAGE_OPTICS, TABLE
+from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
 from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -41,7 +42,8 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
     state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
     differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
-    ``optics`` are those of its images; ``sensors`` are topic, unit, rate and noise of each sensor.
+    ``optics`` are those of its images, ``camera`` the table of a guide camera that takes images; ``sensors`` are topic,
+    unit, rate and noise of each sensor.
     ``proof`` says what is proven of the controllers that fly, with fine control.
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
@@ -53,6 +55,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
         "requirements": json.dumps(entries(parts.requirements)),
         **optics_of(parts),
+        **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
         **({} if start.states is None or parts.sources else {"transient_s": "0"}),
@@ -86,6 +89,11 @@ def optics_of(parts: RunParts) -> dict[str, str]:
     _ = parts.optics  # refuses those that make no image
     named = {key: parts.parameters["optics"][key] for key in IMAGE_OPTICS}
     return {OPTICS: json.dumps({**named, "pupil": Path(named["pupil"]).name})}
+
+
+def _camera(parts: RunParts) -> dict[str, str]:
+    """Table of a camera that takes images, under ``camera``; nothing of others."""
+    return {} if parts.star_camera is None else {TABLE: json.dumps(dict(parts.parameters[TABLE]))}
 
 
 def _sources(parts: RunParts) -> dict[str, str]:

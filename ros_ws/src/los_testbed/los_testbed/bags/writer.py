@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config import NAMESPACE
-from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS
+from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, IMAGE_NAME, TOPICS
 from pointing_analysis.files.atomic_output import check_output, named_errors
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
+from pointing_analysis.read.messages.message_types import IMAGE
 
 QOS = [
     {
@@ -102,6 +103,7 @@ class BagWriter:
         diagnostics: bool = False,
         name: str | None = None,
         namespace: str | None = None,
+        images: bool = False,
     ) -> None:
         check_new_bag(path)
         try:
@@ -115,6 +117,8 @@ class BagWriter:
             namespace if namespace is not None else metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
         )
         self._types = {topic.path_in(self.namespace): topic.type_name for topic in TOPICS}
+        if images:
+            self._types[f"{self.namespace.rstrip('/')}/{IMAGE_NAME}"] = IMAGE
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():

@@ -22,10 +22,11 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, plant_notes
+from los_testbed.image_camera import ImagePlant, frame_counts, window_of
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
-from los_testbed.topics import TOPICS
+from los_testbed.topics import IMAGE_VECTOR, TOPICS, image_topic
 from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
 
@@ -66,18 +67,28 @@ def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
 
 @dataclass(frozen=True)
 class SampleBlock:
-    """Signals of some consecutive ticks; row i belongs to stamp i."""
+    """Signals of some consecutive ticks; row i belongs to stamp i.
+
+    Parameters
+    ----------
+    size : int
+    window : int
+        Pixels along each axis of the camera's images; 0 without images.
+    """
 
     size: int
+    window: int = 0
     stamps: NDArray[np.int64] = field(init=False)
     measurement: FloatArray = field(init=False)
     truth: FloatArray = field(init=False)
     los_estimate: FloatArray = field(init=False)
     command: FloatArray = field(init=False)
+    image: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
         sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES, "command": COMMANDS}
+        sizes[IMAGE_VECTOR] = self.window**2
         for name, width in sizes.items():
             object.__setattr__(self, name, np.zeros((self.size, width)))
 
@@ -110,7 +121,7 @@ def simulate(
     """
     from los_testbed.loop.compiled_loop import CompiledLoop
 
-    block = SampleBlock(BLOCK)
+    block = SampleBlock(BLOCK, window_of(plant))
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     compiled = CompiledLoop.of(plant, estimator, controller, ticks)
@@ -140,6 +151,7 @@ def _step_by_step(
     """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     done, who = 0, "plant"
+    image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
     try:
         # what overflows is found by the caller, with tick and port
         with np.errstate(over="ignore", invalid="ignore"):
@@ -148,6 +160,8 @@ def _step_by_step(
             ):
                 who = "plant"
                 plant_step(command, y, truth)
+                if image is not None and (first + done) % plant.frame_ticks == 0:
+                    block.image[done] = image
                 who = "observer"
                 estimate(y, los)
                 who = "controller"
@@ -167,9 +181,10 @@ def _step_by_step(
 class BagSink:
     """Writes blocks into a bag; log and publishing times are the stamps."""
 
-    def __init__(self, bag: BagWriter, frame_ticks: int) -> None:
+    def __init__(self, bag: BagWriter, frame_ticks: int, window: int = 0) -> None:
         self._bag = bag
-        self._codecs = [(topic, codec_for(topic), topic.every(frame_ticks) * TICK_NS) for topic in TOPICS]
+        topics = (*TOPICS, image_topic(window)) if window else TOPICS
+        self._codecs = [(topic, codec_for(topic), topic.every(frame_ticks) * TICK_NS) for topic in topics]
 
     def __call__(self, block: SampleBlock, rows: int) -> None:
         """Write the first `rows` ticks of the block as one chunk."""
@@ -226,8 +241,13 @@ def run_in_process(
     estimator.reset()
     controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
-    bag = BagWriter(bag_path, {METADATA_NAME: run_metadata(parts, start)}, attachments(parts, start))
-    sink, done = BagSink(bag, plant.frame_ticks), 0
+    bag = BagWriter(
+        bag_path,
+        {METADATA_NAME: run_metadata(parts, start)},
+        attachments(parts, start),
+        images=bool(window_of(plant)),
+    )
+    sink, done = BagSink(bag, plant.frame_ticks, window_of(plant)), 0
 
     def write(block: SampleBlock, rows: int) -> None:
         nonlocal done
@@ -242,7 +262,7 @@ def run_in_process(
         statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
         raise
     finally:
-        statistics["plant"]["ticks"] = str(done)
+        statistics["plant"] |= {"ticks": str(done), **frame_counts(plant)}
         statistics["recorder"] = {"samples_lost": "0", "messages": str(sum(bag.counts().values()))}
         _close(bag, {METADATA_NAME: final_metadata(parts, statistics, start)}, done)
     return statistics

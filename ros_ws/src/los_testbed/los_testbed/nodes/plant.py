@@ -19,6 +19,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, build_plant, plant_notes
+from los_testbed.image_camera import ImagePlant, frame_counts
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
@@ -97,6 +98,7 @@ class PlantLoop:
         self._command = np.zeros(COMMANDS)
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
+        self._image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
         change = getattr(plant, "change", None)
         appliers: dict[str, Apply] = {STOP: context.end, RESET: self._ask_again}
         if change is not None:
@@ -244,7 +246,7 @@ class PlantLoop:
 
     def _publish(self, now: int) -> None:
         """Sensors and truth of a tick."""
-        self.io.publish(now, self._measurement, self._truth)
+        self.io.publish(now, self._measurement, self._truth, self._image)
         self.ticks += 1
 
     def _background(self, k: int, now: int) -> None:
@@ -305,6 +307,7 @@ class PlantLoop:
             **self.io.watch.statistics(),
             **self.changes.record(),
             **plant_notes(self.plant),
+            **frame_counts(self.plant),
         }
 
     def _report(self, now: int, last: bool = False) -> None:

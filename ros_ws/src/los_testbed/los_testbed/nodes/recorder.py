@@ -29,7 +29,7 @@ from los_testbed.nodes.support.track import UNKNOWN_NS, Track, merge, report_tra
 from los_testbed.run.bag_names import free_name
 from los_testbed.run.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
-from los_testbed.topics import NODES, PROGRESS_TOPIC, TOPICS
+from los_testbed.topics import NODES, PROGRESS_TOPIC
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
@@ -70,8 +70,9 @@ class Recorder:
         # at rest there are no states to record; the plant may be another than the telescope, which has no such tone
         self.start = AT_REST if config.start == "rest" else self.parts.start
         self._reported: dict[str, int] = {}
-        self.tracks = topic_tracks(context, DEPTH)
-        self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
+        topics = self.parts.topics
+        self.tracks = topic_tracks(context, DEPTH, topics=topics)
+        self._from_plant = [track for track, topic in zip(self.tracks, topics) if topic.publisher == "plant"]
         self.reports = report_tracks(context)
         self._late = ReportWatch(node, NODES[:-1]) if config.mode == "realtime" else None
         self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
@@ -187,6 +188,7 @@ class Recorder:
                 {METADATA_NAME: run_metadata(self.parts, self.start)},
                 attachments(self.parts, self.start),
                 diagnostics=not self.simulated,
+                images=self.parts.star_camera is not None,
             )
         for track in self.tracks:
             self._write(self.bag, track)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.factories import RunParts
@@ -9,7 +11,7 @@ from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.support.source_watch import SourceWatch
-from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TRUTH_LOS, TopicDefinition
+from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TOPICS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS
 
@@ -28,6 +30,10 @@ class PlantIo:
             for topic, publisher in map(output, SENSORS)
         ]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
+        self._images = [
+            (publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
+            for topic, publisher in map(output, RunParts(config).topics[len(TOPICS) :])
+        ]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
         def subscribe(topic: TopicDefinition) -> RawSubscription:
@@ -42,19 +48,27 @@ class PlantIo:
         mirror, force = RunParts(config).basis.authority
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)
         self.pma_gate = CommandGate(codec_for(PMA_COMMAND), force, *hold)
+        self._dark = np.zeros(1)  # of hold ticks: all pixels
         self.start = 0
 
-    def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray) -> None:
-        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before the truth."""
+    def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray, image: FloatArray | None = None) -> None:
+        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before truth and image."""
         for topic, publisher, codec, period in self._sensors:
             if period == TICK_NS or stamp % period == 0:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
+        for publisher, codec, period in self._images:
+            if stamp % period == 0:
+                publisher.publish(codec.encode(stamp, self._dark if image is None else image))
 
     def settle(self) -> None:
         """Let the readers take in what was sent last."""
-        settle([publisher for _, publisher, _, _ in self._sensors] + [self._truth[0]])
+        settle(
+            [publisher for _, publisher, _, _ in self._sensors]
+            + [self._truth[0]]
+            + [publisher for publisher, _, _ in self._images]
+        )
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
         """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""

@@ -13,16 +13,16 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Header
 
 from los_testbed.loop.members import members
 from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.nodes.support.serialized_reader import SerializedReader, Taken
 from los_testbed.topics import DEPTH
-from pointing_analysis.read.messages.message_types import ACCEL, HEADER, JOINT_STATE, VECTOR3
+from pointing_analysis.read.messages.message_types import ACCEL, HEADER, IMAGE, JOINT_STATE, VECTOR3
 
-MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header}
+MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header, IMAGE: Image}
 READER_DEPTH = 200
 """Messages that a reader of the loop keeps: a foreign publisher must not push the others out within a few ticks."""
 

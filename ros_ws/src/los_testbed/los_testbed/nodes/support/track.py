@@ -16,7 +16,7 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.serialized_reader import Taken
-from los_testbed.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS, TopicDefinition
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
 from titop_plant.interface import TICK_NS
 
@@ -205,8 +205,10 @@ class ReportTrack(Track):
         self._undecided = waiting
 
 
-def topic_tracks(context: NodeContext, depth: int, reliable: bool = True) -> list[Track]:
-    """A track of each topic of the run, in the order of `TOPICS`; `depth` messages may wait on each."""
+def topic_tracks(
+    context: NodeContext, depth: int, reliable: bool = True, topics: Sequence[TopicDefinition] = TOPICS
+) -> list[Track]:
+    """A track of each of the topics, in their order; `depth` messages may wait on each."""
     config = context.config
     return [
         Track(
@@ -215,7 +217,7 @@ def topic_tracks(context: NodeContext, depth: int, reliable: bool = True) -> lis
             topic.every(config.frame_ticks) * TICK_NS,
             codec_for(topic),
         )
-        for topic in TOPICS
+        for topic in topics
     ]
 
 

@@ -1,0 +1,168 @@
+r"""Where a star is in a frame: moments, maximum likelihood, and the bound of Cramer and Rao.
+
+The likelihood is that of Poisson noise and read noise of variance :math:`r^2`, the latter taken as Poisson noise, too:
+:math:`d + r^2` has the mean and the variance :math:`\mu + r^2`. Its information about x, y and the flux is
+
+.. math:: I_{ab} = \sum \frac{\partial_a\mu\;\partial_b\mu}{\mu + r^2}
+
+and the bound of the variance of x is :math:`(I^{-1})_{xx}`. The model is the star at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from pointing_analysis.arrays import FloatArray
+from pointing_analysis.image.guide_camera import OFFSET
+from pointing_analysis.image.star_camera import StarCamera
+
+SATURATED, NO_STAR, TWO_STARS, NOT_A_STAR = "saturated", "no_star", "two_stars", "not_a_star"
+REASONS = (SATURATED, NO_STAR, TWO_STARS, NOT_A_STAR)
+"""Why a frame gives no angles."""
+DETECTION = 5.0
+"""Sigma of 3 x 3 pixels without light that a star must have."""
+APART = 2.5
+"""[wavelength over aperture] A second star is searched for farther away than this from the first."""
+SECOND = 0.15
+"""Part of the brightest 3 x 3 pixels that a second star has at least: the first ring has a third of it."""
+SHARPEST = 0.6
+"""Part of 3 x 3 pixels that the brightest of them holds at most: a hit of a cosmic particle holds all."""
+MOMENT_PIXELS = 3
+"""The moments are of the pixels so many to each side of the brightest."""
+MOMENT_THRESHOLD = 3.0
+"""Sigma above which a pixel counts."""
+STEPS = 12
+TOLERANCE = 1e-3
+"""Of a pixel: a smaller step ends the search of the maximum."""
+
+
+@dataclass(frozen=True)
+class Centroid:
+    """Result of a frame.
+
+    Parameters
+    ----------
+    place : ndarray, shape (2,)
+        From the middle of the window [rad]; NaN where there is none.
+    reason : str
+        Why not, one of `REASONS`; "" with a place.
+    """
+
+    place: FloatArray
+    reason: str = ""
+
+
+def _missing(reason: str) -> Centroid:
+    return Centroid(np.full(2, np.nan), reason)
+
+
+def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
+    """Place of the star in a frame.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (n, n)
+        Counts, as :meth:`StarCamera.read_out` gives them.
+    camera : StarCamera
+    """
+    data = frame - OFFSET
+    if float(data.max()) >= camera.camera.full_well - 5.0 * camera.camera.read_noise:
+        return _missing(SATURATED)
+    data = data - camera.background
+    boxes = _boxes(data)
+    row, column = np.unravel_index(int(np.argmax(boxes)), boxes.shape)
+    brightest, sigma = float(boxes[row, column]), np.sqrt(camera.camera.floor_variance)
+    if brightest < DETECTION * 3.0 * sigma:
+        return _missing(NO_STAR)
+    near = data[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    if float(near.max()) > SHARPEST * brightest + DETECTION * sigma:
+        return _missing(NOT_A_STAR)
+    rows, columns = np.indices(data.shape)
+    far = np.hypot(rows - row, columns - column) * camera.optics.pixel > APART * camera.optics.resolution
+    if far.any() and float(boxes[far].max()) > DETECTION * 3.0 * sigma + SECOND * brightest:
+        return _missing(TWO_STARS)
+    start = _moments(data, int(row), int(column), MOMENT_THRESHOLD * sigma, camera)
+    return Centroid(start) if camera.camera.centroid == "moments" else _most_likely(data, start, brightest, camera)
+
+
+def _boxes(data: FloatArray) -> FloatArray:
+    """Sums of 3 x 3 pixels about each pixel, fewer at the edge."""
+    padded = np.pad(data, 1)
+    three = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
+
+
+def _moments(data: FloatArray, row: int, column: int, threshold: float, camera: StarCamera) -> FloatArray:
+    """Centre of what is above the threshold in the pixels about the brightest."""
+    first_row, first_column = max(row - MOMENT_PIXELS, 0), max(column - MOMENT_PIXELS, 0)
+    part = data[first_row : row + MOMENT_PIXELS + 1, first_column : column + MOMENT_PIXELS + 1]
+    weight = np.where(part > threshold, part, 0.0)
+    total = float(weight.sum())
+    if not total > 0.0:  # all of the light is in pixels below the threshold
+        return np.array([camera.line[column], camera.line[row]])
+    x = camera.line[first_column : first_column + part.shape[1]]
+    y = camera.line[first_row : first_row + part.shape[0]]
+    return np.array([float(weight.sum(axis=0) @ x), float(weight.sum(axis=1) @ y)]) / total
+
+
+def _most_likely(data: FloatArray, start: FloatArray, brightest: float, camera: StarCamera) -> Centroid:
+    """Maximum of the likelihood over place and flux by Fisher scoring."""
+    pixel, edge = camera.optics.pixel, float(camera.line[-1])
+    place, flux = start.copy(), brightest
+    for _ in range(STEPS):
+        derivatives, variance, mean = _model(place, flux, camera)
+        weighted = derivatives / variance
+        score, information = weighted @ (data.ravel() - mean), weighted @ derivatives.T
+        scale = np.array([pixel, pixel, flux])  # of a step: the matrix of its parts is well conditioned
+        step = scale * linalg.solve(information * np.outer(scale, scale), scale * score, assume_a="pos")
+        move = np.clip(step[:2], -pixel, pixel)
+        place, flux = place + move, max(flux + float(step[2]), 0.1 * flux)
+        if np.abs(place).max() > edge:
+            return _missing(NO_STAR)
+        if np.abs(move).max() < TOLERANCE * pixel:
+            return Centroid(place)
+    return _missing(NOT_A_STAR)
+
+
+def _model(place: FloatArray, flux: float, camera: StarCamera) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Derivatives by x, y and flux (3, n n), variance and mean (n n,) of the pixels; the mean without dark current."""
+    image, by_x, by_y = camera.still(place)
+    derivatives = np.stack([flux * by_x.ravel(), flux * by_y.ravel(), image.ravel()])
+    mean = flux * image.ravel()
+    return derivatives, np.maximum(mean, 0.0) + camera.camera.floor_variance, mean
+
+
+def bound(place: FloatArray, camera: StarCamera) -> FloatArray:
+    """Smallest standard deviations of an unbiased estimate of x and y of a star at rest (Cramer and Rao) [rad].
+
+    Parameters
+    ----------
+    place : ndarray, shape (2,)
+        From the middle of the window [rad].
+    camera : StarCamera
+
+    Returns
+    -------
+    ndarray, shape (2,)
+    """
+    derivatives, variance, _ = _model(place, camera.flux, camera)
+    scale = np.array([camera.optics.pixel, camera.optics.pixel, camera.flux])
+    information = (derivatives / variance) @ derivatives.T * np.outer(scale, scale)
+    return np.asarray(np.sqrt(np.diag(linalg.inv(information)))[:2] * scale[:2])
+
+
+def noise_equivalent_angle(camera: StarCamera, phases: int = 4) -> float:
+    """Bound of the standard deviation of an angle, rms over both axes and over the place within a pixel [rad].
+
+    Parameters
+    ----------
+    camera : StarCamera
+    phases : int
+        Places within a pixel along each axis.
+    """
+    line = (np.arange(phases) + 0.5) / phases - 0.5
+    variances = [bound(camera.optics.pixel * np.array([x, y]), camera) ** 2 for x in line for y in line]
+    return float(np.sqrt(np.mean(variances)))

@@ -1,0 +1,151 @@
+r"""A guide star on the pixels of a camera: its image in an exposure, and the detector's noise.
+
+The image is the sum over the spatial frequencies that the aperture transmits of
+:mod:`pointing_analysis.image.star_image`, with the motion of the exposure in it. Here the frequencies are those of a
+fixed field and only the half of them with f_x >= 0, the image being real; and the mean over the path is taken at
+`NODES` places of each of its segments (Gauss and Legendre), for which the exponentials are a product of one along x and
+one along y:
+
+.. math:: M(f) = \sum_j w_j\, e^{-2\pi i f_x x_j}\, e^{-2\pi i f_y y_j}
+
+**Rows of an image are along +y, columns along +x; a star at +x is at a larger column.**
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pointing_analysis.arrays import ComplexArray, FloatArray
+from pointing_analysis.image.guide_camera import OFFSET, GuideCamera, collecting_area
+from pointing_analysis.image.optics import Optics
+from pointing_analysis.image.star_image import ImageGrid
+
+NODES = 3
+"""Places on each straight segment of a path."""
+BORDER = 12.0
+"""[wavelength over aperture] Empty border about the window: what the wings beyond it hold is folded back in."""
+_ABSCISSAE, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+
+
+def along(path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places of a path and their weights in its mean over the time: (N + 1, 2) -> (NODES N, 2), (NODES N,)."""
+    middle, half = 0.5 * (path[:-1] + path[1:]), 0.5 * (path[1:] - path[:-1])
+    places = middle[:, None, :] + _ABSCISSAE[None, :, None] * half[:, None, :]
+    weights = np.tile(0.5 * _WEIGHTS, len(middle)) / len(middle)
+    return places.reshape(-1, 2), weights
+
+
+@dataclass(frozen=True)
+class StarCamera:
+    """Images of a guide star.
+
+    Parameters
+    ----------
+    optics : Optics
+    camera : GuideCamera
+
+    Examples
+    --------
+    >>> from pointing_analysis.units import RAD_PER_MAS
+    >>> camera = StarCamera(Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3), GuideCamera(magnitude=14.0))
+    >>> still = camera.expected(np.zeros((2, 2)))
+    >>> round(float(still.sum())), round(float(still.max()))
+    (385, 57)
+    """
+
+    optics: Optics
+    camera: GuideCamera
+    line: FloatArray = field(init=False, repr=False, compare=False)
+    reach: float = field(init=False, repr=False, compare=False)
+    flux: float = field(init=False, repr=False, compare=False)
+    second: float = field(init=False, repr=False, compare=False)
+    fx: FloatArray = field(init=False, repr=False, compare=False)
+    fy: FloatArray = field(init=False, repr=False, compare=False)
+    _response: ComplexArray = field(init=False, repr=False, compare=False)
+    _turn_x: ComplexArray = field(init=False, repr=False, compare=False)
+    _turn_y: ComplexArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        half = self.camera.window // 2
+        line = self.optics.pixel * np.arange(-half, half + 1)
+        border = (half + 0.5) * self.optics.pixel + BORDER * self.optics.resolution
+        grid = ImageGrid(self.optics, line, 2.0 * border)
+        response = grid.spectrum(np.ones(len(grid.frequencies), complex), pixels=True)
+        middle = len(grid.axis) // 2
+        fx, fy = grid.axis[middle:], grid.axis
+        twice = np.where(fx > 0.0, 2.0, 1.0)
+        made: dict[str, object] = {
+            "line": line,
+            "reach": border,
+            "flux": self.camera.electrons(collecting_area(self.optics), self.camera.magnitude),
+            "second": self.camera.electrons(collecting_area(self.optics), self.camera.second_magnitude),
+            "fx": fx,
+            "fy": fy,
+            "_response": response[:, middle:] * twice * (self.optics.pixel / grid.width) ** 2,
+            "_turn_x": np.exp(2j * math.pi * np.outer(fx, line)),
+            "_turn_y": np.exp(2j * math.pi * np.outer(line, fy)),
+        }
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def background(self) -> float:
+        """Electrons of the dark current in a pixel."""
+        return self.camera.dark * self.camera.exposure
+
+    def moved(self, places: FloatArray, weights: FloatArray) -> FloatArray:
+        """Image of a star of energy 1 that was at some places for these parts of the time: (j, 2), (j,) -> (n, n)."""
+        seen = np.where(np.abs(places).max(axis=1) < self.reach, weights, 0.0)  # others come from the next period
+        x = np.exp(-2j * math.pi * np.outer(places[:, 0], self.fx)) * seen[:, None]
+        y = np.exp(-2j * math.pi * np.outer(self.fy, places[:, 1]))
+        return np.asarray((self._turn_y @ (self._response * (y @ x)) @ self._turn_x).real)
+
+    def still(self, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Image of a star of energy 1 at rest, and its derivatives by x and y [1/rad]: (2,) -> three (n, n)."""
+        x = np.exp(-2j * math.pi * self.fx * place[0])
+        y = np.exp(-2j * math.pi * self.fy * place[1])
+        spectrum = self._response * np.outer(y, x)
+        rows = self._turn_y @ spectrum
+        rows_y = (self._turn_y * (-2j * math.pi * self.fy)) @ spectrum
+        turned_x = self._turn_x * (-2j * math.pi * self.fx)[:, None]
+        return (rows @ self._turn_x).real, (rows @ turned_x).real, (rows_y @ self._turn_x).real
+
+    def expected(self, path: FloatArray) -> FloatArray:
+        """Mean electrons of each pixel in an exposure.
+
+        Parameters
+        ----------
+        path : ndarray, shape (N + 1, 2)
+            Of the line of sight from the middle of the window [rad], at equal times, straight between them.
+        """
+        places, weights = along(path)
+        image = self.flux * self.moved(places, weights) + self.background
+        if self.second:
+            image += self.second * self.moved(places + np.array(self.camera.second_offset), weights)
+        return np.maximum(image, 0.0)
+
+    def read_out(self, expected: FloatArray, rng: np.random.Generator | None) -> FloatArray:
+        """Counts of a frame: whole numbers, `OFFSET` without light.
+
+        Parameters
+        ----------
+        expected : ndarray, shape (n, n)
+            Mean electrons.
+        rng : Generator or None
+            None: no noise and no hits.
+        """
+        if rng is None:
+            electrons = expected
+        else:
+            electrons = rng.poisson(expected).astype(float)
+            hits = rng.poisson(self.camera.cosmic_rate * self.camera.exposure * expected.size)
+            if hits:
+                at = rng.integers(expected.size, size=hits)
+                np.add.at(electrons.reshape(-1), at, rng.exponential(self.camera.cosmic_charge, hits))
+        electrons = np.minimum(electrons, self.camera.full_well)
+        if rng is not None:
+            electrons = electrons + self.camera.read_noise * rng.standard_normal(expected.shape)
+        return np.asarray(np.clip(np.rint(electrons + OFFSET), 0.0, 65535.0))

@@ -1,0 +1,159 @@
+"""The telescope with a camera that takes images of a guide star: frames in, two angles out.
+
+At tick k with a frame the angles are those of the exposure from tick k - d - E to tick k - d, with the read-out delay d
+and the exposure E: the frame is made of the line of sight at these E + 1 ticks, straight between them, and read out at
+tick k - d; its centroid takes the place of the measurement of the camera at tick k. **The window follows the star in
+whole pixels**: its middle is the pixel of the last angles. After `SEARCH_AFTER` frames in a row without angles the star
+is searched in the whole field, which puts the window at the pixel of its true mean place.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from titop_plant.interface import CAMERA, DT, TRUTH
+
+if TYPE_CHECKING:
+    from pointing_analysis.image.star_camera import StarCamera
+
+SEARCH_AFTER = 5
+"""Frames in a row without angles after which the star is searched in the whole field."""
+DROPPED, BEFORE_START = "dropped", "before_start"
+"""Frames without angles beside those of the centroid: lost on the way; exposed before the run began."""
+SEED_KEY = 17
+"""Of the camera's random numbers among those of a run: the other noise of the loop stays as it is."""
+
+
+class Telescope(Protocol):
+    """What the camera needs of the telescope under it."""
+
+    dt: float
+    frame_ticks: int
+    limits: FloatArray
+    tones: FloatArray
+    parameters_hash: str
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """One tick, see `SampledPlant.step`."""
+
+    def reset(self) -> None:
+        """Back to tick 0."""
+
+    def change(self, name: str, value: float) -> None:
+        """A setting, see `SampledPlant.change`."""
+
+
+class ImagePlant:
+    """A telescope whose camera takes images; it has the interface of `SampledPlant`.
+
+    Parameters
+    ----------
+    plant : Telescope
+        In the state in which the run starts. Its own measurement of the camera only says which frames are dropped.
+    camera : StarCamera
+    seed : int
+        Of the run.
+    noise : bool
+        Whether frames have noise and cosmic hits.
+    """
+
+    def __init__(self, plant: Telescope, camera: StarCamera, seed: int, noise: bool) -> None:
+        self.plant, self.camera = plant, camera
+        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
+        self.parameters_hash = plant.parameters_hash
+        self._exposure = round(camera.camera.exposure / DT)
+        self._delay = round(camera.camera.readout_delay / DT)
+        self._seed, self._with_noise = seed, noise
+        self._path = np.zeros((self._exposure + 1, TRUTH))
+        self.image = np.zeros((camera.camera.window, camera.camera.window))
+        """Counts of the frame of the last tick with one."""
+        self.restart()
+
+    def reset(self) -> None:
+        """Back to tick 0: same seed, same bits."""
+        self.plant.reset()
+        self.restart()
+
+    def restart(self) -> None:
+        """What the camera itself knows, as at tick 0."""
+        self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
+        self._noisy = self._with_noise
+        self.tick = 0
+        self.frames = 0
+        self.missing: dict[str, int] = {}
+        self._without = SEARCH_AFTER  # nothing is known yet: the first frame is a search
+        self._middle = np.zeros(TRUTH)
+        self._read: tuple[FloatArray, FloatArray] | None = None
+        self.image[:] = 0.0
+
+    def change(self, name: str, value: float) -> None:
+        """Change a setting of the telescope, see `SampledPlant.change`; ``noise`` is that of the frames, too."""
+        self.plant.change(name, value)
+        if name == "noise":
+            self._noisy = bool(value)
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
+        self.plant.step(command, measurement, truth)
+        self._path[:-1] = self._path[1:]
+        self._path[-1] = truth
+        if (self.tick + self._delay) % self.frame_ticks == 0 and self.tick >= self._exposure:
+            self._expose()
+        if self.tick % self.frame_ticks == 0:
+            measurement[CAMERA] = self._angles(bool(np.isnan(measurement[CAMERA]).any()))
+        self.tick += 1
+
+    def _expose(self) -> None:
+        """Read out the exposure that ends at this tick."""
+        pixel, mean = self.camera.optics.pixel, self._path.mean(axis=0)
+        if not np.isfinite(mean).all():
+            return
+        if self._without >= SEARCH_AFTER:
+            self._middle = pixel * np.rint(mean / pixel)
+        expected = self.camera.expected(self._path - self._middle)
+        self._read = self._middle, self.camera.read_out(expected, self._rng if self._noisy else None)
+
+    def _angles(self, dropped: bool) -> FloatArray:
+        """Angles of the frame that is there at this tick [rad], NaN where it has none."""
+        from pointing_analysis.image.centroid import centroid
+
+        self.frames += 1
+        if self._read is None:
+            return self._none(BEFORE_START)
+        (middle, frame), self._read = self._read, None
+        self.image[:] = frame
+        if dropped:
+            return self._none(DROPPED)
+        found = centroid(frame, self.camera)
+        if found.reason:
+            self._without += 1
+            return self._none(found.reason)
+        angles = middle + found.place
+        self._without, self._middle = 0, self.camera.optics.pixel * np.rint(angles / self.camera.optics.pixel)
+        return np.asarray(angles)
+
+    def _none(self, reason: str) -> FloatArray:
+        self.missing[reason] = self.missing.get(reason, 0) + 1
+        return np.full(TRUTH, np.nan)
+
+    @property
+    def counts(self) -> dict[str, str]:
+        """Frames of the run so far, and those without angles by reason, for its statistics."""
+        missing = {f"frames_{reason}": str(count) for reason, count in sorted(self.missing.items())}
+        return {"frames": str(self.frames), **missing}
+
+
+def frame_counts(plant: object) -> dict[str, str]:
+    """:attr:`ImagePlant.counts` of a plant; nothing for a camera without images."""
+    return plant.counts if isinstance(plant, ImagePlant) else {}
+
+
+def window_of(plant: object) -> int:
+    """Pixels along each axis of the images of a plant; 0 for a camera without images."""
+    return plant.camera.camera.window if isinstance(plant, ImagePlant) else 0
+
+
+__all__ = ["ImagePlant", "frame_counts", "window_of"]

@@ -1,0 +1,181 @@
+"""The guide camera in the model of the loop: low-pass and noise from exposure and star, where they are not given.
+
+``sensors.camera`` of a parameter file says what the camera is:
+
+============  ====================================================================================================
+vector        low-pass ``camera_filter`` and noise ``camera_noise`` as given: the paper's camera
+magnitude     the same kind of measurement with the low-pass and the noise of the table ``camera``
+image         frames with a star (:mod:`pointing_analysis.image.star_camera`); model of the loop as for magnitude
+============  ====================================================================================================
+
+The angles of a frame are the mean of the line of sight over the exposure T and are there a time d after its end::
+
+    e^(-s d) (1 - e^(-s T)) / (s T)  =  1 - a s + (d^2 / 2 + d T / 2 + T^2 / 6) s^2 - ...,   a = d + T / 2
+    c0 / (s^2 + c1 s + c0),  c0 = 1 / b,  c1 = a / b,  b = a^2 - (d^2 / 2 + d T / 2 + T^2 / 6)
+
+The low-pass agrees in all terms up to s^2. The noise is the bound of Cramer and Rao, which the centroid by maximum
+likelihood reaches (``docs/guide_camera.md``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from titop_plant.interface import DT, RATE
+from titop_plant.telescope.parameter_check import ParameterFile
+
+if TYPE_CHECKING:
+    from pointing_analysis.image.star_camera import StarCamera
+
+VECTOR, MAGNITUDE, IMAGE = CAMERAS = ("vector", "magnitude", "image")
+TABLE, KIND = "camera", "camera"
+"""Name of the table; key of the table ``sensors`` that says what the camera is."""
+FOLLOWING = ("camera_filter", "camera_noise")
+"""Keys of ``sensors`` that follow from the table unless the camera is a vector."""
+IMAGE_OPTICS = (
+    "aperture_diameter",
+    "obscuration",
+    "spider_vanes",
+    "spider_width",
+    "wavelength",
+    "pixel_mas",
+    "weight_mas",
+    "pupil",
+)
+"""Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
+
+
+def exposure_low_pass(exposure: float, delay: float) -> tuple[float, float, float]:
+    """Low-pass ``c0 / (s^2 + c1 s + c2)`` of the mean over an exposure that is there a time after its end.
+
+    Parameters
+    ----------
+    exposure, delay : float
+        [s].
+
+    Examples
+    --------
+    The mean over 20 ms that is there 2 ms later is 12 ms old:
+
+    >>> c0, c1, c2 = exposure_low_pass(0.02, 0.002)
+    >>> round(1e3 * c1 / c2, 9), c0 == c2
+    (12.0, True)
+    """
+    age = delay + 0.5 * exposure
+    b = age**2 - (0.5 * delay**2 + 0.5 * delay * exposure + exposure**2 / 6.0)
+    return 1.0 / b, age / b, 1.0 / b
+
+
+def whole_ticks(value: float) -> int | None:
+    """Ticks of a time [s]; None if they are not whole.
+
+    Examples
+    --------
+    >>> whole_ticks(0.02), whole_ticks(0.0205)
+    (20, None)
+    """
+    ticks = round(value * RATE)
+    return ticks if math.isclose(ticks * DT, value, rel_tol=1e-9, abs_tol=1e-12) else None
+
+
+def star_camera(parameters: Mapping[str, Any], where: str) -> StarCamera:
+    """The camera that makes images.
+
+    Parameters
+    ----------
+    parameters : mapping
+        With the tables ``optics`` and ``camera``.
+    where : str
+        Name of the file, for the messages.
+
+    Raises
+    ------
+    ValueError
+        Optics or a camera that cannot be used, one line.
+    """
+    from pointing_analysis.image import guide_camera, optics
+    from pointing_analysis.image.star_camera import StarCamera
+
+    table = {key: parameters["optics"][key] for key in IMAGE_OPTICS}
+    pupil = optics.read_pupil_file(Path(table["pupil"])) if table["pupil"] else b""
+    found = optics.from_mapping(table, where, pupil)
+    return StarCamera(found, guide_camera.from_mapping(parameters[TABLE], where))
+
+
+def with_guide_camera(parameters: dict[str, Any], own: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
+    """The parameters with low-pass and noise of the camera as its table makes them.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Merged with the reference.
+    own : mapping
+        What the file itself says.
+    file : ParameterFile
+
+    Raises
+    ------
+    ValueError
+        Another kind of camera, a low-pass or a noise that is given beside the table, a table that cannot be used.
+    """
+    kind = parameters["sensors"][KIND]
+    if kind not in CAMERAS:
+        raise file.error(f"sensors.{KIND}", f"must be {', '.join(CAMERAS[:-1])} or {CAMERAS[-1]}, got {kind!r}")
+    if kind == VECTOR and TABLE not in own:
+        return parameters
+    for key in ("exposure", "readout_delay"):
+        ticks = whole_ticks(value := parameters[TABLE][key])
+        if ticks is None or ticks < (key == "exposure"):
+            raise file.error(f"{TABLE}.{key}", f"must be whole milliseconds, got {value!r} s")
+    camera = star_camera(parameters, file.path)
+    if kind == VECTOR:
+        return parameters
+    for key in FOLLOWING:
+        if key in own.get("sensors", {}):
+            raise file.error(f"sensors.{key}", f"must be left out where sensors.{KIND} is {kind}, got a value")
+    from pointing_analysis.image.centroid import noise_equivalent_angle
+
+    table = parameters[TABLE]
+    low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))
+    noise = noise_equivalent_angle(camera)
+    return {**parameters, "sensors": {**parameters["sensors"], "camera_filter": low_pass, "camera_noise": noise}}
+
+
+def check_exposure(parameters: Mapping[str, Any], frame_ticks: int) -> None:
+    """Refuse an exposure that is longer than the time between frames.
+
+    Parameters
+    ----------
+    parameters : mapping
+    frame_ticks : int
+        Ticks of a frame of the run.
+
+    Raises
+    ------
+    ValueError
+        It is longer.
+    """
+    exposure = parameters[TABLE]["exposure"]
+    if parameters["sensors"][KIND] != VECTOR and exposure > frame_ticks * DT * (1.0 + 1e-9):
+        raise ValueError(
+            f"camera.exposure must be at most the {frame_ticks * DT:g} s between frames of the run, got {exposure:g} s"
+        )
+
+
+def takes_images(parameters: Mapping[str, Any]) -> bool:
+    """Whether the camera makes frames with a star."""
+    return bool(parameters["sensors"][KIND] == IMAGE)
+
+
+def without_images(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters without what only images need: those of plant, loop and designs.
+
+    What the camera's table makes of low-pass and noise stays, under ``sensors``.
+    """
+    optics = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
+    sensors = {key: value for key, value in parameters["sensors"].items() if key != KIND}
+    kept = {key: value for key, value in parameters.items() if key != TABLE}
+    return {**kept, "optics": optics, "sensors": sensors}
