@@ -79,7 +79,7 @@ def _template(type_name: str, size: int, frame_id: str) -> tuple[bytes, int]:
         side = math.isqrt(size)
         data = _padded(data, 4) + 2 * _LENGTH.pack(side) + _string(IMAGE_ENCODING) + b"\x00"  # little-endian
         data = _padded(data, 4) + _LENGTH.pack(2 * side) + _LENGTH.pack(2 * size)
-        return data + bytes(2 * size), len(data)
+        return _padded(data + bytes(2 * size), 4), len(data)  # the middleware fills up to four bytes
     if type_name == JOINT_STATE:
         data = _padded(data, 4) + _LENGTH.pack(size)
         for i in range(size):
