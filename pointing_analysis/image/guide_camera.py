@@ -103,7 +103,8 @@ class GuideCamera:
         """
         if magnitude >= NO_STAR:
             return 0.0
-        return self.zero_magnitude_flux * 10.0 ** (-0.4 * magnitude) * area * self.throughput * self.exposure
+        photons = self.zero_magnitude_flux * math.pow(10.0, -0.4 * magnitude) * area * self.exposure
+        return photons * self.throughput
 
     @property
     def floor_variance(self) -> float:

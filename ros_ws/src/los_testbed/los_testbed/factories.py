@@ -90,12 +90,14 @@ class RunParts:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Values of the telescope; ValueError: the parameter file cannot be read."""
+        """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
+        from titop_plant.telescope.guide_camera import check_exposure
         from titop_plant.telescope.parameters import REFERENCE, load_parameters
 
-        if self.known_family is not None:
-            return self.known_family.parameters
-        return load_parameters(self.config.parameters or REFERENCE)
+        known = self.known_family
+        found = load_parameters(self.config.parameters or REFERENCE) if known is None else known.parameters
+        check_exposure(found, self.config.frame_ticks)
+        return found
 
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
@@ -199,11 +201,9 @@ class RunParts:
             A parameter outside its range; the message names both.
         """
         from titop_plant.simulation.build import PlantConfig
-        from titop_plant.telescope.guide_camera import check_exposure
 
         config = self.config
         check_ranges(config, self.parameters)
-        check_exposure(self.parameters, config.frame_ticks)
         told = config.scenario_acts and config.scenario != "worst_case"
         return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
 

@@ -9,6 +9,7 @@ is searched in the whole field, which puts the window at the pixel of its true m
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -70,14 +71,14 @@ class ImagePlant:
         self._path = np.zeros((self._exposure + 1, TRUTH))
         self.image = np.zeros((camera.camera.window, camera.camera.window))
         """Counts of the frame of the last tick with one."""
-        self.restart()
+        self._restart()
 
     def reset(self) -> None:
         """Back to tick 0: same seed, same bits."""
         self.plant.reset()
-        self.restart()
+        self._restart()
 
-    def restart(self) -> None:
+    def _restart(self) -> None:
         """What the camera itself knows, as at tick 0."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._noisy = self._with_noise
@@ -85,8 +86,8 @@ class ImagePlant:
         self.frames = 0
         self.missing: dict[str, int] = {}
         self._without = SEARCH_AFTER  # nothing is known yet: the first frame is a search
-        self._middle = np.zeros(TRUTH)
-        self._read: tuple[FloatArray, FloatArray] | None = None
+        self._middle: FloatArray = np.zeros(TRUTH)
+        self._read: deque[tuple[int, FloatArray, FloatArray]] = deque()
         self.image[:] = 0.0
 
     def change(self, name: str, value: float) -> None:
@@ -114,16 +115,18 @@ class ImagePlant:
         if self._without >= SEARCH_AFTER:
             self._middle = pixel * np.rint(mean / pixel)
         expected = self.camera.expected(self._path - self._middle)
-        self._read = self._middle, self.camera.read_out(expected, self._rng if self._noisy else None)
+        frame = self.camera.read_out(expected, self._rng if self._noisy else None)
+        self._read.append((self.tick + self._delay, self._middle, frame))
 
     def _angles(self, dropped: bool) -> FloatArray:
         """Angles of the frame that is there at this tick [rad], NaN where it has none."""
         from pointing_analysis.image.centroid import centroid
 
+        pixel = self.camera.optics.pixel
         self.frames += 1
-        if self._read is None:
+        if not self._read or self._read[0][0] != self.tick:
             return self._none(BEFORE_START)
-        (middle, frame), self._read = self._read, None
+        _, middle, frame = self._read.popleft()
         self.image[:] = frame
         if dropped:
             return self._none(DROPPED)
@@ -132,7 +135,7 @@ class ImagePlant:
             self._without += 1
             return self._none(found.reason)
         angles = middle + found.place
-        self._without, self._middle = 0, self.camera.optics.pixel * np.rint(angles / self.camera.optics.pixel)
+        self._without, self._middle = 0, pixel * np.rint(angles / pixel)
         return np.asarray(angles)
 
     def _none(self, reason: str) -> FloatArray:

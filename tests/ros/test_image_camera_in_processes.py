@@ -1,0 +1,65 @@
+"""A camera that takes images, with the telescope and four processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from los_testbed.bags.cdr import codec_for
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.nodes.support.raw_topics import MESSAGES
+from los_testbed.run.runner import Runner
+from los_testbed.topics import image_topic
+from rclpy.serialization import deserialize_message
+from ros_runs import config_for, topic_hashes
+
+from pointing_analysis.read.messages.message_types import IMAGE
+from pointing_analysis.read.run import Run
+
+pytestmark = pytest.mark.ros
+
+
+def parameters(folder: Path) -> str:
+    file = folder / "image.toml"
+    file.write_text('[sensors]\ncamera = "image"\n', "utf-8")
+    return str(file)
+
+
+def test_ros_reads_an_image_as_it_was_written() -> None:
+    topic, pixels = image_topic(15), np.arange(225.0)
+    data = bytes(codec_for(topic).encode(1_002_000_000, pixels))
+    message = deserialize_message(data, MESSAGES[IMAGE])
+    assert (message.height, message.width, message.step) == (15, 15, 30)
+    assert (message.encoding, message.is_bigendian, message.header.frame_id) == ("mono16", 0, "guide_camera")
+    assert np.array_equal(np.frombuffer(bytes(message.data), "<u2"), pixels)
+    assert len(data) % 4 == 0  # the middleware would fill it up, and the bag would differ from one without it
+    many = codec_for(topic).encode_many(np.array([1_002_000_000]), pixels[None])
+    assert many[0].tobytes() == data
+
+
+def test_lockstep_has_the_bytes_of_one_process(tmp_path: Path) -> None:
+    config = config_for(
+        tmp_path, mode="lockstep", duration=0.5, start="steady", seed=5, parameters=parameters(tmp_path)
+    )
+    results = Runner(config, lambda ticks: None).run()
+    run_in_process(config, tmp_path / "alone")
+    ours, theirs = topic_hashes(results.bag), topic_hashes(tmp_path / "alone")
+    assert ours["/telescope/camera/image"][0] == 25
+    assert {topic: ours[topic] for topic in theirs if topic in ours} == theirs
+    counts = [Run.open(bag).parameters["statistics"]["plant"] for bag in (results.bag, tmp_path / "alone")]
+    assert [{key: c[key] for key in c if key.startswith("frames")} for c in counts] == [
+        {"frames": "25", "frames_before_start": "2"}
+    ] * 2
+
+
+@pytest.mark.slow
+def test_a_run_in_real_time_records_every_frame(tmp_path: Path) -> None:
+    config = config_for(tmp_path, duration=2.0, start="steady", parameters=parameters(tmp_path))
+    bag = Runner(config, lambda ticks: None).run().bag
+    run = Run.open(bag)
+    lost = run.parameters["statistics"]["recorder"].get("lost_/telescope/camera/image", "0")
+    assert topic_hashes(bag)["/telescope/camera/image"][0] + int(lost) == 100
+    assert run.parameters["statistics"]["plant"]["frames"] == "100"

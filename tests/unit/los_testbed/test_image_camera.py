@@ -1,0 +1,187 @@
+"""The telescope with a camera that takes images: exposure, read-out, window, frames without angles, bag."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImagePlant, window_of
+from los_testbed.loop.simulate import run_in_process
+from mcap.reader import make_reader
+
+from lftkit.arrays import FloatArray
+from pointing_analysis.image.centroid import NO_STAR, noise_equivalent_angle
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.optics import Optics
+from pointing_analysis.image.star_camera import StarCamera
+from pointing_analysis.read.run import Run
+from pointing_analysis.units import RAD_PER_MAS
+from titop_plant.interface import CAMERA, COMMANDS, DT, MEASUREMENTS, TRUTH
+
+OPTICS = Optics(550e-9, 38.0 * RAD_PER_MAS, 1.5, 0.3)
+STAR = GuideCamera(magnitude=9.0, cosmic_rate=0.0)
+RATE = np.array([300.0, -200.0]) * RAD_PER_MAS
+"""Of the line of sight [rad/s]: four pixels in half a second."""
+
+
+class Drift:
+    """A telescope whose line of sight moves at a constant rate, without noise."""
+
+    dt, frame_ticks, parameters_hash = DT, 20, "drift"
+    limits, tones = np.ones(COMMANDS), np.zeros(0)
+
+    def __init__(self) -> None:
+        self.dropped: set[int] = set()
+        self.reset()
+
+    def reset(self) -> None:
+        self.tick = 0
+
+    def change(self, name: str, value: float) -> None:
+        """Nothing to change."""
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        truth[:] = RATE * self.tick * DT
+        measurement[:] = 0.0
+        measurement[CAMERA] = 0.0 if self.tick % 20 == 0 and self.tick not in self.dropped else np.nan
+        self.tick += 1
+
+
+def plant(camera: GuideCamera = STAR, *, noise: bool = False, seed: int = 1) -> ImagePlant:
+    return ImagePlant(Drift(), StarCamera(OPTICS, camera), seed, noise)
+
+
+def angles(made: ImagePlant, ticks: int) -> FloatArray:
+    """Camera's columns of each tick (n, 2)."""
+    y, truth, found = np.zeros(MEASUREMENTS), np.zeros(TRUTH), np.zeros((ticks, 2))
+    for k in range(ticks):
+        made.step(np.zeros(COMMANDS), y, truth)
+        found[k] = y[CAMERA]
+    return found
+
+
+def user(folder: Path, text: str = '[sensors]\ncamera = "image"\n') -> str:
+    file = folder / "user.toml"
+    file.write_text(text, "utf-8")
+    return str(file)
+
+
+@pytest.mark.parametrize(("exposure", "delay"), [(0.02, 0.002), (0.005, 0.0), (0.02, 0.03)])
+def test_the_angles_are_the_mean_over_the_exposure_that_was_read_out(exposure: float, delay: float) -> None:
+    """So those of a constant rate are older by the delay and half of the exposure; the window follows the star."""
+    found = angles(plant(replace(STAR, exposure=exposure, readout_delay=delay)), 2001)
+    frames = np.arange(0, 2001, 20)
+    begun = frames * DT >= exposure + delay - 1e-9
+    assert np.isnan(np.delete(found, frames, axis=0)).all()
+    assert np.isnan(found[frames[~begun]]).all() and not np.isnan(found[frames[begun]]).any()
+    known = RATE * (frames[begun] * DT - delay - 0.5 * exposure)[:, None]
+    # the model of the centroid is a star at rest
+    np.testing.assert_allclose(found[frames[begun]], known, atol=2e-3 * OPTICS.pixel)
+
+
+def test_noise_is_that_of_the_star_and_of_the_seed() -> None:
+    faint = replace(STAR, magnitude=13.0)
+    first, again, other = (angles(plant(faint, noise=True, seed=seed), 8001)[40::20] for seed in (1, 1, 2))
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+    known = RATE * (20 * np.arange(2, 2 + len(first)) * DT - 0.012)[:, None]
+    assert float((first - known).std()) == pytest.approx(noise_equivalent_angle(StarCamera(OPTICS, faint)), rel=0.1)
+
+
+def test_a_reset_gives_the_same_bits() -> None:
+    made = plant(noise=True)
+    first = angles(made, 400)
+    assert made.counts == {"frames": "20", "frames_before_start": "2"}
+    made.reset()
+    assert np.array_equal(first, angles(made, 400), equal_nan=True)
+    assert made.counts == {"frames": "20", "frames_before_start": "2"}
+
+
+def test_frames_without_angles_are_counted_by_reason() -> None:
+    made = plant(replace(STAR, magnitude=25.0), noise=True)
+    made.plant.dropped = {100, 140}  # type: ignore[attr-defined]
+    found = angles(made, 400)
+    assert np.isnan(found).all()
+    assert made.missing == {BEFORE_START: 2, DROPPED: 2, NO_STAR: 16}
+
+
+def test_a_lost_star_is_searched_in_the_whole_field() -> None:
+    """Clouds for a second: the star leaves the window, which goes on after some frames without angles."""
+    made = plant(noise=True)
+    assert not np.isnan(angles(made, 401)[40::20]).any()
+    bright, dark = made.camera, StarCamera(OPTICS, replace(STAR, magnitude=25.0))
+    made.camera = dark
+    assert np.isnan(angles(made, 4000)).all()  # 1.2 arcsec, twice the window
+    assert made.missing[NO_STAR] == 200 > SEARCH_AFTER
+    made.camera = bright
+    found = angles(made, 400)
+    assert (~np.isnan(found).any(axis=1)).sum() >= 19
+
+
+def test_a_run_has_its_images_in_the_bag(tmp_path: Path) -> None:
+    """Frames at the frame rate with the stamps of their angles, which are the exposures' means to some noise."""
+    config = RunConfig(mode="inprocess", duration=1.0, parameters=user(tmp_path), scenario="imbalance")
+    parts = RunParts(config)
+    assert parts.star_camera is not None
+    statistics = run_in_process(config, tmp_path / "bag")
+    assert statistics["plant"]["frames"] == "50" and statistics["plant"]["frames_before_start"] == "2"
+    with (tmp_path / "bag/bag_0.mcap").open("rb") as file:
+        messages = [
+            (schema.name, message.log_time, message.data)
+            for schema, channel, message in make_reader(file).iter_messages("/telescope/camera/image")
+            if schema is not None
+        ]
+    run = Run.open(tmp_path / "bag")
+    camera, truth = run["camera/los"], run["truth/los"]
+    assert {name for name, _, _ in messages} == {"sensor_msgs/msg/Image"}
+    assert [stamp for _, stamp, _ in messages] == camera.stamp.tolist()
+    offset = len(messages[0][2]) - 2 - 2 * 15**2  # two bytes fill up the last four
+    frame = np.frombuffer(messages[-1][2], "<u2", 15**2, offset)
+    assert 200 < int(frame.sum()) - 100 * 15**2 < 600  # 355 electrons of the star, 45 of the dark current
+    x = np.asarray(truth.values)[:, :2]
+    means = [x[k - 22 : k - 1].mean(axis=0) for k in range(40, 1000, 20)]
+    error = np.asarray(camera.values)[2:, :2] - np.array(means)
+    assert float(error.std()) == pytest.approx(noise_equivalent_angle(parts.star_camera), rel=0.3)
+    assert json.loads(json.dumps(run.parameters["camera"]))["magnitude"] == 14.0
+
+
+def test_the_other_noise_of_the_loop_stays_as_it_is(tmp_path: Path) -> None:
+    """Without fine control nothing but the camera's columns differs from those of the vector camera."""
+    text = '[sensors]\ncamera = "{}"\n'
+    values = {}
+    for kind in ("magnitude", "image"):
+        config = RunConfig(duration=0.1, loop="isolator", parameters=user(tmp_path, text.format(kind)))
+        made, y, truth = RunParts(config).plant(), np.zeros(MEASUREMENTS), np.zeros(TRUTH)
+        assert window_of(made) == (15 if kind == "image" else 0)
+        rows = []
+        for _ in range(100):
+            made.step(np.zeros(COMMANDS), y, truth)
+            rows.append(np.concatenate([np.delete(y, np.r_[CAMERA]), truth]))
+        values[kind] = np.array(rows)
+    assert np.array_equal(values["magnitude"], values["image"])
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ('[sensors]\ncamera = "image"\n[camera]\nwindow = 4\n', [], "camera.window must be an odd number from 7 to 63"),
+        ('[sensors]\ncamera = "image"\n', ["--camera-rate", "100"], "camera.exposure must be at most the 0.01 s"),
+        ('[sensors]\ncamera = "image"\n[camera]\nexposure = 30.0\n', [], "camera.exposure must be at most the 0.02 s"),
+        ('[sensors]\ncamera = "slides"\n', [], "must be vector, magnitude or image, got 'slides'"),
+    ],
+)
+def test_a_camera_that_cannot_be_used_is_one_line(
+    text: str, options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    arguments = ["run", "--mode", "inprocess", "--parameters", user(tmp_path, text), "--output", str(bag), *options]
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    error = capsys.readouterr().err
+    assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
+    assert not bag.exists()

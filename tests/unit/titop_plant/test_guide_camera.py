@@ -1,0 +1,85 @@
+"""The guide camera in the model of the loop: low-pass of the exposure, noise of the star, the hash."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from titop_plant.telescope.guide_camera import check_exposure, exposure_low_pass, takes_images
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+REFERENCE = load_parameters()
+
+
+def user(folder: Path, text: str) -> str:
+    file = folder / "user.toml"
+    file.write_text(text, "utf-8")
+    return str(file)
+
+
+@pytest.mark.parametrize(("exposure", "delay", "ratio"), [(0.02, 0.0, 16), (0.02, 0.002, 8), (0.005, 0.02, 8)])
+def test_the_low_pass_is_the_exposure_up_to_the_second_order(exposure: float, delay: float, ratio: float) -> None:
+    """At half of the frequency an eighth of the difference to the exposure; without delay it is one order higher."""
+    c0, c1, c2 = exposure_low_pass(exposure, delay)
+    omega = np.array([2.0, 1.0]) / (exposure + delay) / 10.0
+    s = 1j * omega
+    exact = np.exp(-s * delay) * (1.0 - np.exp(-s * exposure)) / (s * exposure)
+    error = np.abs(c0 / (s**2 + c1 * s + c2) - exact)
+    assert 1e-9 < error[1] < 1e-3
+    assert error[0] / error[1] == pytest.approx(ratio, rel=0.05)
+
+
+def test_the_vector_camera_and_its_designs_are_as_they_were(tmp_path: Path) -> None:
+    """The table of the guide camera counts only where low-pass and noise follow from it."""
+    own = load_parameters(user(tmp_path, "[camera]\nmagnitude = 9.0\nexposure = 0.01\n"))
+    assert own["camera"]["magnitude"] == 9.0 and not takes_images(own)
+    assert parameters_hash(own) == parameters_hash(REFERENCE)
+    assert own["sensors"] == REFERENCE["sensors"]
+
+
+def test_a_star_makes_low_pass_and_noise(tmp_path: Path) -> None:
+    values = {}
+    for magnitude in (10.0, 12.0, 14.0):
+        text = f'[sensors]\ncamera = "magnitude"\n[camera]\nmagnitude = {magnitude}\n'
+        values[magnitude] = load_parameters(user(tmp_path, text))
+    sensors = [own["sensors"] for own in values.values()]
+    assert all(tuple(s["camera_filter"]) == exposure_low_pass(0.02, 0.002) for s in sensors)
+    noise = [s["camera_noise"] for s in sensors]
+    # a bright star: the noise of its photons alone, so the root of their number; a faint one has more
+    assert noise[1] / noise[0] > 10.0**0.4 and noise[2] / noise[1] > noise[1] / noise[0]
+    hashes = {parameters_hash(own) for own in values.values()} | {parameters_hash(REFERENCE)}
+    assert len(hashes) == 4
+
+
+def test_image_and_magnitude_are_one_model_of_the_loop(tmp_path: Path) -> None:
+    found = [load_parameters(user(tmp_path, f'[sensors]\ncamera = "{kind}"\n')) for kind in ("image", "magnitude")]
+    assert takes_images(found[0]) and not takes_images(found[1])
+    assert parameters_hash(found[0]) == parameters_hash(found[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[sensors]\ncamera = "film"\n', "line 2: 'sensors.camera' must be vector, magnitude or image, got 'film'"),
+        ("[camera]\nwindow = 8\n", "camera.window must be an odd number from 7 to 63, got 8"),
+        ("[camera]\nexposure = 0.0205\n", "line 2: 'camera.exposure' must be whole milliseconds, got 0.0205 s"),
+        ("[camera]\nexposure = 0.0\n", "line 2: 'camera.exposure' must be whole milliseconds, got 0.0 s"),
+        ("[camera]\nreadout_delay = -0.001\n", "camera.readout_delay' must be whole milliseconds, got -0.001 s"),
+        ('[sensors]\ncamera = "image"\ncamera_noise = 1e-8\n', "line 3: 'sensors.camera_noise' must be left out"),
+        ('[sensors]\ncamera = "image"\n[optics]\npupil = "no.fits"\n', "cannot read the pupil .*no.fits"),
+    ],
+)
+def test_a_camera_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refused:
+        load_parameters(user(tmp_path, text))
+    assert "\n" not in str(refused.value)
+
+
+def test_an_exposure_is_no_longer_than_a_frame(tmp_path: Path) -> None:
+    own = load_parameters(user(tmp_path, '[sensors]\ncamera = "magnitude"\n'))
+    check_exposure(own, 20)
+    with pytest.raises(ValueError, match=r"camera.exposure must be at most the 0.01 s between frames of the run"):
+        check_exposure(own, 10)
+    check_exposure(REFERENCE, 1)  # that of a vector camera makes no difference
