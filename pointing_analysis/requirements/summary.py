@@ -318,15 +318,28 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     dropped = {name: run[name].integrity.nan for name in cameras}
     for name, count in dropped.items():
         if count:
-            problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} dropped (NaN)")
+            why = _frames_without_angles(run)
+            what = f"without angles: {why}" if why else "dropped (NaN)"
+            problems.append(f"{name}: {count} {'frame' if count == 1 else 'frames'} {what}")
     return {k: v for k, v in lost.items() if v}, problems, sum(dropped.values())
+
+
+def _plant_statistics(run: Recording) -> dict[str, Any]:
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant") if isinstance(statistics, dict) else None
+    return plant if isinstance(plant, dict) else {}
 
 
 def _failure(run: Recording) -> str:
     """What the recorded statistics say of a run that failed; empty for one that did not."""
-    statistics = run.parameters.get("statistics")
-    plant = statistics.get("plant") if isinstance(statistics, dict) else None
-    return str(plant.get("failure", "")) if isinstance(plant, dict) else ""
+    return str(_plant_statistics(run).get("failure", ""))
+
+
+def _frames_without_angles(run: Recording) -> str:
+    """Reasons and counts of a camera that takes images; empty for others."""
+    first = "frames_"
+    found = {key: value for key, value in _plant_statistics(run).items() if key.startswith(first)}
+    return ", ".join(f"{value} {key.removeprefix(first).replace('_', ' ')}" for key, value in sorted(found.items()))
 
 
 def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:

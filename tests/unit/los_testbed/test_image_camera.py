@@ -77,12 +77,12 @@ def test_the_angles_are_the_mean_over_the_exposure_that_was_read_out(exposure: f
     """So those of a constant rate are older by the delay and half of the exposure; the window follows the star."""
     found = angles(plant(replace(STAR, exposure=exposure, readout_delay=delay)), 2001)
     frames = np.arange(0, 2001, 20)
-    begun = frames * DT >= exposure + delay - 1e-9
+    exposed = frames * DT >= exposure + delay - 1e-9
     assert np.isnan(np.delete(found, frames, axis=0)).all()
-    assert np.isnan(found[frames[~begun]]).all() and not np.isnan(found[frames[begun]]).any()
-    known = RATE * (frames[begun] * DT - delay - 0.5 * exposure)[:, None]
+    assert np.isnan(found[frames[~exposed]]).all() and not np.isnan(found[frames[exposed]]).any()
+    known = RATE * (frames[exposed] * DT - delay - 0.5 * exposure)[:, None]
     # the model of the centroid is a star at rest
-    np.testing.assert_allclose(found[frames[begun]], known, atol=2e-3 * OPTICS.pixel)
+    np.testing.assert_allclose(found[frames[exposed]], known, atol=2e-3 * OPTICS.pixel)
 
 
 def test_noise_is_that_of_the_star_and_of_the_seed() -> None:
