@@ -67,6 +67,8 @@ class StarCamera:
     _response: ComplexArray = field(init=False, repr=False, compare=False)
     _turn_x: ComplexArray = field(init=False, repr=False, compare=False)
     _turn_y: ComplexArray = field(init=False, repr=False, compare=False)
+    _slope_x: ComplexArray = field(init=False, repr=False, compare=False)
+    _slope_y: ComplexArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         half = self.camera.window // 2
@@ -85,8 +87,10 @@ class StarCamera:
             "fx": fx,
             "fy": fy,
             "_response": response[:, middle:] * twice * (self.optics.pixel / grid.width) ** 2,
-            "_turn_x": np.exp(2j * math.pi * np.outer(fx, line)),
-            "_turn_y": np.exp(2j * math.pi * np.outer(line, fy)),
+            "_turn_x": (turn_x := np.exp(2j * math.pi * np.outer(fx, line))),
+            "_turn_y": (turn_y := np.exp(2j * math.pi * np.outer(line, fy))),
+            "_slope_x": -2j * math.pi * fx[:, None] * turn_x,
+            "_slope_y": -2j * math.pi * fy * turn_y,
         }
         for name, value in made.items():
             object.__setattr__(self, name, value)
@@ -109,9 +113,8 @@ class StarCamera:
         y = np.exp(-2j * math.pi * self.fy * place[1])
         spectrum = self._response * np.outer(y, x)
         rows = self._turn_y @ spectrum
-        rows_y = (self._turn_y * (-2j * math.pi * self.fy)) @ spectrum
-        turned_x = self._turn_x * (-2j * math.pi * self.fx)[:, None]
-        return (rows @ self._turn_x).real, (rows @ turned_x).real, (rows_y @ self._turn_x).real
+        rows_y = self._slope_y @ spectrum
+        return (rows @ self._turn_x).real, (rows @ self._slope_x).real, (rows_y @ self._turn_x).real
 
     def expected(self, path: FloatArray) -> FloatArray:
         """Mean electrons of each pixel in an exposure.

@@ -78,3 +78,4 @@ def test_a_mistake_is_one_line(
         main(["image", "trade", *arguments, "--duration", "1", "--output", str(tmp_path / "trade")])
     error = capsys.readouterr().err
     assert ended.value.code == 2 and message in error and len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "trade").exists()

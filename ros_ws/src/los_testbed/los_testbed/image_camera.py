@@ -10,11 +10,13 @@ is searched in the whole field, which puts the window at the pixel of its true m
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from pointing_analysis.image.centroid import Centroid, centroid
 from titop_plant.interface import CAMERA, DT, TRUTH
 
 if TYPE_CHECKING:
@@ -45,6 +47,19 @@ class Telescope(Protocol):
 
     def change(self, name: str, value: float) -> None:
         """A setting, see `SampledPlant.change`."""
+
+
+@dataclass
+class _Frame:
+    """A frame that is read out, the middle of its window [rad], the tick at which its angles are there, and these.
+
+    The place is found a tick after the read-out, if there is one before the angles are due: no tick has all the work.
+    """
+
+    due: int
+    middle: FloatArray
+    counts: FloatArray
+    found: Centroid = field(default_factory=lambda: Centroid(np.full(TRUTH, np.nan), "no_star"))
 
 
 class ImagePlant:
@@ -87,7 +102,7 @@ class ImagePlant:
         self.missing: dict[str, int] = {}
         self._without = SEARCH_AFTER  # nothing is known yet: the first frame is a search
         self._middle: FloatArray = np.zeros(TRUTH)
-        self._read: deque[tuple[int, FloatArray, FloatArray]] = deque()
+        self._read: deque[_Frame] = deque()
         self.image[:] = 0.0
 
     def change(self, name: str, value: float) -> None:
@@ -103,6 +118,8 @@ class ImagePlant:
         self._path[-1] = truth
         if (self.tick + self._delay) % self.frame_ticks == 0 and self.tick >= self._exposure:
             self._expose()
+        if self._read and self.tick == self._read[-1].due - max(self._delay - 1, 0):
+            self._read[-1].found = centroid(self._read[-1].counts, self.camera)
         if self.tick % self.frame_ticks == 0:
             measurement[CAMERA] = self._angles(bool(np.isnan(measurement[CAMERA]).any()))
         self.tick += 1
@@ -115,26 +132,23 @@ class ImagePlant:
         if self._without >= SEARCH_AFTER:
             self._middle = pixel * np.rint(mean / pixel)
         expected = self.camera.expected(self._path - self._middle)
-        frame = self.camera.read_out(expected, self._rng if self._noisy else None)
-        self._read.append((self.tick + self._delay, self._middle, frame))
+        counts = self.camera.read_out(expected, self._rng if self._noisy else None)
+        self._read.append(_Frame(self.tick + self._delay, self._middle, counts))
 
     def _angles(self, dropped: bool) -> FloatArray:
         """Angles of the frame that is there at this tick [rad], NaN where it has none."""
-        from pointing_analysis.image.centroid import centroid
-
         pixel = self.camera.optics.pixel
         self.frames += 1
-        if not self._read or self._read[0][0] != self.tick:
+        if not self._read or self._read[0].due != self.tick:
             return self._none(BEFORE_START)
-        _, middle, frame = self._read.popleft()
-        self.image[:] = frame
+        frame = self._read.popleft()
+        self.image[:] = frame.counts
         if dropped:
             return self._none(DROPPED)
-        found = centroid(frame, self.camera)
-        if found.reason:
+        if frame.found.reason:
             self._without += 1
-            return self._none(found.reason)
-        angles = middle + found.place
+            return self._none(frame.found.reason)
+        angles = frame.middle + frame.found.place
         self._without, self._middle = 0, pixel * np.rint(angles / pixel)
         return np.asarray(angles)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,14 +68,18 @@ def points(
         raise ValueError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
     folder.mkdir(parents=True)
     found = []
-    for rate in rates:
-        for magnitude in magnitudes:
-            point = TradePoint(magnitude, rate, base)
-            file = folder / f"{point.name}.toml"
-            file.write_text(parameter_text(own, beside, magnitude, 1.0 / rate), "utf-8")
-            config = replace(base, parameters=str(file), camera_rate=rate)
-            check_exposure(load_parameters(file), config.frame_ticks)
-            found.append(replace(point, config=config))
+    try:
+        for rate in rates:
+            for magnitude in magnitudes:
+                point = TradePoint(magnitude, rate, base)
+                file = folder / f"{point.name}.toml"
+                file.write_text(parameter_text(own, beside, magnitude, 1.0 / rate), "utf-8")
+                config = replace(base, parameters=str(file), camera_rate=rate)
+                check_exposure(load_parameters(file), config.frame_ticks)
+                found.append(replace(point, config=config))
+    except ValueError:
+        shutil.rmtree(folder)
+        raise
     return tuple(found)
 
 
