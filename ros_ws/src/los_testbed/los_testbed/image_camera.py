@@ -10,16 +10,16 @@ is searched in the whole field, which puts the window at the pixel of its true m
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from pointing_analysis.image.centroid import Centroid, centroid
 from titop_plant.interface import CAMERA, DT, TRUTH
 
 if TYPE_CHECKING:
+    from pointing_analysis.image.centroid import Centroid
     from pointing_analysis.image.star_camera import StarCamera
 
 SEARCH_AFTER = 5
@@ -59,7 +59,7 @@ class _Frame:
     due: int
     middle: FloatArray
     counts: FloatArray
-    found: Centroid = field(default_factory=lambda: Centroid(np.full(TRUTH, np.nan), "no_star"))
+    found: Centroid | None = None
 
 
 class ImagePlant:
@@ -77,7 +77,9 @@ class ImagePlant:
     """
 
     def __init__(self, plant: Telescope, camera: StarCamera, seed: int, noise: bool) -> None:
-        self.plant, self.camera = plant, camera
+        from pointing_analysis.image.centroid import centroid  # scipy, which a vector camera does without
+
+        self.plant, self.camera, self._find = plant, camera, centroid
         self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
         self.parameters_hash = plant.parameters_hash
         self._exposure = round(camera.camera.exposure / DT)
@@ -119,7 +121,7 @@ class ImagePlant:
         if (self.tick + self._delay) % self.frame_ticks == 0 and self.tick >= self._exposure:
             self._expose()
         if self._read and self.tick == self._read[-1].due - max(self._delay - 1, 0):
-            self._read[-1].found = centroid(self._read[-1].counts, self.camera)
+            self._read[-1].found = self._find(self._read[-1].counts, self.camera)
         if self.tick % self.frame_ticks == 0:
             measurement[CAMERA] = self._angles(bool(np.isnan(measurement[CAMERA]).any()))
         self.tick += 1
@@ -142,13 +144,15 @@ class ImagePlant:
         if not self._read or self._read[0].due != self.tick:
             return self._none(BEFORE_START)
         frame = self._read.popleft()
+        found = frame.found
+        assert found is not None  # at the latest at this tick
         self.image[:] = frame.counts
         if dropped:
             return self._none(DROPPED)
-        if frame.found.reason:
+        if found.reason:
             self._without += 1
-            return self._none(frame.found.reason)
-        angles = frame.middle + frame.found.place
+            return self._none(found.reason)
+        angles = frame.middle + found.place
         self._without, self._middle = 0, pixel * np.rint(angles / pixel)
         return np.asarray(angles)
 

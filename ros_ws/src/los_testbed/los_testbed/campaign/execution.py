@@ -77,6 +77,7 @@ def identity(base: RunConfig) -> dict[str, str]:
         **controllers,
         **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
         **_image_optics(parts),
+        **_star_camera(parts),
     }
 
 
@@ -85,6 +86,15 @@ def _image_optics(parts: RunParts) -> dict[str, str]:
     if not any(r.of_image for r in parts.requirements) or parts.optics == RunParts(RunConfig()).optics:
         return {}
     return {"optics": hashlib.sha256(repr(parts.optics).encode() + parts.optics.pupil_file).hexdigest()[:16]}
+
+
+def _star_camera(parts: RunParts) -> dict[str, str]:
+    """Digest of a camera that takes images: its star and detector are not in the hash of the parameters."""
+    made = parts.star_camera
+    if made is None:
+        return {}
+    text = repr((made.optics, made.camera)).encode() + parts.pupil_file
+    return {"camera": hashlib.sha256(text).hexdigest()[:16]}
 
 
 class WorkerMismatchError(RuntimeError):
