@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from pointing_analysis.arrays import FloatArray
 from pointing_analysis.image.motion_blur import some_exposures, worst_transfer
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quality import figures
@@ -43,17 +45,8 @@ class ImageSummary:
     ellipticity: float
 
     @classmethod
-    def of(cls, series: ErrorSeries, optics: Optics, exposure: float) -> ImageSummary | None:
-        """Of an error series; None where no exposure is complete.
-
-        Raises
-        ------
-        ValueError
-            The exposure is no whole number of samples, or longer than the run.
-        """
-        paths, _ = some_exposures(series.values, series.dt, exposure, MOST)
-        if not len(paths):
-            return None
+    def of(cls, paths: FloatArray, optics: Optics, exposure: float) -> ImageSummary:
+        """Of exposures (m, N + 1, 2) [rad], at least one, none with a missing sample."""
         star = figures(paths, optics, ("strehl", "ee80", "ellipticity"))
         mtf, half = (worst_transfer(paths, part * optics.nyquist)[0] for part in (1.0, 0.5))
         return cls(
@@ -84,3 +77,47 @@ class ImageSummary:
         keys = ("mtf_nyquist", "mtf_half_nyquist", "strehl", "ee80_mas", "ellipticity")
         values = {f"{key}_p997": number(getattr(self, name)) for name, key in zip(names, keys)}
         return {"optics": self.optics, "exposure_s": self.exposure, "exposures": self.exposures, **values}
+
+
+@dataclass(frozen=True, eq=False)
+class StarExposures:
+    """Exposures of a star in a run, whose figures are computed when they are asked for first.
+
+    Most of the time that a short run takes to summarise goes into them, and not everybody asks. Equal are those with
+    equal figures.
+
+    Parameters
+    ----------
+    paths : ndarray, shape (m, N + 1, 2)
+        [rad], at most `MOST`, none with a missing sample.
+    optics : Optics
+    exposure : float
+        [s]
+    """
+
+    paths: FloatArray
+    optics: Optics
+    exposure: float
+
+    @classmethod
+    def of(cls, series: ErrorSeries, optics: Optics, exposure: float) -> StarExposures | None:
+        """Of an error series; None where no exposure is complete.
+
+        Raises
+        ------
+        ValueError
+            The exposure is no whole number of samples, or longer than the run.
+        """
+        paths, _ = some_exposures(series.values, series.dt, exposure, MOST)
+        return cls(paths, optics, exposure) if len(paths) else None
+
+    @cached_property
+    def figures(self) -> ImageSummary:
+        """Their figures."""
+        return ImageSummary.of(self.paths, self.optics, self.exposure)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StarExposures) and self.figures == other.figures
+
+    def __hash__(self) -> int:
+        return hash((len(self.paths), self.exposure))

@@ -29,7 +29,7 @@ from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.series import SAMPLING
-from pointing_analysis.requirements.image_summary import ImageSummary
+from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
@@ -146,7 +146,7 @@ class Summary:
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     sensors : as the recording describes them
-    image : figures of the star's image in 20 ms; None where no optics are known
+    star : exposures of a star of 20 ms; None where no optics are known
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
     """
@@ -178,7 +178,7 @@ class Summary:
     requirements_known: bool = True
     open_end: bool = False
     sensors: tuple[RecordedSensor, ...] = ()
-    image: ImageSummary | None = None
+    star: StarExposures | None = None
     kind: str = "bag"
     sampling: str = ""
 
@@ -186,6 +186,11 @@ class Summary:
     def rows(self) -> tuple[RequirementRow, ...]:
         """Row of the table of requirements for each verdict."""
         return tuple(RequirementRow.of(verdict) for verdict in self.verdicts)
+
+    @property
+    def image(self) -> ImageSummary | None:
+        """Figures of the star's image, computed when they are asked for first; None where no optics are known."""
+        return None if self.star is None else self.star.figures
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -398,7 +403,7 @@ def summarise(
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
     lost, problems, dropped = _integrity(run)
     problems += [damaged] if damaged else []
-    image, unusable = _image(run, series) if whole else (None, "")
+    star, unusable = _star(run, series) if whole else (None, "")
     problems += [unusable] if unusable else []
     if not whole:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
@@ -432,21 +437,21 @@ def summarise(
         open_end=run["truth/los"].open_end,
         budget=budget,
         sensors=sensors_of(run),
-        image=image,
+        star=star,
         kind=run.kind,
         sampling=str(run.parameters.get(SAMPLING, "")),
     )
 
 
-def _image(run: Recording, series: ErrorSeries) -> tuple[ImageSummary | None, str]:
-    """Figures of the star's image, and what is wrong with the optics of the recording."""
+def _star(run: Recording, series: ErrorSeries) -> tuple[StarExposures | None, str]:
+    """Exposures of a star, and what is wrong with the optics of the recording."""
     try:
         optics = optics_of(run)
     except OpticsError as error:
         return None, str(error)
     if optics is None or len(series.values) <= round(WINDOW / series.dt):
         return None, ""
-    return ImageSummary.of(series, optics, WINDOW), ""
+    return StarExposures.of(series, optics, WINDOW), ""
 
 
 def scenario_of(run: Recording) -> str:

@@ -16,6 +16,7 @@ from pointing_analysis.image.optics import with_optics
 from pointing_analysis.read.series import series
 from pointing_analysis.report.image_figures import image_views, siemens_star, stars
 from pointing_analysis.report.report import render, view
+from pointing_analysis.requirements import image_summary
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -69,6 +70,19 @@ def test_without_optics_nothing_is_added(folder: Path, capsys: pytest.CaptureFix
     run = series(None, np.zeros((500, 2)), unit="mas", rate=1000.0)
     assert summarise(run, transient=0.0).image is None
     assert 'id="star"' not in render([run], transient=0.0)
+
+
+def test_figures_of_the_image_are_made_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, however often; equal are those of equal motion."""
+    asked, figures = [], image_summary.figures
+    monkeypatch.setattr(image_summary, "figures", lambda *given: asked.append(len(given[0])) or figures(*given))
+    los = 3.0 * np.random.default_rng(0).standard_normal((500, 2))
+    runs = [with_optics(series(None, x, unit="mas", rate=1000.0), TABLE) for x in (los, 2.0 * los)]
+    one, other = (summarise(run, transient=0.0) for run in runs)
+    assert one.verdicts == () and one.budget is not None and asked == []
+    assert one.image is one.image is not None and one.star != other.star and len(asked) == 2
+    assert [figure.name for figure in one.figures if figure.name.startswith("Strehl")] and len(asked) == 2
+    assert one.star == summarise(runs[0], transient=0.0).star and len(asked) == 3
 
 
 def test_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

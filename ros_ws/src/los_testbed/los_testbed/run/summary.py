@@ -19,7 +19,6 @@ from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.screen import met, printable, say
 from los_testbed.run.source_shares import as_rows, source_shares
 from pointing_analysis.files.atomic_output import check_output
-from pointing_analysis.image.optics import optics_of
 from pointing_analysis.read.mcap.records import MAX_CHUNK
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
@@ -172,8 +171,8 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
 
     effect = control_effect(run, summary)
     notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof"))
-    optics = optics_of(run) if summary.image is not None else None
-    image = proven_text(run.parameters.get(PROOF_RPE), optics, summary.image)
+    proven, star = run.parameters.get(PROOF_RPE), summary.star
+    image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
     return tuple(text for text in (effect.remark if effect else "", *notes, image, *requested(run)) if text)
 
 
