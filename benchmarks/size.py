@@ -63,7 +63,7 @@ def cost(states: int, ticks: int) -> dict[str, float]:
         zero = np.zeros(system.order)
         return SampledPlant(step, zero, sensors, limits, dt=DT, tones=np.unique(tones.frequency), parameters_hash="")
 
-    made = SimpleNamespace(plant=plant, estimator=parts.estimator, controller=parts.controller, start=parts.start)
+    made: Any = SimpleNamespace(plant=plant, estimator=parts.estimator, controller=parts.controller, start=parts.start)
     each = [least(lambda: present(made, count, True)) for count in (2, ticks)]  # noqa: B023
     return {"preparation_s": seconds, "tick_us": 1e6 * (each[1] - each[0]) / (ticks - 2)}
 

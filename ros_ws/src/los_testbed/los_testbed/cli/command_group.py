@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import ItemsView, ValuesView
+from collections import UserDict
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -93,7 +93,7 @@ def loaded(name: str) -> Any:
     return group.commands[name]
 
 
-class Commands(dict[str, Any]):
+class Commands(UserDict[str, Any]):
     """Commands by name, each imported when it is asked for."""
 
     def __init__(self) -> None:
@@ -104,20 +104,6 @@ class Commands(dict[str, Any]):
         if found is None:
             found = self[name] = loaded(name)
         return found
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """The command of a name."""
-        if name not in self:
-            return default
-        return self[name]
-
-    def values(self) -> ValuesView[Any]:
-        """All commands."""
-        return {name: self[name] for name in self}.values()
-
-    def items(self) -> ItemsView[str, Any]:
-        """All names and commands."""
-        return {name: self[name] for name in self}.items()
 
 
 class CommandGroup(TyperGroup):
