@@ -115,25 +115,26 @@ def check_stages(
     workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], _all_frequencies()
     chunks = [slice(k, k + CHUNK) for k in range(0, len(points), CHUNK)]
     blocks = [np.arange(k, len(omega), BLOCKS) for k in range(BLOCKS)]
-    told = _Told(tick, len(points) * len(loops), 2 * len(chunks) + len(blocks))
-    motions = told.each(workers, partial(_motions, loops), [points[chunk] for chunk in chunks])
-    stable = [np.concatenate([part[k].stable for part in motions]) for k in range(len(loops))]
+    told = _Told(tick, len(points) * len(loops), len(chunks) + len(blocks))
     cube = np.array([loops[0].point(dict(values)) for values in points])
     reaches = [Reach(search.loop, search.metrics, changes) for search in searches]
-    parts = told.each(workers, partial(_swept, reaches, omega, cube, stable), blocks)
-    swept = [joined(stage) for stage in zip(*parts)]
+
+    def whole(stable: Sequence[BoolArray], each: Callable[..., list[list[Sweep]]]) -> list[Sweep]:
+        return [joined(stage) for stage in zip(*each(workers, partial(_swept, reaches, omega, cube, stable), blocks))]
+
+    swept = whole([np.ones(len(points), dtype=bool)] * len(loops), told.each)
     for found in swept:
         found.doubt[0] = changes  # one point is checked by eigenvalues, whatever its responses say
-    items = [
-        _Closely(points[chunk], cube[chunk], part, [found.doubt[chunk] for found in swept])
-        for chunk, part in zip(chunks, motions)
-    ]
+    items = [_Closely(points[chunk], cube[chunk], [found.doubt[chunk] for found in swept]) for chunk in chunks]
     closely = told.each(workers, partial(_looked_closely, reaches), items)
+    stable = [np.concatenate([part[k].stable for part in closely]) for k in range(len(loops))]
+    if not all(own.all() for own in stable):  # seldom: once more, without the values of unstable points
+        swept = whole(stable, Workers.map)
     brackets = [
         (k, name, _brackets(metric, omega, swept[k], cube) + narrow)
         for k, search in enumerate(searches)
         for name, metric in search.metrics.items()
-        for narrow in [[b for part in closely for b in part[k][0][name]]]
+        for narrow in [[b for part in closely for b in part[k].narrow[name]]]
         if stable[k].any()
     ]
     worst = workers.map(partial(_worst_of, searches), brackets)
@@ -142,7 +143,7 @@ def check_stages(
             loop.stage,
             {name: found for (stage, name, _), found in zip(brackets, worst) if stage == k},
             stable[k],
-            [names for part in closely for names in part[k][1]],
+            [names for part in closely for names in part[k].lost],
             {name: values[len(DRIFTS) :] for name, values in swept[k].envelope.items()},
         )
         for k, loop in enumerate(loops)
@@ -172,28 +173,6 @@ class _Told:
         return results
 
 
-@dataclass(frozen=True)
-class _Motions:
-    """Of a stage at some points: whether it is stable, and its slow modes [rad/s]."""
-
-    stable: BoolArray
-    modes: list[FloatArray]
-
-
-def _motions(loops: Sequence[ImplementedLoop], points: Sequence[Values]) -> list[_Motions]:
-    """Stability and slow modes of each stage, by the eigenvalues of the exact periodic loop."""
-    found: list[tuple[list[bool], list[FloatArray]]] = [([], []) for _ in loops]
-    for values in points:
-        plant = loops[0].system.at(values)
-        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
-        for loop, (stable, modes) in zip(loops, found):
-            sampled = loop.sampled_around(plant, step)
-            multipliers = sampled.multipliers()
-            stable.append(radius_of(multipliers, sampled.frame_ticks) < 1.0)
-            modes.append(sampled.slow_modes(multipliers, FINE_FROM, NARROW))
-    return [_Motions(np.array(stable), modes) for stable, modes in found]
-
-
 def _swept(
     reaches: Sequence[Reach], omega: FloatArray, cube: FloatArray, stable: Sequence[BoolArray], places: IntArray
 ) -> list[Sweep]:
@@ -202,49 +181,52 @@ def _swept(
 
 @dataclass(frozen=True)
 class _Closely:
-    """Points that are looked at one by one: as values and of the unit cube, their motions and doubts by stage."""
+    """Points that are looked at one by one: as values and of the unit cube, and their doubts by stage."""
 
     points: Sequence[Values]
     cube: FloatArray
-    motions: Sequence[_Motions]
     doubts: Sequence[BoolArray]
 
 
-def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[tuple[dict[str, list[Bracket]], list[list[str]]]]:
-    """For each stage the values at slow modes, by metric, and the changes that make each point unstable."""
-    found = []
-    for reach, motions, doubts in zip(reaches, item.motions, item.doubts):
-        doubt = doubts.copy()
-        narrow = _at_modes(reach, motions, item.cube, doubt)
-        found.append((narrow, [_lost(reach.loop, v, own) for v, own in zip(item.points, doubt)]))
+@dataclass
+class _Seen:
+    """Of a stage at some points: whether it is stable, values at slow modes by metric, changes that are unstable."""
+
+    stable: list[bool]
+    narrow: dict[str, list[Bracket]]
+    lost: list[list[str]]
+
+
+def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[_Seen]:
+    """Each stage by the eigenvalues of the exact periodic loop, and at the frequencies of its slow modes."""
+    found = [_Seen([], {name: [] for name in reach.metrics}, []) for reach in reaches]
+    for i, values in enumerate(item.points):
+        plant = reaches[0].loop.system.at(values)
+        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
+        for reach, seen, doubts in zip(reaches, found, item.doubts):
+            sampled, doubt = reach.loop.sampled_around(plant, step), doubts[i].copy()
+            multipliers = sampled.multipliers()
+            seen.stable.append(radius_of(multipliers, sampled.frame_ticks) < 1.0)
+            if seen.stable[-1]:
+                _at_modes(reach, sampled.slow_modes(multipliers, FINE_FROM, NARROW), item.cube[i], doubt, seen)
+            changed = zip(doubt, changed_loops(sampled, reach.loop.stage)) if doubt.any() else ()
+            seen.lost.append([name for own, (name, make) in changed if own and not make().spectral_radius() < 1.0])
     return found
 
 
-def _lost(loop: ImplementedLoop, values: Values, doubt: BoolArray) -> list[str]:
-    """Those changes of gain and delay in doubt that make the loop unstable at a point."""
-    if not doubt.any():
-        return []
-    changed = zip(doubt, changed_loops(loop.sampled_at(values)[1], loop.stage))
-    return [name for doubted, (name, make) in changed if doubted and not make().spectral_radius() < 1.0]
-
-
-def _at_modes(reach: Reach, motions: _Motions, cube: FloatArray, doubt: BoolArray) -> dict[str, list[Bracket]]:
-    """For each metric its values at the slow modes of every stable point; marks `doubt`."""
-    found: dict[str, list[Bracket]] = {name: [] for name in reach.metrics}
-    delta = reach.loop.delta(cube)
-    for i in np.flatnonzero(motions.stable):
-        modes, point = motions.modes[i], cube[i]
-        if not len(modes):
-            continue
-        T = np.concatenate([reach.responses(closed, delta[[i]]) for closed in reach.loop.at_each(modes)])
-        doubt[i] |= reach.doubt(T, modes).any(axis=0)
-        gains = {(rows.start, columns.start): largest_gains(T[:, rows, columns]) for rows, columns, _ in reach.blocks}
-        for k, w in enumerate(modes.tolist()):
-            for rows, columns, factors in reach.here(w):
-                gain = float(gains[rows.start, columns.start][k])
-                for name, factor in factors.items():
-                    found[name].append(Bracket(gain * factor, w, (w * (1.0 - AROUND), w * (1.0 + AROUND)), point))
-    return found
+def _at_modes(reach: Reach, modes: FloatArray, point: FloatArray, doubt: BoolArray, seen: _Seen) -> None:
+    """Keep the values of each metric at the slow modes of a stable point, and mark `doubt`."""
+    if not len(modes):
+        return
+    delta = reach.loop.delta(point[None])
+    T = np.concatenate([reach.responses(closed, delta) for closed in reach.loop.at_each(modes)])
+    doubt |= reach.doubt(T, modes).any(axis=0)
+    gains = {(rows.start, columns.start): largest_gains(T[:, rows, columns]) for rows, columns, _ in reach.blocks}
+    for k, w in enumerate(modes.tolist()):
+        for rows, columns, factors in reach.here(w):
+            gain = float(gains[rows.start, columns.start][k])
+            for name, factor in factors.items():
+                seen.narrow[name].append(Bracket(gain * factor, w, (w * (1.0 - AROUND), w * (1.0 + AROUND)), point))
 
 
 def _brackets(metric: LoopMetric, omega: FloatArray, found: Sweep, cube: FloatArray) -> list[Bracket]:
