@@ -56,13 +56,16 @@ def worst_of(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) ->
     first = order[0]
     best = (*(_refined(search, metric, first, 0.0) or (first.value, first.omega)), first.point)
     others = [bracket for bracket in order[1:] if bracket.value >= NEAR * best[0]]
+    others, alone = _higher(search, metric, others, best[0]), list[Bracket]()
     for _ in range(LEVELS):
-        bounds = _bounds(search, metric, others)
-        others = [bracket for bracket, bound in zip(others, bounds) if bound > (1.0 + SAME) * best[0]]
-        others = _narrowed(search, metric, others)
-        found = max(others, key=lambda b: b.value, default=first)
+        several = [own for own in _groups(others) if len(own) >= SEVERAL]
+        grouped = {k for own in several for k in own}
+        alone += [bracket for k, bracket in enumerate(others) if k not in grouped]
+        narrow = [bracket for own in several for bracket in _narrowed(search, metric, [others[k] for k in own])]
+        found = max(narrow, key=lambda b: b.value, default=first)
         best = max(best, (found.value, found.omega, found.point), key=lambda entry: entry[0])
-    for bracket in sorted(others, key=lambda b: -b.value):
+        others = _higher(search, metric, narrow, best[0])
+    for bracket in sorted(others + alone, key=lambda b: -b.value):
         refined = _refined(search, metric, bracket, best[0])
         if refined is not None and refined[0] > best[0]:
             best = (*refined, bracket.point)
@@ -121,21 +124,23 @@ def _bounds(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> 
     return found
 
 
+def _higher(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], largest: float) -> list[Bracket]:
+    """Those of some brackets whose peaks may exceed the largest one, by slopes."""
+    bounds = _bounds(search, metric, brackets)
+    return [bracket for bracket, bound in zip(brackets, bounds) if bound > (1.0 + SAME) * largest]
+
+
 def _narrowed(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> list[Bracket]:
-    """Brackets a few times as narrow, where several share their frequencies; the others as they are."""
-    found = []
-    for own in _groups(brackets):
-        some = [brackets[k] for k in own]
-        low, high = np.clip(some[0].ends, *metric.band)
-        if len(own) < SEVERAL or not low < high:
-            found += some
-            continue
-        omega = np.unique([*np.geomspace(low, high, PARTS + 1), np.clip(some[0].omega, low, high)])
-        values = _values(search, metric, omega, np.array([b.point for b in some])).max(axis=2)
-        for bracket, own_values in zip(some, values.T):
-            k = int(own_values.argmax())
-            ends = float(omega[max(k - 1, 0)]), float(omega[min(k + 1, len(omega) - 1)])
-            found.append(Bracket(float(own_values[k]), float(omega[k]), ends, bracket.point))
+    """Brackets with the same frequency and ends a few times as narrow."""
+    low, high = np.clip(brackets[0].ends, *metric.band)
+    if not low < high:
+        return list(brackets)
+    omega = np.unique([*np.geomspace(low, high, PARTS + 1), np.clip(brackets[0].omega, low, high)])
+    values, found = _values(search, metric, omega, np.array([b.point for b in brackets])).max(axis=2), []
+    for bracket, own in zip(brackets, values.T):
+        k = int(own.argmax())
+        ends = float(omega[max(k - 1, 0)]), float(omega[min(k + 1, len(omega) - 1)])
+        found.append(Bracket(float(own[k]), float(omega[k]), ends, bracket.point))
     return found
 
 
@@ -152,7 +157,7 @@ def _refined(search: Search, metric: LoopMetric, bracket: Bracket, largest: floa
         value, _, slope = loop.gain(closed, metric, bracket.point)
         others = loop.all_gains(closed, metric, bracket.point)[1:]
         if not value > 0.0 or (len(others) and others[0] >= NEAR * max(largest, value)):
-            return _sought(search, metric, bracket)
+            return _sought(search, metric, bracket, largest)
         best, side = max(best, (value, omega)), int(slope <= 0.0)
         ends[side], rates[side], weights[side] = x, slope / value, 1.0
         weights[1 - side] *= 0.5 if side == last else 1.0  # so that its end moves, too
@@ -171,9 +176,12 @@ def _refined(search: Search, metric: LoopMetric, bracket: Bracket, largest: floa
     return best
 
 
-def _sought(search: Search, metric: LoopMetric, bracket: Bracket) -> Peak:
-    """The peak in a bracket by values."""
-    point = bracket.point[None]
+def _sought(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> Peak | None:
+    """The peak in a bracket by values; None where those of its parts say that it does not exceed the largest one."""
+    point, narrow = bracket.point[None], _narrowed(search, metric, [bracket])
+    if largest and narrow[0].value <= largest and not _higher(search, metric, narrow, largest):
+        return None
+    bracket = max(bracket, *narrow, key=lambda b: b.value)
 
     def lower(x: float) -> float:
         return -float(search.loop.gains(search.loop.at(float(np.exp(x))), metric, point)[0])
