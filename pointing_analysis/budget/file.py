@@ -17,7 +17,8 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget import sources as kinds
-from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
+from pointing_analysis.budget.source_table import read_sources
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, BudgetError, Source
 from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
@@ -31,10 +32,6 @@ OfTestbed = Callable[[Entry], Sequence[Requirement]]
 """Requirements of the telescope of such a table."""
 INDICES = ("APE", "RPE")
 TOP = {"title", "unit", "axes", "summation", "draws", "seed", "total", "requirement", "sources"}
-
-
-class BudgetError(ValueError):
-    """A budget that cannot be read; the message says what it must be and what it is."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,7 @@ def load_budget(
 
     Parameters
     ----------
-    path : TOML file
+    path : TOML file, or a table of sources (:mod:`pointing_analysis.budget.source_table`) with the ending .csv
     testbed : makes the sources of type ``testbed``; without it such a source is an error
     of_testbed : requirements of the telescope of such a source, for a file that has neither requirements nor totals;
         those on indices that a budget has are taken, on the error at every instant where they are on its rms in windows
@@ -91,16 +88,29 @@ def load_budget(
         A file that cannot be read, or an entry that cannot be used.
     """
     file = Path(path)
-    try:
-        content = load_toml(read_text(file), file)
-    except StructuredTextError as error:
-        raise BudgetError(str(error)) from None
+    content = read_content(file)
     try:
         return _budget(content, file, testbed, of_testbed)
     except BudgetError:
         raise
     except (ValueError, TypeError) as error:
         raise BudgetError(f"{file}: {error}") from None
+
+
+def read_content(file: Path) -> dict[str, Any]:
+    """Tables of a budget's file, not yet checked.
+
+    Raises
+    ------
+    BudgetError
+        A file that cannot be read.
+    """
+    try:
+        if file.suffix.lower() == ".csv":
+            return read_sources(file)
+        return dict(load_toml(read_text(file), file))
+    except StructuredTextError as error:
+        raise BudgetError(str(error)) from None
 
 
 def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> Budget:

@@ -25,6 +25,10 @@ POSITIONS = 40
 TIME, ENSEMBLE = "time", "ensemble"
 
 
+class BudgetError(ValueError):
+    """A budget that cannot be read; the message says what it must be and what it is."""
+
+
 @dataclass(frozen=True)
 class Source:
     """One error source, after its transfer.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -12,6 +12,9 @@ from rich.table import Table
 from los_testbed.cli.options import Designs, Json
 from los_testbed.cli.output import print_json
 from los_testbed.run.screen import Screen
+
+if TYPE_CHECKING:
+    from pointing_analysis.budget.total import BudgetVerdict
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 
@@ -22,6 +25,8 @@ requirements of the reference telescope.
 
     los-testbed budget
 
+    los-testbed budget from_peet.csv --table results.csv
+
     los-testbed budget --designs examples/spacecraft/small_telescope
 
     los-testbed budget my_budget.toml --output budget.html --json
@@ -29,22 +34,48 @@ requirements of the reference telescope.
 ROWS = 12
 
 
+def _shown(v: BudgetVerdict) -> Table:
+    """Contributions, total and margin of a requirement for the screen."""
+    from pointing_analysis.report.budget_page import digits, vector
+
+    table = Table(title=f"{v.requirement}", title_justify="left")
+    table.add_column("source", overflow="fold")
+    for head in ("sigma", "alone", "share"):
+        table.add_column(head, justify="right")
+    for s in v.shares[:ROWS]:
+        table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
+    if len(v.shares) > ROWS:
+        rest = sum(s.share for s in v.shares[ROWS:])
+        table.add_row(f"{len(v.shares) - ROWS} others", "", "", f"{100 * rest:.3g} %")
+    table.add_row("total", "", digits(v.total), "", style="bold")
+    table.add_row("limit", "", digits(v.limit), "")
+    table.add_row("margin", "", digits(v.margin), "", style="green" if v.compliant else "red")
+    return table
+
+
 def budget(
-    file: Annotated[Path | None, typer.Argument(help="TOML file of the budget.")] = None,
+    file: Annotated[Path | None, typer.Argument(help="TOML file of the budget, or CSV table of its sources.")] = None,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    table: Annotated[Path | None, typer.Option(help="CSV file of the results to write, by steps AST-1 to 4.")] = None,
+    sources: Annotated[Path | None, typer.Option(help="CSV file of the sources to write, which can be read.")] = None,
     designs: Designs = None,
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
     from los_testbed.run.budget_sources import testbed_requirements, testbed_sources, with_designs
+    from pointing_analysis.budget.result_table import result_rows
+    from pointing_analysis.budget.source_table import COLUMNS, source_rows, text_of
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
-    from pointing_analysis.report.budget_page import digits, render_budget, vector
+    from pointing_analysis.report.budget_page import render_budget, vector
 
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
-    if output is not None:
-        check_output(output, "the page")
+    for path, what in ((output, "the page"), (table, "--table"), (sources, "--sources")):
+        if path is not None:
+            check_output(path, what)
+    if sources is not None:
+        write_text(sources, text_of(source_rows(budget_file.read_content(file or shipped)), COLUMNS))
 
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
         return with_designs(table, designs) if designs else table
@@ -58,19 +89,7 @@ def budget(
     console = Screen(stderr=json_)
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
-        table = Table(title=f"{v.requirement}", title_justify="left")
-        table.add_column("source", overflow="fold")
-        for head in ("sigma", "alone", "share"):
-            table.add_column(head, justify="right")
-        for s in v.shares[:ROWS]:
-            table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
-        if len(v.shares) > ROWS:
-            rest = sum(s.share for s in v.shares[ROWS:])
-            table.add_row(f"{len(v.shares) - ROWS} others", "", "", f"{100 * rest:.3g} %")
-        table.add_row("total", "", digits(v.total), "", style="bold")
-        table.add_row("limit", "", digits(v.limit), "")
-        table.add_row("margin", "", digits(v.margin), "", style="green" if v.compliant else "red")
-        console.print(table)
+        console.print(_shown(v))
     for rule in found.totals:
         total = axis_total(found, rule)
         axes = ", ".join(found.axes)
@@ -79,5 +98,8 @@ def budget(
     if output is not None:
         write_text(output, render_budget(found, verdicts))
         console.print(f"page    {output}", soft_wrap=True, highlight=False)
+    if table is not None:
+        write_text(table, text_of(result_rows(found, verdicts)))
+        console.print(f"table   {table}", soft_wrap=True, highlight=False)
     if json_:
         print_json(as_dict(found, verdicts))

@@ -1,0 +1,143 @@
+"""Sources of a budget as a table (CSV), to read and to write.
+
+The columns are described in ``docs/pointing_budget.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
+values of several axes stand apart by ``;``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pointing_analysis.budget.sources import BudgetError
+from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.units import ANGLES
+
+LENGTHS = ("value", "half_range", "sigma", "amplitude", "rate")
+"""Columns in the unit of the row."""
+
+NUMBERS = (*LENGTHS, "frequency", "phase", "correlation_time", "duration", "transfer")
+TEXTS = ("random",)
+COLUMNS = ("source", "type", "unit", *NUMBERS, *TEXTS, "text")
+"""Columns of a table of sources; ``text`` is of rows of the type ``requirement``."""
+
+REQUIREMENT = "requirement"
+SEPARATOR = " / "
+"""Between the names of a group and of a source in it."""
+
+
+def read_sources(path: Path) -> dict[str, Any]:
+    """Content of a table of sources, in the form of a TOML file; values in the unit of the first row.
+
+    Raises
+    ------
+    BudgetError
+        Unknown or missing columns, a cell that is no number, an unknown unit, a name that stands twice.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(path).lstrip("\ufeff")), skipinitialspace=True)
+    heads = [head.strip() for head in reader.fieldnames or ()]
+    reader.fieldnames = heads
+    if unknown := [head for head in heads if head not in COLUMNS]:
+        raise BudgetError(f"{path}: columns must be of {', '.join(COLUMNS)}, got {unknown[0]!r}")
+    if missing := [head for head in ("source", "type", "unit") if head not in heads]:
+        raise BudgetError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
+    content: dict[str, Any] = {"title": path.stem, "sources": {}, REQUIREMENT: []}
+    for number, row in enumerate(reader, start=2):
+        cells = {key: value.strip() for key, value in row.items() if key and value and value.strip()}
+        if cells:
+            _take(content, cells, f"{path}, line {number}")
+    return content
+
+
+def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None:
+    """One row into the content."""
+    name, kind = cells.get("source", ""), cells.get("type", "")
+    if kind == REQUIREMENT:
+        content[REQUIREMENT].append({"name": name, "text": cells.get("text", "")})
+        return
+    unit = cells.get("unit", content.get("unit", ""))
+    if unit not in ANGLES:
+        raise BudgetError(f"{where}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
+    scale = ANGLES[unit] / ANGLES[content.setdefault("unit", unit)]
+    table: dict[str, Any] = {"type": kind}
+    for key in (*NUMBERS, *TEXTS):
+        if key in cells:
+            table[key] = cells[key] if key in TEXTS else _numbers(cells[key], where, key)
+            if key in LENGTHS:
+                table[key] = [scale * x for x in table[key]] if isinstance(table[key], list) else scale * table[key]
+    group = content["sources"]
+    *above, last = [part.strip() for part in name.split(SEPARATOR.strip())]
+    for part in above:
+        group = group.setdefault(part, {})
+        if "type" in group:
+            raise BudgetError(f"{where}: source must not be below another source, got {name!r}")
+    if not last or last in group:
+        raise BudgetError(f"{where}: source must be a name that stands once, got {name!r}")
+    group[last] = table
+
+
+def _numbers(cell: str, where: str, key: str) -> float | list[float]:
+    try:
+        found = [float(part) for part in cell.split(";")]
+    except ValueError:
+        raise BudgetError(f"{where}: {key} must be a number, or one for each axis apart by ;, got {cell!r}") from None
+    return found[0] if len(found) == 1 else found
+
+
+def source_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Rows of the table of sources of a budget file.
+
+    Raises
+    ------
+    BudgetError
+        A source that no row can hold: a spectrum, a record, several tones, a transfer that depends on the frequency.
+    """
+    unit = str(content.get("unit", ""))
+    rows = [
+        {"source": str(r.get("name", "")), "type": REQUIREMENT, "text": str(r["text"])}
+        for r in content.get(REQUIREMENT, ())
+    ]
+    rows += [{"source": name, "unit": unit, **row} for name, row in _flat(content.get("sources", {}), (), 1.0)]
+    return rows
+
+
+def _flat(table: Mapping[str, Any], path: tuple[str, ...], gain: float) -> Iterator[tuple[str, dict[str, str]]]:
+    """Name and cells of each source of a tree; transfers of groups are in those of their sources."""
+    name, transfer = SEPARATOR.join(path), table.get("transfer", 1.0)
+    if isinstance(transfer, (int, float)):
+        gain *= float(transfer)
+    else:
+        raise BudgetError(f"{name}: transfer must be a number in a table, got {transfer!r}")
+    if "type" not in table:
+        for key, entry in table.items():
+            if key != "transfer":
+                yield from _flat(entry, (*path, key), gain)
+        return
+    cells = {key: value for key, value in table.items() if key != "transfer"}
+    if one := cells.pop("tones", None):
+        if len(one) > 1:
+            raise BudgetError(f"{name}: tones must be one in a table, got {len(one)}")
+        cells |= {**one[0], "type": "periodic"}
+    if unknown := sorted(set(cells) - {"type", *NUMBERS, *TEXTS}):
+        raise BudgetError(f"{name}: a table has no column for {', '.join(unknown)} of a source of type {cells['type']}")
+    shown = {key: _cell(value) for key, value in cells.items()}
+    yield name, {**shown, **({} if gain == 1.0 else {"transfer": repr(gain)})}
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "; ".join(repr(float(x)) for x in value)
+    return repr(float(value)) if isinstance(value, (int, float)) else str(value)
+
+
+def text_of(rows: Sequence[Mapping[str, str]], columns: Sequence[str] = ()) -> str:
+    """Rows as CSV; by default with the columns that they have, in their order."""
+    heads = columns or list(dict.fromkeys(key for row in rows for key in row))
+    out = io.StringIO()
+    writer = csv.DictWriter(out, heads, lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()

@@ -1,0 +1,126 @@
+"""Budgets as CSV tables: sources there and back, results in the four steps, mistakes in one line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+
+from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.source_table import COLUMNS
+from pointing_analysis.budget.total import evaluate
+
+HEAD = "source, type, unit, value, half_range, sigma, amplitude, frequency, correlation_time, rate, duration, random"
+TABLE = f"""{HEAD}, transfer, text
+platform / wheels, periodic, mas, , , , 9.0; 4.0, 33.0, , , , , 0.5,
+platform / gyro, random, arcsec, , , 0.004, , , 0.1, , , , ,
+alignment, constant, mas, , 20.0, , , , , , , , ,
+thermal, drift, mas, , , , , , , 0.01; 0.02, 600, , ,
+RPE, requirement, , , , , , , , , , , , prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence
+"""
+TREE = """unit = "mas"
+[[requirement]]
+name = "RPE"
+text = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
+[sources.platform.wheels]
+type = "tones"
+tones = [{frequency = 33.0, amplitude = [9.0, 4.0]}]
+transfer = 0.5
+[sources.platform.gyro]
+type = "random"
+sigma = 4.0
+correlation_time = 0.1
+[sources.alignment]
+type = "constant"
+half_range = 20.0
+[sources.thermal]
+type = "drift"
+rate = [0.01, 0.02]
+duration = 600
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    table, tree = tmp_path / "budget.csv", tmp_path / "budget.toml"
+    table.write_text(TABLE)
+    tree.write_text(TREE)
+    return table, tree
+
+
+def test_a_table_is_the_budget_of_the_tree(files: tuple[Path, Path]) -> None:
+    """Another unit in a row is converted."""
+    one, two = (load_budget(file) for file in files)
+    assert [s.path for s in one.sources] == [s.path for s in two.sources]
+    for window in (None, 0.02):
+        for a, b in zip(one.sources, two.sources):
+            np.testing.assert_allclose(a.sigma(window), b.sigma(window), rtol=1e-12)
+    (first,), (second,) = evaluate(one), evaluate(two)
+    assert first.total == pytest.approx(second.total, rel=1e-9) and first.limit == second.limit == pytest.approx(40.0)
+
+
+def test_there_and_back(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    totals = []
+    written = files[0].with_name("written.csv")
+    for file in (files[1], written):
+        assert main(["budget", str(file), "--sources", str(written), "--json"]) == 0
+        totals.append(json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"])
+        assert written.read_text().splitlines()[0] == ",".join(COLUMNS)
+    assert totals[0] == totals[1]
+
+
+def test_results_have_the_four_steps(files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    results = files[0].with_name("results.csv")
+    assert main(["budget", str(files[0]), "--table", str(results)]) == 0
+    with results.open() as file:
+        rows = {row["source"]: row for row in csv.DictReader(file)}
+    wheels = rows["platform / wheels"]
+    assert (wheels["type"], wheels["random"], wheels["unit"]) == ("tones", "time", "mas")  # AST-1
+    assert float(wheels["error_sigma_x"]) == pytest.approx(0.5 * 9.0 / np.sqrt(2.0))  # AST-2
+    turn = 2.0 * np.pi * 33.0 * 0.02
+    part = np.sqrt(1.0 - np.sinc(turn / (2.0 * np.pi)) ** 2)
+    assert float(wheels["index_sigma_x"]) == pytest.approx(0.5 * 9.0 / np.sqrt(2.0) * part, rel=1e-6)  # AST-3
+    assert float(rows["alignment"]["index_sigma_x"]) == 0.0 < float(rows["alignment"]["error_sigma_x"])
+    total, limit, margin = (float(rows[name]["level"]) for name in ("total, distribution", "limit", "margin"))  # AST-4
+    assert limit == pytest.approx(40.0) and margin == pytest.approx(limit - total)
+    assert sum(float(row["share"]) for row in rows.values() if row["share"]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("source,type,colour\n", "columns must be of source, .* got 'colour'"),
+        ("source,type\na,random\n", "columns must have source, type and unit, got no unit"),
+        ("source,type,unit,sigma\na,random,mm,1\n", "line 2: unit must be one of .* got 'mm'"),
+        ("source,type,unit,sigma\na,random,mas,1;x\n", "line 2: sigma must be a number, .* got '1;x'"),
+        ("source,type,unit,sigma\na,random,mas,1\na,random,mas,1\n", "line 3: source must be a name that stands once"),
+        ("source,type,unit,sigma\na,random,mas,1\na / b,random,mas,1\n", "line 3: source must not be below another"),
+        ("source,type,unit,sigma\na,magic,mas,1\n", "a: type must be one of"),
+    ],
+)
+def test_mistakes_of_tables_are_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        load_budget(tmp_path / "a.csv")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ('type = "spectrum"\nfrequency = [1, 2]\npsd = [1, 1]', "a: a table has no column for psd of a source of type"),
+        ('type = "random"\nsigma = 1\ntransfer = {file = "a.csv"}', "a: transfer must be a number in a table"),
+    ],
+)
+def test_what_no_row_can_hold_is_refused(
+    tmp_path: Path, source: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.toml").write_text(f'unit = "mas"\n[[total]]\nindex = "APE"\n[sources.a]\n{source}\n')
+    with pytest.raises(SystemExit) as caught:
+        main(["budget", str(tmp_path / "a.toml"), "--sources", str(tmp_path / "out.csv")])
+    assert caught.value.code == 2
+    assert message in capsys.readouterr().err and not (tmp_path / "out.csv").exists()
