@@ -30,5 +30,5 @@ left, top, right, bottom = (
     if part is None
     else (round(part[0]) - BORDER, round(part[1]) - BORDER, round(part[2]) + BORDER, round(part[3]) + BORDER)
 )
-picture.convert("RGB").crop((left, top, right, bottom)).quantize(256).save(sys.argv[2], optimize=True)
+picture.convert("RGB").crop((left, top, right, bottom)).quantize(64).save(sys.argv[2], optimize=True)
 sys.stdout.write(f"{sys.argv[2]}: {Path(sys.argv[2]).stat().st_size // 1000} kB\n")

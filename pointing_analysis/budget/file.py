@@ -129,7 +129,7 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfT
         raise BudgetError(f"{file}: sources must hold at least one source, got none")
     requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
     totals = tuple(_total(file, entry) for entry in content.get("total", ()))
-    table = _testbed_table(content.get("sources", {}))
+    table = testbed_table(content.get("sources", {}))
     if not requirements and not totals and of_testbed is not None and table is not None:
         requirements = tuple(replace(r, of_windows=False) for r in of_testbed(table) if r.index in INDICES)
     if not requirements and not totals:
@@ -141,11 +141,11 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfT
     return Budget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
 
 
-def _testbed_table(table: Entry) -> Entry | None:
+def testbed_table(table: Entry) -> Entry | None:
     """First source of type ``testbed`` in a tree of tables."""
     if table.get("type") == "testbed":
         return table
-    found = (_testbed_table(entry) for entry in table.values() if isinstance(entry, dict))
+    found = (testbed_table(entry) for entry in table.values() if isinstance(entry, dict))
     return next((entry for entry in found if entry is not None), None)
 
 

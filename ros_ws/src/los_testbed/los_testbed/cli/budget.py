@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from los_testbed.cli.options import Designs, Json
-from los_testbed.cli.output import print_json
+from los_testbed.cli.output import number, print_json
 from los_testbed.run.screen import Screen
 
 if TYPE_CHECKING:
+    from los_testbed.run.worst_budget import Loader, Overlay
+    from pointing_analysis.budget.file import Budget
     from pointing_analysis.budget.total import BudgetVerdict
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
@@ -28,6 +31,8 @@ requirements of the reference telescope.
     los-testbed budget from_peet.csv --table results.csv
 
     los-testbed budget --designs examples/spacecraft/small_telescope
+
+    los-testbed budget --members 20                     # and the worst of 20 telescopes of the family
 
     los-testbed budget my_budget.toml --output budget.html --json
 """
@@ -59,11 +64,15 @@ def budget(
     table: Annotated[Path | None, typer.Option(help="CSV file of the results to write, by steps AST-1 to 4.")] = None,
     sources: Annotated[Path | None, typer.Option(help="CSV file of the sources to write, which can be read.")] = None,
     designs: Designs = None,
+    members: Annotated[
+        int, typer.Option(help="Also at so many random members of the telescope's family, and at its worst points.")
+    ] = 0,
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
     from los_testbed.run.budget_sources import testbed_requirements, testbed_sources, with_designs
+    from los_testbed.run.worst_budget import members_of
     from pointing_analysis.budget.result_table import result_rows
     from pointing_analysis.budget.source_table import COLUMNS, source_rows, text_of
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
@@ -77,14 +86,22 @@ def budget(
     if sources is not None:
         write_text(sources, text_of(source_rows(budget_file.read_content(file or shipped)), COLUMNS))
 
+    number("--members", members, 0, 100_000)
+
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
         return with_designs(table, designs) if designs else table
 
-    found = budget_file.load_budget(
-        file or shipped,
-        lambda path, table, unit: testbed_sources(path, of_designs(table), unit),
-        lambda table: testbed_requirements(of_designs(table)),
-    )
+    def load(overlay: Overlay) -> Budget:
+        return budget_file.load_budget(
+            file or shipped,
+            lambda path, table, unit: testbed_sources(path, overlay(of_designs(table)), unit),
+            lambda table: testbed_requirements(of_designs(table)),
+        )
+
+    named = budget_file.testbed_table(budget_file.read_content(file or shipped).get("sources", {}))
+    if members and named is None:
+        raise ValueError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
+    found = load(lambda table: table)
     verdicts = evaluate(found)
     console = Screen(stderr=json_)
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
@@ -101,5 +118,33 @@ def budget(
     if table is not None:
         write_text(table, text_of(result_rows(found, verdicts)))
         console.print(f"table   {table}", soft_wrap=True, highlight=False)
+    over = {}
+    if members and named is not None:
+        over["over_members"] = _over_members(
+            console, load, verdicts, members_of(of_designs(named), designs or "", members)
+        )
     if json_:
-        print_json(as_dict(found, verdicts))
+        print_json({**as_dict(found, verdicts), **over})
+
+
+def _over_members(
+    console: Screen, load: Loader, verdicts: Sequence[BudgetVerdict], members: Mapping[str, Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Totals over members of the family beside those at the point of the budget; rows for JSON."""
+    from lftkit.support.progress import Progress
+    from los_testbed.run.worst_budget import worst_totals
+    from pointing_analysis.report.budget_page import digits
+
+    with Progress("members") as bar:
+        found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
+    table = Table(title=f"Over {len(members)} members of the family: worst found, no bound", title_justify="left")
+    table.add_column("requirement", overflow="fold")
+    for head in ("at the point", "worst", "limit", "margin", "member"):
+        table.add_column(head, justify="right")
+    for row in found:
+        v = row.worst
+        style = "green" if v.compliant else "red"
+        cells = (digits(row.at.total), digits(v.total), digits(v.limit), Text(digits(v.margin), style=style))
+        table.add_row(str(v.requirement), *cells, row.member)
+    console.print(table)
+    return [row.as_dict() for row in found]

@@ -20,7 +20,7 @@ from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.source_alone import errors_of_source
-from los_testbed.variants import of_designs
+from los_testbed.variants import MEMBER, of_designs
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
@@ -33,7 +33,8 @@ from titop_plant.telescope.sensors import noise_of_samples
 GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
 PARTS = ("tones", "noise", "sources", "all")
 SETTINGS = {
-    *("theta", "tau", "wheel_speed", "parameters", "k_fsm", "k_pma", "camera_rate"),
+    *MEMBER,
+    *("parameters", "k_fsm", "k_pma", "camera_rate"),
     *("disturbance_files", "duration"),
 }
 
