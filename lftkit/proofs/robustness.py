@@ -118,7 +118,8 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
     if method not in (None, "cells", "axis"):
         raise ValueError(f"method must be cells or axis, got {method!r}")
     if method == "axis":
-        system.require_continuous(), system.require_real()
+        system.require_continuous()
+        system.require_real()
     if method is not None:
         return method == "axis"
     return usual and not system.dt and not disks_of(system) and system.order > FEW_STATES and axis_takes(system, box)
@@ -232,7 +233,8 @@ def robust_performance(
         raise ValueError(f"largest must be positive, got {largest}")
     if not (system.inputs and system.outputs):
         return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
-    system.require_continuous(), system.require_real()
+    system.require_continuous()
+    system.require_real()
     chosen = system.sorted_channels()
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():

@@ -383,6 +383,6 @@ def _named(system: System, member: Member) -> dict[str, Any]:
         if isinstance(e, ComplexParameter):
             values[e.name] = e.nominal + (0.0 if deviation is None else complex(deviation[0, 0]))
         else:
-            zero = np.zeros((e.outputs, e.inputs))
-            values[e.name] = dynamics_with(zero if deviation is None else deviation, member.frequency, system.dt)
+            deviation = np.zeros((e.outputs, e.inputs), complex) if deviation is None else deviation
+            values[e.name] = dynamics_with(deviation, member.frequency, system.dt)
     return values

@@ -131,7 +131,7 @@ class CellTest:
     Parameters
     ----------
     system : System
-        Channels of each element adjacent, those of real ones first (:func:`~lftkit.proofs.state_space.disks.real_first`).
+        Channels of each element adjacent, real ones first (:func:`~lftkit.proofs.state_space.disks.real_first`).
     gain : bool
         Whether the gain from all inputs to all outputs is bounded; otherwise stability alone.
     radii : mapping of str to float, optional

@@ -246,7 +246,7 @@ class Inequality:
         forms = []
         for part, places in ((self.z, disk.into), (self.w, disk.out)):
             signal = exact_product(embedded(part[[row for place in places for row in place]]), coordinates)
-            scaling = Ball(np.kron(D, np.eye(len(places[0]))))
+            scaling = Ball(np.asarray(np.kron(D, np.eye(len(places[0]))), dtype=np.float64))
             forms.append(signal.transposed() @ (scaling @ signal))
         radius = number(disk.radius)
         return forms[0].times(radius).times(radius) - forms[1]

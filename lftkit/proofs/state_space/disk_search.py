@@ -77,7 +77,7 @@ class DiskSearch:
     def deviations(self) -> FloatArray:
         """Ends of the real elements' deviations (p, 2)."""
         nominal = np.array([p.nominal for p in self.system.parameters])
-        return np.array(self.box, dtype=float).reshape(-1, 2) - nominal[:, None]
+        return np.asarray(np.array(self.box, dtype=float).reshape(-1, 2) - nominal[:, None])
 
     @cached_property
     def groups(self) -> list[list[int]]:
@@ -97,7 +97,7 @@ class DiskSearch:
         poles = poles[poles > 0.0] if np.any(poles > 0.0) else np.ones(1)
         low, high = self.band
         inside = [*np.geomspace(0.1 * poles.min(), 10.0 * poles.max(), GRID), *poles, low, high]
-        return np.unique([w for w in inside if low <= w <= high])
+        return np.asarray(np.unique([w for w in inside if low <= w <= high]))
 
     def worst(
         self, at: Callable[[float], tuple[float, Any]], closely: Callable[[float], tuple[float, Any]] | None = None
@@ -166,7 +166,9 @@ class DiskSearch:
         self, M: ComplexArray, sides: FloatArray, starts: int
     ) -> tuple[float, FloatArray, dict[str, ComplexArray]]:
         """Smallest perturbation of elements that are scaled by `sides` and radii, one over its size first."""
-        into, out, scale, structure = [], [], [], []
+        into: list[int] = []
+        out: list[int] = []
+        scale, structure = [], []
         for group, side in zip(self.groups, sides):
             into, out = into + group, out + group
             scale += [side] * len(group)
@@ -220,7 +222,7 @@ class DiskSearch:
         values = {}
         for disk in self.disks:
             u, v = (rng.normal(size=n) + 1j * rng.normal(size=n) for n in (disk.outputs, disk.inputs))
-            values[disk.name] = np.asarray(disk.radius * np.outer(u, v) / (linalg.norm(u) * linalg.norm(v)))
+            values[disk.name] = np.asarray(disk.radius * np.outer(u, v) / (linalg.norm(u) * linalg.norm(v)), complex)
         return values
 
     def _ascent(
@@ -275,7 +277,8 @@ class DiskSearch:
                 else:
                     own = list(disk.channels)
                     matrix = np.array([[np.conj(np.vdot(back[own], z[own]))]])
-                best[disk.name] = np.asarray(disk.radius * matrix / max(float(linalg.norm(matrix, 2)), 1e-300))
+                size = max(float(linalg.norm(matrix, 2)), 1e-300)
+                best[disk.name] = np.asarray(disk.radius * matrix / size, complex)
             return aim, best
 
         return float(gains[0]), towards

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, Matrices
+from lftkit.systems.ports import Port
 from lftkit.systems.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
@@ -126,7 +127,7 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
     into, out = np.vstack([first[1], B @ first[3]]), np.hstack([D[:, None] @ first[2], C])
     whole = dynamics, into, sizes[0] * out, sizes[0] * D[:, None] @ first[3]
-    member = System(*whole, [("u", given.shape[1])], [("y", given.shape[0])], "dynamics")
+    member = System(*whole, (Port("u", given.shape[1]),), (Port("y", given.shape[0]),), "dynamics")
     return discretise(member, dt) if dt else member
 
 
