@@ -14,7 +14,7 @@ from los_testbed.factories import RunParts
 from los_testbed.live.frames import Frames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
 from los_testbed.run.viewers import Live
-from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS
+from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import rpe_rms
@@ -134,3 +134,18 @@ def test_a_port_out_of_range_is_refused(port):
 def test_viewers_need_nodes():
     with pytest.raises(ValueError, match="mode must be realtime or lockstep with --live, got inprocess"):
         check_live(RunConfig(mode="inprocess"), Live())
+
+
+def test_the_last_exposure_comes_five_times_a_second():
+    view, topic, seen, got = Frames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), {}, []
+    codec = codec_for(topic)
+    for tick in range(0, 1000, 20):
+        view.put(topic.name, bytes(codec.encode(START + tick * TICK_NS, np.full(topic.size, 100.0 + tick))))
+        got.append(view.next(seen).get("image"))
+    shown = [image for image in got if image is not None]
+    assert [image["counts"][0] - 100 for image in shown] == [0, 200, 400, 600, 800]
+    assert all(image["window"] == 7 and image["counts"] == [image["counts"][0]] * 49 for image in shown)
+    assert "image" not in view.next(seen)
+    assert view.next({})["image"] == {"window": 7, "counts": [1080] * 49}  # of a viewer that comes later
+    view.clear()
+    assert "image" not in view.next({}) and "image" not in view.next(seen)

@@ -12,14 +12,14 @@ import typer
 
 from los_testbed.config import RunConfig
 from los_testbed.run.viewers import Live
-from los_testbed.topics import OWN_DIAGNOSTICS, TOPICS
+from los_testbed.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
 
 LIVE_PORT = 8765
 MAX_PORT = 65534
 """Largest port of ``--live``: the page has the next one."""
 
 PANEL = "Viewers"
-SERVED = (*(topic.name for topic in TOPICS), OWN_DIAGNOSTICS)
+SERVED = (*(topic.name for topic in TOPICS), IMAGE_NAME, OWN_DIAGNOSTICS)
 """Names that ``--live-topic`` takes."""
 
 Port = Annotated[

@@ -7,13 +7,20 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
 from los_testbed.config import RunConfig
 from los_testbed.live.history import URAD, History, indices
+from los_testbed.topics import IMAGE_NAME, image_topic
 from pointing_analysis.requirements.text import Requirement
 
 COMPUTED_S = 0.5
 """Time from one computation of indices and spectrum to the next."""
+
+IMAGE_NS = 200_000_000
+"""Time from one image of the camera to the next [ns]: 5 a second."""
 
 CHANGING = {"loop": "controller", "noise": "plant", "disturbance": "plant", "camera_dropout": "plant"}
 """Settings that the page shows, and the node whose report names their changes."""
@@ -30,12 +37,23 @@ class Frames:
         Largest mirror angle [rad] and force [N].
     requirements : sequence of Requirement
         Of the telescope.
+    window : int
+        Pixels along each axis of the camera's images; 0 without images.
     """
 
-    def __init__(self, config: RunConfig, authority: Sequence[float], requirements: Sequence[Requirement] = ()) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        authority: Sequence[float],
+        requirements: Sequence[Requirement] = (),
+        window: int = 0,
+    ) -> None:
         self._config = config
         self._limits = requirements
         self.history = History()
+        self._window = window
+        self._codec = codec_for(image_topic(window))
+        self._counts, self._exposed = np.zeros(window**2), -1
         self.over = False
         self._run = 1
         self._nodes: dict[str, dict[str, Any]] = {}
@@ -57,6 +75,14 @@ class Frames:
         self.history.clear()
         self._run += 1
         self._indices, self._spectrum, self._next = [], None, 0.0
+        self._exposed = -1
+
+    def put(self, name: str, data: bytes) -> None:
+        """Take in a message of a topic by its relative name."""
+        if name == IMAGE_NAME:
+            self._exposed = self._codec.decode(data, self._counts)
+        else:
+            self.history.put(name, data)
 
     def note(self, name: str, status: Status) -> None:
         """Report of a node."""
@@ -78,7 +104,7 @@ class Frames:
         self._compute()
         settings = self.settings()
         if seen.get("run") != self._run:
-            seen.update(run=self._run, tick=-1, computed=-1)
+            seen.update(run=self._run, tick=-1, computed=-1, image=-IMAGE_NS)
         frame: dict[str, Any] = {
             "run": self._run,
             "start": str(self.history.start),
@@ -95,6 +121,9 @@ class Frames:
         if seen.get("reports") != self._reports:
             seen["reports"] = self._reports
             frame["nodes"] = self._nodes
+        if self._exposed >= seen["image"] + IMAGE_NS:
+            seen["image"] = self._exposed
+            frame["image"] = {"window": self._window, "counts": self._counts.astype(int).tolist()}
         if "fixed" not in seen:
             seen["fixed"] = 1
             frame["fixed"] = self._fixed

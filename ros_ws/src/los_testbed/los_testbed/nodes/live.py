@@ -27,7 +27,7 @@ from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.track import merge, report_tracks, topic_tracks
 from los_testbed.run.viewers import Live
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS, TOPICS
+from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 DEPTH = 1000
 PERIOD_S = 0.02
@@ -82,18 +82,21 @@ class LiveNode:
     def __init__(self, context: NodeContext, live: Live) -> None:
         config, node = context.config, context.node
         self.context = context
-        self.tracks = topic_tracks(context, DEPTH, reliable=config.mode == "lockstep")
-        self._served = set(live.topics) or {*(topic.name for topic in TOPICS), OWN_DIAGNOSTICS}
-        self._from_plant = [track for track, topic in zip(self.tracks, TOPICS) if topic.publisher == "plant"]
+        parts = RunParts(config)
+        self._topics = parts.topics
+        self.tracks = topic_tracks(context, DEPTH, reliable=config.mode == "lockstep", topics=self._topics)
+        self._served = set(live.topics) or {*(topic.name for topic in self._topics), OWN_DIAGNOSTICS}
+        self._from_plant = [track for track, topic in zip(self.tracks, self._topics) if topic.publisher == "plant"]
         self.reports = report_tracks(context)
         self._simulated = config.mode == "lockstep"
         self._next_look = 0
         tls, host = certificate(live.tls_cert or None, live.tls_key or None), live.host
-        channels = {t.path: topic.type_name for t, topic in zip(self.tracks, TOPICS) if topic.name in self._served}
+        named = zip(self.tracks, self._topics)
+        channels = {t.path: topic.type_name for t, topic in named if topic.name in self._served}
         if OWN_DIAGNOSTICS in self._served:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
-        parts = RunParts(config)
-        self.frames = Frames(config, parts.basis.authority, parts.requirements)
+        window = parts.star_camera.camera.window if parts.star_camera is not None else 0
+        self.frames = Frames(config, parts.basis.authority, parts.requirements, window)
         self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets)
         self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
         # one request at a time, by a node of its own: this one's executor answers requests to it
@@ -143,11 +146,11 @@ class LiveNode:
                 track.begin_again()
                 track.data, track.received, track.sent = [], [], []
             self.frames.clear()
-        for track, topic in zip(tracks, TOPICS):
+        for track, topic in zip(tracks, self._topics):
             shown = zip(track.data, track.received) if topic.name in self._served else ()
             for data, received in shown:
                 self.foxglove.send(track.path, data, stamp_of(data) if self._simulated else received)
-                self.frames.history.put(topic.name, data)
+                self.frames.put(topic.name, data)
             track.data, track.received, track.sent = [], [], []
         self._take_reports()
 

@@ -104,6 +104,20 @@
     show("cloud-legend", `circles: ${circles.map((c) => `${c.name} ${c.limit} mas`).join(", ") || "none in range"}; half height ${Number(digits(reach))} mas`);
   }
 
+  function drawStar({ window: n, counts }) {
+    const canvas = at("star-pixels"), pen = canvas.getContext("2d");
+    at("star").hidden = false;
+    if (canvas.width !== n) canvas.width = canvas.height = n;
+    const least = Math.min(...counts), most = Math.max(...counts), picture = pen.createImageData(n, n);
+    counts.forEach((count, i) => {  // row 0 is at -y: the last line of the picture
+      const at4 = 4 * ((n - 1 - Math.floor(i / n)) * n + (i % n));
+      const grey = Math.round((255 * (count - least)) / Math.max(most - least, 1));
+      picture.data.set([grey, grey, grey, 255], at4);
+    });
+    pen.putImageData(picture, 0, 0);
+    show("star-legend", `${least} to ${most} counts, black to white, ${n} x ${n} pixels`);
+  }
+
   function addIndices(indices) {
     const list = at("indices");
     list.replaceChildren(...indices.flatMap((index) => {
@@ -183,6 +197,7 @@
     press(frame);
     addSamples(frame.samples);
     if (frame.nodes) addNodes(frame.nodes);
+    if (frame.image) drawStar(frame.image);
     if (frame.indices) addIndices(frame.indices);
     if (frame.spectrum) charts.spectrum.setData([frame.spectrum.frequency, frame.spectrum.density]);
     charts.los.setData([recent.t, recent.x, recent.y]);
