@@ -40,6 +40,8 @@ class Influence:
 
 def influences(parameters: FloatArray, metric: FloatArray) -> list[Influence]:
     """Influence of each of `COLUMNS` (members, 7) on a metric (members,), the strongest first; none for few members."""
+    from scipy import stats  # a large import, which members need not wait for
+
     known = np.isfinite(metric)
     x, y = parameters[known], metric[known]
     if len(y) < FEWEST or np.ptp(y) == 0.0:
