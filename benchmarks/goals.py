@@ -147,7 +147,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        result = parts() | commands(folder)
+        result = commands(folder)  # before this process grows: a child's memory begins with its parent's
         if arguments.verify:
             result["verify"] = entry("verify", **command("design", "verify", "--workers", "1", repeats=1))
         if arguments.design:
@@ -158,6 +158,7 @@ def main() -> None:
             shutil.rmtree(output)
         if arguments.hours:
             result |= long_run(folder, arguments.hours)
+    result |= parts()
     print(json.dumps(result) if arguments.json else json.dumps(result, indent=1))
 
 

@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 SLOW_STEP, FAST_STEP = 0.03, 0.003
 """Relative step of the grid below and above :data:`FINE_FROM`."""
 FINE_FROM, FINE_TO = 60.0, 1000.0
-CHUNK, BLOCKS = 75, 24
+CHUNK, BLOCKS = 10, 24
 """Parameter points that a process looks at together, and parts of the grid, each over its whole range."""
 DRIFTS: FloatArray = np.asarray(np.geomspace(1e-5, 1e-2, 19)[:-1], dtype=float)
 """Frequencies [rad/s] below the grid: a change that makes a slow pole of a controller unstable shows there."""
