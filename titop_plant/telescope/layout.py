@@ -230,7 +230,7 @@ def control_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def mirror_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Those of them with the mirror's loop closed: the last one is what the telescope is flown with."""
+    """Those of them with the mirror's loop closed: the last one closes all loops that there are."""
     return tuple(stage for stage in control_stages(parameters) if stage in MIRROR_STAGES)
 
 

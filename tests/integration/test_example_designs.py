@@ -1,0 +1,135 @@
+"""The example spacecraft have controllers of their own: of that telescope, stable, within their limits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.stages import Plan
+from los_testbed.variants import of_designs, of_scenario
+
+from lftkit import SampledSystem
+from los_design.search.worst_points import load_worst_points
+from los_design.verification.verification import ARCSEC, MAS, check_implemented
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from titop_plant.interface import MIRROR_STAGES
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.layout import control_stages, mirror_stages
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "spacecraft"
+NAMES = ("earth_observer", "small_telescope")
+NOT_MET = {"earth_observer": ["fsm: fast 1.047 of its limit, must be at most 1"], "small_telescope": []}
+"""As docs/your_spacecraft.md says: the amplitude of one tone with the mirror alone."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_designs_are_of_that_telescope(name: str) -> None:
+    folder, example = EXAMPLES / name, EXAMPLES / f"{name}.toml"
+    assert (folder / "telescope.toml").read_bytes() == example.read_bytes()
+    known = parameters_hash(load_parameters(example))
+    for law in ("k_fsm", "k_pma"):
+        assert SampledSystem.from_file(folder / f"{law}.json").provenance["design_all"]["parameters_hash"] == known
+    assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == known
+    parts = RunParts(
+        RunConfig.from_mapping({**of_designs(str(folder)), "loop": mirror_stages(parameters_of(name))[-1]})
+    )
+    assert parts.check() == (), "no warning"
+
+
+def parameters_of(name: str) -> dict[str, object]:
+    return dict(load_parameters(EXAMPLES / f"{name}.toml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_verification_met_the_requirements(name: str) -> None:
+    content = json.loads((EXAMPLES / name / "verification.json").read_text())
+    found, stages = content["implemented"], control_stages(parameters_of(name))
+    assert content["not_met"] == NOT_MET[name] and found["stable_samples"] == found["samples"] >= 200
+    assert ("pma" in found) == ("fsm+pma" in stages) == (name == "earth_observer")
+    assert max(found["pma"] if "pma" in found else found["fsm"]) <= 1.0
+    weights = load_parameters(EXAMPLES / f"{name}.toml")["weights"]
+    for short, limit in (("fsm", "rpe_limit"), ("pma", "rpe_limit_fine")):
+        assert found["total_mas"].get(short, 0.0) <= weights[limit] / MAS
+        assert found["total_ape_arcsec"].get(short, 0.0) <= weights["ape_limit"] / ARCSEC
+    assert set(load_worst_points(EXAMPLES / name)) == set(stages)
+
+
+@pytest.mark.parametrize("name", ["small_telescope", pytest.param("earth_observer", marks=pytest.mark.slow)])
+def test_the_worst_points_are_stable_and_within_the_limits(name: str) -> None:
+    """Computed anew at the worst points of each stage: what the verification file says."""
+    folder, parameters = EXAMPLES / name, load_parameters(EXAMPLES / f"{name}.toml")
+    worst, stages = load_worst_points(folder), mirror_stages(parameters)
+    points = [dict(worst[stage][figure].parameters) for stage in stages for figure in ("APE", "fast")]
+    pair = [SampledSystem.from_file(folder / f"{law}.json") for law in ("k_fsm", "k_pma")]
+    system = control_loop_plant(build_telescope(parameters), parameters)
+    check = check_implemented(system, parameters, pair[0], pair[1], points, changes=False)
+    assert check.all_stable and check.stages == stages
+    stored = json.loads((folder / "verification.json").read_text())["implemented"]
+    for short, stage in zip(("fsm", "pma"), stages):
+        tones = check.gamma(stage, "APE"), check.gamma(stage, "RPE")
+        assert tones == pytest.approx(stored[short][:2], rel=0.01)
+        assert stage != stages[-1] or max(tones) <= 1.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_of_the_worst_tone_keeps_the_limits(name: str, tmp_path: Path) -> None:
+    folder = str(EXAMPLES / name)
+    stage = mirror_stages(parameters_of(name))[-1]
+    given = {**of_designs(folder), "mode": "inprocess", "duration": 3.0, "loop": stage, "start": "steady"}
+    config = RunConfig.from_mapping({**given, **of_scenario(given, folder)})
+    run_in_process(config, tmp_path / "bag")
+    summary = summarise(Run.open(tmp_path / "bag"))
+    assert len(summary.rows) >= 2
+    for verdict in summary.verdicts:
+        assert verdict.quantile.value <= verdict.requirement.limit, verdict.requirement.name
+
+
+def test_stages_and_figures_are_those_that_the_telescope_has(tmp_path: Path) -> None:
+    base = RunConfig.from_mapping({**of_designs(str(EXAMPLES / "small_telescope")), "mode": "inprocess"})
+    plan = Plan(base, tmp_path / "stages", ("imbalance",), 1, ("all",))
+    assert [run.loop for run in plan.runs()] == ["none", "isolator", "fsm"] and plan.stages[-1] == MIRROR_STAGES[0]
+    with pytest.raises(ValueError, match="loop must be one of none, isolator, fsm without proof-mass actuators"):
+        RunParts(replace(base, loop="fsm+pma")).settings  # noqa: B018
+
+
+def test_the_budget_of_a_folder_of_designs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its tones, its noise, and the cooler of the parameter file as a row."""
+    assert main(["budget", "--designs", str(EXAMPLES / "small_telescope"), "--json"]) == 0
+    (ape, rpe) = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
+    names = {source["name"] for source in rpe["sources"]}
+    assert {"loop / cryocooler", "loop / noise, camera"} < names and any("tone" in name for name in names)
+    assert (ape["limit"], rpe["limit"]) == pytest.approx((10_000.0, 100.0)) and rpe["compliant"]
+
+
+def test_the_budget_over_members_is_the_largest_of_theirs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The member that is named has that total in a budget of its own, and no other has more."""
+    folder = EXAMPLES / "small_telescope"
+    assert main(["budget", "--designs", str(folder), "--members", "1", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out.splitlines()[-1])
+    for row, at in zip(content["over_members"], content["requirements"], strict=True):
+        assert row["members"] == 4 and row["at_the_point"] == at["total"] <= row["worst"] == at["limit"] - row["margin"]
+        settings = "\n".join(f"{key} = {json.dumps(value)}" for key, value in row["settings"].items())
+        own = tmp_path / "own.toml"
+        text = 'unit = "mas"\n[sources.loop]\ntype = "testbed"\nscenario = "imbalance"\nloop = "fsm"\n'
+        own.write_text(f"{text}[sources.loop.settings]\n{settings}\n")
+        assert main(["budget", str(own), "--designs", str(folder), "--json"]) == 0
+        alone = json.loads(capsys.readouterr().out.splitlines()[-1])["requirements"]
+        assert [r["total"] for r in alone if r["text"] == row["requirement"]] == pytest.approx([row["worst"]], rel=1e-6)
+
+
+def test_a_budget_without_a_telescope_has_no_members(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.toml").write_text(
+        'unit = "mas"\n[[total]]\nindex = "APE"\n[sources.a]\ntype = "random"\nsigma = 1\n'
+    )
+    with pytest.raises(SystemExit) as caught:
+        main(["budget", str(tmp_path / "a.toml"), "--members", "3"])
+    assert caught.value.code == 2 and "without a source of type testbed, got 3" in capsys.readouterr().err
