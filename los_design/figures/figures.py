@@ -229,7 +229,7 @@ def _controllers(designed: Designed) -> Figure:
     (k_fsm, k_pma), forces = designed.pair, len(mirror_stages(designed.parameters)) > 1
     figure = Figure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
     left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
-    omega = np.geomspace(1e-2, 3e3, 400)
+    omega: FloatArray = np.asarray(np.geomspace(1e-2, 3e3, 400), dtype=float)
     assembled = telescope(designed.file)
     kalman = kalman_observer(designed.parameters, assembled.bodies[1], lead=LOOP_DELAY)
     for system, colour, label in (
