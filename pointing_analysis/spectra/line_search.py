@@ -32,6 +32,7 @@ are left out of the fits and are zero in the transforms.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -260,10 +261,11 @@ class _Background:
         chance = np.concatenate([self._chances(begin) for begin in range(self.first, self.end, BLOCK)] or [np.empty(0)])
         at = np.flatnonzero(chance * self.asked < LOOSE * false_lines)
         found: list[int] = []
-        taken = list(known / self.step)
+        taken = sorted(map(float, known / self.step))
         for index in at[np.argsort(chance[at], kind="stable")][:MOST_ASKED] + self.first:
-            if all(abs(index - other) >= self.resolution for other in taken):
-                taken.append(float(index))
+            place = bisect_left(taken, float(index))
+            if all(abs(index - other) >= self.resolution for other in taken[max(place - 1, 0) : place + 1]):
+                taken.insert(place, float(index))
                 if float(self.chance(self.power[index], int(index), NARROW)[0]) < LOOSE * NARROW_CHANCE:
                     found.append(int(index))
         return np.array(found[:MOST_LINES], dtype=float) * self.step
