@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -184,13 +185,18 @@ class ToneModel:
     def phasors(self) -> ComplexArray:
         """State of the loop at tick 0 in steady state, shape (n, K): of tone k the imaginary part of column k.
 
-        The period is solved exactly: no mode is left to decay.
+        The period is solved exactly: no mode is left to decay. Computed once; the array cannot be written to.
         """
+        return self._phasors
+
+    @cached_property
+    def _phasors(self) -> ComplexArray:
         loop, size = self.loop, self.loop.hold.shape[0]
         forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
         start = np.empty((size, self.omega.size), complex)
         for k, full in enumerate(np.exp(1j * self.omega * DT * loop.frame_ticks)):
             start[:, k] = linalg.solve(full * np.eye(size) - loop.period, forced[:, k])
+        start.flags.writeable = False
         return start
 
     def _period(self, state: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
