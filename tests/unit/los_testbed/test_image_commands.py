@@ -75,7 +75,12 @@ def test_without_optics_nothing_is_added(folder: Path, capsys: pytest.CaptureFix
 def test_figures_of_the_image_are_made_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once, however often; equal are those of equal motion."""
     asked, figures = [], image_summary.figures
-    monkeypatch.setattr(image_summary, "figures", lambda *given: asked.append(len(given[0])) or figures(*given))
+
+    def counted(paths: Any, *given: Any) -> Any:
+        asked.append(len(paths))
+        return figures(paths, *given)
+
+    monkeypatch.setattr(image_summary, "figures", counted)
     los = 3.0 * np.random.default_rng(0).standard_normal((500, 2))
     runs = [with_optics(series(None, x, unit="mas", rate=1000.0), TABLE) for x in (los, 2.0 * los)]
     one, other = (summarise(run, transient=0.0) for run in runs)
