@@ -82,6 +82,7 @@ def test_an_early_stranger_does_not_keep_a_run_from_starting_or_is_named(tmp_pat
     assert "/stranger" in refused if refused else topic_hashes(results.bag) == undisturbed
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_stop_by_a_stranger_is_told_with_its_name_and_time_in_table_bag_and_json(tmp_path, undisturbed):
     """The services are for every node of the domain; who used them stands in the bag."""
     results = attacked(tmp_path, Case("plant/stop", begin=500, rate=20.0))
