@@ -166,6 +166,26 @@ def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_val
     assert omega == pytest.approx(1.03, rel=1e-4)
 
 
+class ManyPeaks(TwoBranches):
+    """A peak of 0.98 + 0.002 i at 1 + 0.01 i rad/s for each point i."""
+
+    def responses(self, closed: SimpleNamespace, metric: object, points: np.ndarray) -> np.ndarray:
+        i = points[:, 0]
+        return (0.98 + 0.002 * i - 40.0 * (closed.omega - 1.0 - 0.01 * i) ** 2)[:, None, None].astype(complex)
+
+
+def test_points_that_share_a_bracket_are_narrowed_together() -> None:
+    """The highest peak has the smallest value at the frequency of the grid."""
+    loop, metric = ManyPeaks(), SimpleNamespace(band=(0.1, 10.0))
+    search: Any = SimpleNamespace(loop=loop, confirmed=lambda metric, omega, point: (omega, float(point[0])))
+    points = np.arange(6.0)[:, None]
+    values = loop.gains(loop.at(1.0), None, points)
+    assert values.argmin() == 5
+    brackets = [peaks.Bracket(float(v), 1.0, (0.97, 1.07), p) for v, p in zip(values, points)]
+    found: Any = peaks.worst_of(search, metric, brackets)  # type: ignore[arg-type]
+    assert found == (pytest.approx(1.05, rel=1e-5), 5.0)
+
+
 def test_noise_is_that_of_the_nominal_point(three, parameters) -> None:
     found = three[0]
     for stage in ("fsm", "fsm+pma"):
