@@ -133,3 +133,12 @@ def test_a_budget_without_a_telescope_has_no_members(tmp_path: Path, capsys: pyt
     with pytest.raises(SystemExit) as caught:
         main(["budget", str(tmp_path / "a.toml"), "--members", "3"])
     assert caught.value.code == 2 and "without a source of type testbed, got 3" in capsys.readouterr().err
+
+
+def test_without_proof_masses_the_force_law_is_zero_and_no_stage_of_it_is_verified() -> None:
+    """The design tuned forces that act on nothing, for the limit of a stage that the telescope does not have."""
+    folder = EXAMPLES / "small_telescope"
+    k_pma = SampledSystem.from_file(folder / "k_pma.json")
+    assert k_pma.order == 0 and not k_pma.D.any()
+    stored = json.loads((folder / "verification.json").read_text())["implemented"]
+    assert not [key for key in stored["margins"] if key.startswith("pma")] and "fast_tones_reduction_db" not in stored

@@ -47,7 +47,7 @@ def stand_ins(monkeypatch) -> list[str]:
 
     def check(system, parameters, k_fsm, k_pma, at, workers):
         made.append(f"check at {len(at)}")
-        return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, fsm=[0.5], pma=[0.6])
+        return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, gammas={"fsm": [0.5], "pma": [0.6]})
 
     monkeypatch.setattr(redesign, "design_pair", pair)
     monkeypatch.setattr(redesign, "search_stages", points)
