@@ -33,6 +33,8 @@ PROVERS = (
     "state_space.bounds",
     "state_space.cells",
     "state_space.corners",
+    "state_space.disk_search",
+    "state_space.disks",
     "state_space.proof",
     "state_space.scalar_barrier",
     "state_space.search",
