@@ -9,8 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from support.stored_proofs import FOLDER, SUFFIX, unpack
 
+from lftkit.proofs.checking import proof_format
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
+from lftkit.proofs.sampled_loop.checker import windows_of
+from lftkit.proofs.sampled_loop.proof import FORMAT
 from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import compare_proof
@@ -123,3 +127,11 @@ def test_command_refuses_the_proof_of_another_pair(
     refused, mistake = capsys.readouterr().err.strip().splitlines()
     assert refused.startswith(f"refused: it is not of the controllers and the telescope of {tmp_path}: other ")
     assert "--of must be given with an .npz" in mistake
+
+
+def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
+    path = unpack(FOLDER / f"fsm+pma-APE{SUFFIX}", tmp_path / "APE.npz")
+    assert proof_format(path) == FORMAT
+    proof = LoopProof.from_file(path)
+    strip = max(proof.strips, key=lambda s: s.nodes[-1] / s.nodes[0] if s.nodes[0] else 0.0)
+    assert windows_of(proof.model, strip, 0, proof.level)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.stored_proofs import FOLDER, SUFFIX, unpack
 from support.uncertain_examples import aligned_modes, chain_of_masses
 
 from lftkit import proofs
@@ -17,8 +16,6 @@ from lftkit.proofs import ProofError, check_proof, robust_performance, robust_st
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import FORMATS, proof_format
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
-from lftkit.proofs.sampled_loop.checker import windows_of
-from lftkit.proofs.sampled_loop.proof import FORMAT
 from lftkit.proofs.state_space import Proof
 
 LONG = 3600.0
@@ -80,14 +77,6 @@ def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
     for what in (proof, path):
         checked = check_proof(what)
         assert isinstance(checked, CheckedLoop) and checked.level == 6.0
-
-
-def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
-    path = unpack(FOLDER / f"fsm+pma-APE{SUFFIX}", tmp_path / "APE.npz")
-    assert proof_format(path) == FORMAT
-    proof = LoopProof.from_file(path)
-    strip = max(proof.strips, key=lambda s: s.nodes[-1] / s.nodes[0] if s.nodes[0] else 0.0)
-    assert windows_of(proof.model, strip, 0, proof.level)
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]"])

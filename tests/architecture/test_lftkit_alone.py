@@ -1,0 +1,45 @@
+"""The tests of lftkit can be collected where lftkit alone is installed, as its README says."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+TESTS = Path(__file__).parents[1]
+OTHERS = {path.parent.name for path in TESTS.parent.glob("*/__init__.py")} - {"lftkit"} | {
+    "los_testbed",
+    "rclpy",
+    "mcap",
+}
+"""Packages beside it."""
+
+
+def imported(path: Path) -> set[str]:
+    """Modules that a file imports, wherever in it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found |= {f"support.{name.name}" for name in node.names if node.module == "support"}
+    return found
+
+
+def test_no_test_of_lftkit_imports_another_package() -> None:
+    waiting = list((TESTS / "unit" / "lftkit").rglob("*.py"))
+    seen: set[Path] = set()
+    wrong = []
+    while waiting:
+        path = waiting.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        for module in imported(path):
+            if module.split(".")[0] in OTHERS:
+                wrong.append(f"{path.relative_to(TESTS)}: {module}")
+            helper = TESTS / Path(*module.split(".")).with_suffix(".py")
+            if module.startswith("support.") and helper.exists():
+                waiting.append(helper)
+    assert len(seen) > 50 and "los_design" in OTHERS
+    assert not wrong
