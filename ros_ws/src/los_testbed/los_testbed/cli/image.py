@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -199,16 +200,11 @@ def trade(
     check_controllers(base)
     points = star_trade.points(base, folder, stars, each)
     with Progress("trade") as bar:
-        rows = [
-            star_trade.measure(
-                point,
-                folder,
-                lambda ticks, done=i, what=point.name: bar.report(  # type: ignore[misc]
-                    done * base.ticks + ticks, len(points) * base.ticks, what=f"{what} [ticks]"
-                ),
-            )
-            for i, point in enumerate(points)
-        ]
+
+        def told(done: int, what: str, ticks: int) -> None:
+            bar.report(done * base.ticks + ticks, len(points) * base.ticks, what=f"{what} [ticks]")
+
+        rows = [star_trade.measure(point, folder, partial(told, i, point.name)) for i, point in enumerate(points)]
     table, console = star_trade.markdown(rows), Screen(stderr=json_)
     say(console, table)
     write_text(folder / "trade.md", table)
