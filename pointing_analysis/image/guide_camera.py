@@ -28,6 +28,7 @@ from typing import Any
 
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.image.optics import Optics, OpticsError
+from pointing_analysis.image.pupil import PixelPupil
 from pointing_analysis.units import RAD_PER_MAS
 
 METHODS = ("maximum_likelihood", "moments")
@@ -170,7 +171,6 @@ def collecting_area(optics: Optics) -> float:
     1.608
     """
     pupil = optics.pupil
-    amplitude = getattr(pupil, "amplitude", None)
-    if amplitude is not None:
-        return float((abs(amplitude) ** 2).sum()) * float(pupil.scale) ** 2
+    if isinstance(pupil, PixelPupil):
+        return float((abs(pupil.amplitude) ** 2).sum()) * pupil.scale**2
     return math.pi / 4.0 * optics.diameter**2 * (1.0 - optics.obscuration**2)

@@ -72,7 +72,7 @@ class StarCamera:
 
     def __post_init__(self) -> None:
         half = self.camera.window // 2
-        line: FloatArray = self.optics.pixel * np.arange(-half, half + 1)
+        line = np.asarray(self.optics.pixel * np.arange(-half, half + 1), dtype=np.float64)
         border = (half + 0.5) * self.optics.pixel + BORDER * self.optics.resolution
         grid = ImageGrid(self.optics, line, 2.0 * border)
         response = grid.spectrum(np.ones(len(grid.frequencies), complex), pixels=True)

@@ -95,7 +95,7 @@ def star_image(
     (0.98, 0.16)
     """
     apart = optics.pixel if step is None else step
-    line: FloatArray = apart * np.arange(-half, half + 1)
+    line = np.asarray(apart * np.arange(-half, half + 1), dtype=np.float64)
     width = 2 * (half * apart + float(sizes(paths).max()) + WINGS * optics.resolution)
     grid = ImageGrid(optics, line, width)
     spectrum = grid.spectrum(mean_transfer(paths, grid.frequencies), pixels)
