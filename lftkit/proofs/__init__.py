@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
+    from lftkit.proofs.blocks.structure import UncertaintyBlock, complex_block, full_block, real_block
     from lftkit.proofs.checking import check_proof
     from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
     from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from lftkit.proofs.state_space.bounds import Bounds
     from lftkit.proofs.structured.bounds import MuBounds, mu
     from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-    from lftkit.proofs.structured.structure import UncertaintyBlock, complex_block, full_block, real_block
     from lftkit.proofs.verdict import CheckedProof, ProofError
 
 __all__ = [
@@ -49,7 +49,7 @@ __getattr__ = names_on_demand(
         "disk_margin": ("DiskMarginBounds", "worst_case_disk_margin"),
         "structured.bounds": ("MuBounds", "mu"),
         "structured.certificate": ("MuCertificate", "check_mu"),
-        "structured.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
+        "blocks.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("Bounds",),

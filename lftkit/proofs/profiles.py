@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.structure import real_block
 from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
 from lftkit.proofs.state_space.bounds import intervals_of
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 from lftkit.proofs.state_space.search import response_slopes
 from lftkit.proofs.structured.bounds import mu
-from lftkit.proofs.structured.structure import real_block
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.balancing import balanced
 from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.state_space.barrier import (
@@ -22,7 +23,6 @@ from lftkit.proofs.state_space.barrier import (
     BarrierBlock,
     newton_step,
 )
-from lftkit.proofs.state_space.cells import balanced
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 from lftkit.proofs.strips import Interval
 

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.balancing import balanced
 from lftkit.proofs.state_space.barrier import (
     COMPLEX,
     FULL,
@@ -31,7 +32,6 @@ from lftkit.systems.system import System
 
 NARROW = 1e-7
 """Smallest relative half width of an interval in the optimisation (a point is treated as this interval)."""
-BALANCING_SWEEPS = 8
 FREE, BOUND = 1e6, 1e-6
 """Entries of G above which it has run away in a direction that costs nothing, and the penalty that then holds it: where
 a parameter sees no state, or the states nothing, responses are real and their part of G has no effect."""
@@ -313,27 +313,6 @@ def _solved(matrix: ComplexArray, right: ComplexArray) -> ComplexArray:
         raise SingularCellError("the middle of a cell must not have a pole on the imaginary axis, got one")
     solution: Any = linalg.lapack.zgetrs(factors, pivots, right / size[:, None])[0]
     return np.asarray(solution)
-
-
-def balanced(M: ComplexArray, inner: int) -> FloatArray:
-    """Diagonal scales of the channels, and one of the gain's block last, that bring rows and columns of M in balance.
-
-    Osborne's iteration; the scales are s in ``s_i M_ij / s_j``.
-    """
-    squares = np.zeros((inner + 1, inner + 1))
-    power = np.abs(M) ** 2
-    squares[:inner, :inner] = power[:inner, :inner]
-    squares[inner, :inner] = power[inner:, :inner].sum(axis=0)
-    squares[:inner, inner] = power[:inner, inner:].sum(axis=1)
-    np.fill_diagonal(squares, 0.0)
-    scale = np.ones(inner + 1)
-    floor = 1e-30 * float(squares.max(initial=0.0)) or 1.0
-    for _ in range(BALANCING_SWEEPS):
-        for i in range(inner + 1):
-            row = float(scale[i] ** 2 * (squares[i] / scale**2).sum()) + floor
-            column = float((squares[:, i] * scale**2).sum() / scale[i] ** 2) + floor
-            scale[i] *= (column / row) ** 0.25
-    return np.asarray(scale / scale[inner])
 
 
 def scalings_to_mapping(scalings: CellScalings) -> dict[str, Any]:

@@ -16,11 +16,11 @@ import numpy as np
 from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.balancing import balanced_matrix
+from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
 from lftkit.proofs.state_space.search import Member
-from lftkit.proofs.structured.lower import lower_bound
-from lftkit.proofs.structured.structure import complex_block, full_block, real_block
-from lftkit.proofs.structured.upper import balanced_matrix
 from lftkit.systems.lft import response
 from lftkit.systems.system import System
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import ComplexArray
+from lftkit.proofs.blocks.balancing import balanced_matrix
+from lftkit.proofs.blocks.lower import lower_bound
+from lftkit.proofs.blocks.structure import UncertaintyBlock, checked_matrix
 from lftkit.proofs.structured.certificate import MuCertificate
-from lftkit.proofs.structured.lower import lower_bound
-from lftkit.proofs.structured.structure import UncertaintyBlock, checked_matrix
-from lftkit.proofs.structured.upper import balanced_matrix, upper_bound
+from lftkit.proofs.structured.upper import upper_bound
 from lftkit.support.threads import one_thread
 
 

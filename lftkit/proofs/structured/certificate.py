@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, checked_matrix, parts
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, embedded, number
-from lftkit.proofs.structured.structure import FULL, REAL, UncertaintyBlock, checked_matrix, parts
 from lftkit.proofs.verdict import ProofError
 
 

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import ComplexArray
+from lftkit.proofs.blocks.balancing import balanced_matrix
+from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, parts
 from lftkit.proofs.state_space.barrier import BarrierBlock, find_scalings
-from lftkit.proofs.state_space.cells import balanced
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-from lftkit.proofs.structured.structure import FULL, REAL, UncertaintyBlock, parts
 from lftkit.proofs.verdict import ProofError
 
 LEAST = 1e-9
@@ -56,16 +56,6 @@ def upper_bound(
         else:
             level, best = found.level, found
     return best.level, best
-
-
-def balanced_matrix(M: ComplexArray, structure: Sequence[UncertaintyBlock]) -> tuple[ComplexArray, FloatArray]:
-    """M with the norms of its blocks' rows and columns in balance, and the scale of each block."""
-    blocks = list(parts(structure))
-    sizes = np.array([[linalg.norm(M[z, w]) for _, _, w in blocks] for _, z, _ in blocks])
-    scale = balanced(sizes, len(sizes) - 1)
-    rows = np.concatenate([np.full(b.columns, s) for b, s in zip(structure, scale)])
-    columns = np.concatenate([np.full(b.rows, s) for b, s in zip(structure, scale)])
-    return np.asarray(M * rows[:, None] / columns), scale
 
 
 class _Scaling:

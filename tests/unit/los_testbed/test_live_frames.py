@@ -137,7 +137,8 @@ def test_viewers_need_nodes():
 
 
 def test_the_last_exposure_comes_five_times_a_second():
-    view, topic, seen, got = Frames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), {}, []
+    view, topic, got = Frames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), []
+    seen: dict[str, int] = {}
     codec = codec_for(topic)
     for tick in range(0, 1000, 20):
         view.put(topic.name, bytes(codec.encode(START + tick * TICK_NS, np.full(topic.size, 100.0 + tick))))

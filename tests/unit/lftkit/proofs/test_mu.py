@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg
 
 from lftkit.proofs import MuCertificate, ProofError, check_mu, complex_block, full_block, mu, real_block
-from lftkit.proofs.structured.structure import REAL, UncertaintyBlock, parts
+from lftkit.proofs.blocks.structure import REAL, UncertaintyBlock, parts
 
 STRUCTURES = [
     [complex_block()] * 4,

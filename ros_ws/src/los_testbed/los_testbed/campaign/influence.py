@@ -46,7 +46,6 @@ def influences(parameters: FloatArray, metric: FloatArray) -> list[Influence]:
     x, y = parameters[known], metric[known]
     if len(y) < FEWEST or np.ptp(y) == 0.0:
         return []
-    from scipy import stats  # a slow, large import that few members do not need
 
     found = []
     for name, values in zip(COLUMNS, x.T):

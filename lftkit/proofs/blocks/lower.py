@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.structured.structure import COMPLEX, FULL, REAL, UncertaintyBlock, parts
+from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL, UncertaintyBlock, parts
 
 sl_optimize: Any = optimize
 ITERATIONS = 200
