@@ -25,7 +25,7 @@ import numpy as np
 from los_testbed.bags.cdr import codec_for, stamp_of
 from los_testbed.config import RunConfig
 from los_testbed.loop.scheduling import CPU_INDEX, PRIORITIES, become_real_time
-from los_testbed.run.node_launch import environment
+from los_testbed.run.processes.node_launch import environment
 from los_testbed.run.runner import Runner
 from los_testbed.topics import (
     COMMANDS,
@@ -102,11 +102,11 @@ def messages(config: RunConfig, options: Sequence[str] = ()) -> float:
 
 def messages_of(role: str, ticks: int, real_time: bool) -> float:
     """Send and receive as this node does; for the plant the simulated seconds per second."""
-    from los_testbed.nodes.support.middleware import choose_middleware
+    from los_testbed.nodes.support.transport.middleware import choose_middleware
 
     choose_middleware(os.environ)
     import rclpy
-    from los_testbed.nodes.support.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, Waiter
+    from los_testbed.nodes.support.transport.raw_topics import READER_DEPTH, RawPublisher, RawSubscription, Waiter
     from rclpy.node import Node
 
     rclpy.init()

@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[1]
 ROS_PACKAGE = "ros_ws/src/los_testbed"
 TESTS: dict[str, tuple[str, ...]] = {
     "lftkit": ("tests/unit/lftkit",),
-    "lftkit/systems/interconnection.py": (
+    "lftkit/systems/connection/interconnection.py": (
         "tests/unit/lftkit/systems/test_interconnection.py",
         "tests/properties/test_lft_laws.py",
     ),
@@ -56,7 +56,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "titop_plant/blocks": ("tests/unit/titop_plant/test_blocks.py",),
     "lftkit/tuning": ("tests/unit/lftkit/tuning",),
-    "lftkit/tuning/worst_case.py": (
+    "lftkit/tuning/robust/worst_case.py": (
         "tests/unit/lftkit/tuning/test_worst_case.py",
         "tests/unit/lftkit/tuning/test_worst_case_climbs.py",
     ),

@@ -20,8 +20,8 @@ from typing import Any
 
 from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.config import RunConfig
+from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
-from los_testbed.run.viewers import Live
 from mcap.reader import make_reader
 from tornado.websocket import websocket_connect
 

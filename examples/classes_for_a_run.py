@@ -18,7 +18,7 @@ import numpy as np
 from los_testbed.config import RunConfig
 
 import fsm_pma_controller
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import CAMERA, DT, FSM_ANGLE
 from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS
 

@@ -35,11 +35,11 @@ from typing import Any
 import numpy as np
 
 from lftkit import Connection, Port, SampledSystem, System, connect, static_gain
+from lftkit.systems.connection.filters import high_pass, with_input_filter
 from lftkit.systems.delay import delayed_port
-from lftkit.systems.filters import high_pass, with_input_filter
-from lftkit.systems.sampling import sampled
+from lftkit.systems.sampled.sampling import sampled
 from lftkit.tuning import state_space
-from lftkit.tuning.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS

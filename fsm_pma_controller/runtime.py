@@ -23,7 +23,7 @@ from titop_plant.interface import (
 
 
 class ForceLaw(Protocol):
-    """Proof-mass law at run time; :class:`lftkit.systems.sampled_system.SampledSystem` is one."""
+    """Proof-mass law at run time; :class:`lftkit.systems.sampled.sampled_system.SampledSystem` is one."""
 
     @property
     def order(self) -> int:
@@ -75,7 +75,7 @@ class FsmPmaController:
     --------
     With a sensitivity of 0.1 the mirror turns by ten times the estimate, and stops at its limit:
 
-    >>> from lftkit.systems.sampled_system import SampledSystem
+    >>> from lftkit.systems.sampled.sampled_system import SampledSystem
     >>> k = SampledSystem([], [], [], np.zeros((6, 6)), K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     >>> controller = FsmPmaController(k, "fsm", los_sensitivity=0.1, fsm_authority=2e-3, pma_authority=30.0)
     >>> u = np.zeros(COMMANDS)

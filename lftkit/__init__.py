@@ -1,7 +1,7 @@
 """Robust control of linear systems: one type :class:`System` with named ports, uncertain elements, bounds, tuning.
 
-Names are loaded when they are first asked for: controllers at run time import :mod:`lftkit.systems.sampled_system`
-alone, and with it numpy only.
+Names are loaded when they are first asked for: controllers at run time import
+:mod:`lftkit.systems.sampled.sampled_system` alone, and with it numpy only.
 """
 
 from __future__ import annotations
@@ -14,6 +14,20 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, hinf_norms, spectral_abscissa
     from lftkit.analysis.plots import bode_band, pole_map, sigma_plot
+    from lftkit.systems.connection.feedback import cascade, close_loop
+    from lftkit.systems.connection.filters import high_pass, transfer
+    from lftkit.systems.connection.interconnection import (
+        Connection,
+        append,
+        close,
+        connect,
+        feedback,
+        invert,
+        parallel,
+        series,
+        star,
+        transform,
+    )
     from lftkit.systems.delay import pade_delay
     from lftkit.systems.exchange import (
         as_system,
@@ -26,27 +40,13 @@ if TYPE_CHECKING:
         write_mat,
         write_system,
     )
-    from lftkit.systems.expressions import Expression, matrix
-    from lftkit.systems.feedback import cascade, close_loop
-    from lftkit.systems.filters import high_pass, transfer
-    from lftkit.systems.interconnection import (
-        Connection,
-        append,
-        close,
-        connect,
-        feedback,
-        invert,
-        parallel,
-        series,
-        star,
-        transform,
-    )
     from lftkit.systems.minimal import minimal_realisation
     from lftkit.systems.ports import Port
-    from lftkit.systems.sampled_system import SampledSystem
-    from lftkit.systems.sampling import discretise, sampled
+    from lftkit.systems.sampled.sampled_system import SampledSystem
+    from lftkit.systems.sampled.sampling import discretise, sampled
+    from lftkit.systems.symbolic.expressions import Expression, matrix
+    from lftkit.systems.symbolic.variables import complex_gain, dynamic, real, s, z
     from lftkit.systems.system import System, from_control, state_space, static_gain
-    from lftkit.systems.variables import complex_gain, dynamic, real, s, z
     from lftkit.uncertainty.elements import ComplexParameter, DynamicElement
     from lftkit.uncertainty.parameters import RealParameter
 
@@ -119,10 +119,10 @@ _MODULES = {
         "write_mat",
         "write_system",
     ),
-    "systems.expressions": ("Expression", "matrix"),
-    "systems.feedback": ("cascade", "close_loop"),
-    "systems.filters": ("high_pass", "transfer"),
-    "systems.interconnection": (
+    "systems.symbolic.expressions": ("Expression", "matrix"),
+    "systems.connection.feedback": ("cascade", "close_loop"),
+    "systems.connection.filters": ("high_pass", "transfer"),
+    "systems.connection.interconnection": (
         "Connection",
         "append",
         "close",
@@ -136,10 +136,10 @@ _MODULES = {
     ),
     "systems.minimal": ("minimal_realisation",),
     "systems.ports": ("Port",),
-    "systems.sampled_system": ("SampledSystem",),
-    "systems.sampling": ("discretise", "sampled"),
+    "systems.sampled.sampled_system": ("SampledSystem",),
+    "systems.sampled.sampling": ("discretise", "sampled"),
     "systems.system": ("System", "from_control", "state_space", "static_gain"),
-    "systems.variables": ("complex_gain", "dynamic", "real", "s", "z"),
+    "systems.symbolic.variables": ("complex_gain", "dynamic", "real", "s", "z"),
     "uncertainty.elements": ("ComplexParameter", "DynamicElement"),
     "uncertainty.parameters": ("RealParameter",),
 }

@@ -24,8 +24,8 @@ from scipy import linalg
 
 from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray
-from lftkit.systems.filters import high_pass, with_input_filter
-from lftkit.systems.sampling import sampled
+from lftkit.systems.connection.filters import high_pass, with_input_filter
+from lftkit.systems.sampled.sampling import sampled
 from titop_plant.interface import (
     ACCELEROMETERS,
     CAMERA,

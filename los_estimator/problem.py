@@ -33,7 +33,7 @@ import numpy as np
 from lftkit import Port, System, connect, static_gain, transform
 from lftkit.arrays import FloatArray
 from lftkit.tuning import state_space
-from lftkit.tuning.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
 from titop_plant.telescope.assembly import Telescope

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
 
 _PARTS = tuple(

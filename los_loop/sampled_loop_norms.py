@@ -21,7 +21,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.systems.sampling import sampled
+from lftkit.systems.sampled.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, periodic_covariances, sampled_loop
 from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response

@@ -29,7 +29,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.read.run import Run

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.circle_h2 import discrete_h2
-from lftkit.analysis.circle_norm import discrete_norm
+from lftkit.analysis.circle.circle_h2 import discrete_h2
+from lftkit.analysis.circle.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
 from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from lftkit.support.ordinary_file import read_ordinary_file
-from lftkit.systems.expressions import as_expression, ports_for
 from lftkit.systems.ports import Port, total_size
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels
+from lftkit.systems.symbolic.expressions import as_expression, ports_for
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
 from lftkit.uncertainty.parameters import RealParameter

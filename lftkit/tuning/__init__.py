@@ -5,10 +5,8 @@ It works on :class:`lftkit.System` models with named ports and knows nothing of 
 compares it with systune.
 """
 
-from lftkit.tuning.bounds import Bounds
 from lftkit.tuning.certificate import Certificate, certify
-from lftkit.tuning.decentralised import Decentralised
-from lftkit.tuning.descent.minimax import Descent, DescentOptions, DescentState, descend
+from lftkit.tuning.descent.minimax.minimax import Descent, DescentOptions, DescentState, descend
 from lftkit.tuning.goals import (
     ConicSector,
     Goal,
@@ -23,12 +21,14 @@ from lftkit.tuning.goals import (
     Tracking,
 )
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-from lftkit.tuning.robust import RobustResult, tune_robust
-from lftkit.tuning.stable_state_space import StableStateSpace
+from lftkit.tuning.robust.robust import RobustResult, tune_robust
+from lftkit.tuning.robust.worst_case import WorstCase, WorstCaseOptions, worst_case
 from lftkit.tuning.status import TuningStatus
-from lftkit.tuning.structures import AffineStructure, Structure, controller, gain, pid, state_space
+from lftkit.tuning.structures.bounds import Bounds
+from lftkit.tuning.structures.decentralised import Decentralised
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
+from lftkit.tuning.structures.structures import AffineStructure, Structure, controller, gain, pid, state_space
 from lftkit.tuning.tuner import TuningOptions, TuningResult, tune
-from lftkit.tuning.worst_case import WorstCase, WorstCaseOptions, worst_case
 
 __all__ = [
     "AffineStructure",

@@ -16,8 +16,8 @@ import scipy.linalg
 from lftkit.analysis.band_gain import band_gain
 from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
 from lftkit.arrays import FloatArray
+from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.delay import pade_delay
-from lftkit.systems.feedback import cascade, close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.problem import delay_radius
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
 from lftkit.tuning.descent.starts import Start, random_starts
 from lftkit.tuning.pieces import HARD_TARGET

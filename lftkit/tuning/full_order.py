@@ -22,7 +22,7 @@ from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.sector_gain import SectorGain
-from lftkit.tuning.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure
 
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1

@@ -12,7 +12,7 @@ from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import read_only
 from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure
 
 SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
 INPUT = 0.3  # size of the new state's input, relative to the gain of the controller

@@ -12,7 +12,6 @@ import scipy.linalg
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
-from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
@@ -26,7 +25,8 @@ from lftkit.tuning.requirements import (
     Requirement,
     check_names,
 )
-from lftkit.tuning.structures import Structure
+from lftkit.tuning.structures.bounds import bounds_of
+from lftkit.tuning.structures.structures import Structure
 
 MIN_DECAY = 1e-6
 AT_LIMIT = 0.2  # of the largest magnitude of a parameter, from which on it counts as reached

@@ -1,9 +1,10 @@
 """Where the values of a descent come from: one protocol for state-space models and for frequency responses.
 
-A descent (:func:`lftkit.tuning.descent.minimax.descend`) alternates between two views of a problem. A *look* has all
-values of a point: the exact gains of state-space models, or the gains at all sampled responses. The steps between two
-looks see a *working set*, the frequencies and samples at which the values are near the largest one: it is linearised,
-and it has the metric of the steps. What a look shows and the working set had missed belongs to the next one.
+A descent (:func:`lftkit.tuning.descent.minimax.minimax.descend`) alternates between two views of a problem. A *look*
+has all values of a point: the exact gains of state-space models, or the gains at all sampled responses. The steps
+between two looks see a *working set*, the frequencies and samples at which the values are near the largest one: it is
+linearised, and it has the metric of the steps. What a look shows and the working set had missed belongs to the next
+one.
 """
 
 from __future__ import annotations

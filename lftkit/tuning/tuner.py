@@ -20,7 +20,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import FEASIBLE
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
 from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
@@ -32,7 +32,7 @@ from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
-from lftkit.tuning.structures import AffineStructure, Structure, controller
+from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
 AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
@@ -59,7 +59,7 @@ class TuningOptions:
     iterations : int
         Most quadratic programs of a start.
     tolerance : float
-        See :class:`lftkit.tuning.descent.minimax.DescentOptions`.
+        See :class:`lftkit.tuning.descent.minimax.minimax.DescentOptions`.
     target : float
         Stop as soon as the worst soft value is below, hard ones kept.
     band : float
@@ -204,7 +204,7 @@ def tune(
 
     >>> plant = System([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]],
     ...               [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)])
-    >>> from lftkit.tuning.structures import gain
+    >>> from lftkit.tuning.structures.structures import gain
     >>> from lftkit.tuning.requirements import HinfGain
     >>> result = tune([plant], [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)],
     ...               gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=2))

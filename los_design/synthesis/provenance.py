@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 
 
 def commit() -> str:

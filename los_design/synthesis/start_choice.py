@@ -16,7 +16,7 @@ from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ResponseProblem, ResponseSource, parameters_of
-from lftkit.tuning.structures import gain_matrix_of
+from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
 from los_design.synthesis.rounds import TOLERANCE

@@ -63,7 +63,7 @@ def test_what_is_imported_at_every_start_is_small() -> None:
         "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(m.RunParts(c.RunConfig()))\n"
         "large = ['control', 'matplotlib', 'scipy.stats', 'scipy.optimize', 'scipy.signal', 'scipy.interpolate']\n"
         "first = [m for m in ('scipy', *large) if m in sys.modules]\n"
-        "import los_testbed.run.summary; print(first, [m for m in large if m in sys.modules])"
+        "import los_testbed.run.summary.summary; print(first, [m for m in large if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT)
     assert done.stdout.strip() == "[] []", done.stderr

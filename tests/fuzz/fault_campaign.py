@@ -34,7 +34,7 @@ import numpy as np
 from los_testbed.bags.repair import repair_bag
 from los_testbed.config import NAMESPACE
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.domains import domain_lock
+from los_testbed.run.processes.domains import domain_lock
 from mcap.reader import NonSeekingReader
 
 from pointing_analysis.read.mcap.records import BagError

@@ -130,7 +130,11 @@ def test_the_site_is_built_without_warnings(links: ModuleType, built: tuple[Path
 @pytest.mark.skipif(headless_browser.browser() is None, reason="no chromium on this machine")
 def test_no_finding_of_axe(built: tuple[Path, str]) -> None:
     """Pages with signatures, code of all kinds, tables, figures and mathematics, in both schemes and widths."""
-    api = ("lftkit.systems.interconnection", "los_design.synthesis.synthesis", "los_design.search.worst_case_search")
+    api = (
+        "lftkit.systems.connection.interconnection",
+        "los_design.synthesis.synthesis",
+        "los_design.search.worst_case_search",
+    )
     names = ("overview", "certificates", "results", "structures", *(f"api/{name}" for name in api))
     with headless_browser.Page() as browser:
         found = {

@@ -9,7 +9,7 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.predictions import predictions
+from los_testbed.run.summary.predictions import predictions
 
 from lftkit.arrays import FloatArray
 from los_loop.sampled_loop import SampledLoop, periodic_covariances

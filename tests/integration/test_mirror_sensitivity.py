@@ -15,8 +15,8 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, build_controller, check_controllers
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.predictions import predictions
 from los_testbed.run.replay import controllers, drive
+from los_testbed.run.summary.predictions import predictions
 
 from lftkit import SampledSystem
 from los_design.synthesis.store import load_designs

@@ -29,7 +29,7 @@ def test_the_commands_of_a_page_run(
         exec(block, {})
     observer = Path(los_estimator.__file__).parent / "designs" / "k_fsm.json"
     Path("my_laws.py").write_text(
-        "from lftkit.systems.sampled_system import SampledSystem\n"
+        "from lftkit.systems.sampled.sampled_system import SampledSystem\n"
         f"observer = SampledSystem.from_file({str(observer)!r}).to_control()\n"
     )
     for block in blocks(page, "toml"):

@@ -10,12 +10,12 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run import predictions as module
-from los_testbed.run.predictions import predictions
 from los_testbed.run.replay import write_signals
+from los_testbed.run.summary import predictions as module
+from los_testbed.run.summary.predictions import predictions
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import render
 

@@ -7,9 +7,9 @@ import pytest
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 from los_testbed.run import stages_tables
-from los_testbed.run.screen import Screen
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown
+from los_testbed.run.summary.screen import Screen
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.rows import cells

@@ -15,8 +15,9 @@ from scipy import linalg
 
 import lftkit as us
 from lftkit import Port, RealParameter, System
-from lftkit.systems import filters, interconnection, minimal
+from lftkit.systems import minimal
 from lftkit.systems import system as system_module
+from lftkit.systems.connection import filters, interconnection
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.reaction_wheel import ReactionWheel, reaction_wheel
 from titop_plant.blocks.rotation import rotation, rotation_matrix

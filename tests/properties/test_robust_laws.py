@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response
 from lftkit.analysis.norms import h2_norm, hinf_norm, spectral_abscissa
+from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.delay import pade_delay
-from lftkit.systems.feedback import cascade, close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
-from lftkit.tuning.structures import controller, state_space
+from lftkit.tuning.structures.structures import controller, state_space
 
 SEEDS = st.integers(0, 10_000)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.structures import state_space
+from lftkit.tuning.structures.structures import state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 BLOCKS = {

@@ -19,6 +19,6 @@ def node_template() -> Iterator[None]:
 
     template = NodeTemplate()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("los_testbed.run.node_process.subprocess", template)
+        patch.setattr("los_testbed.run.processes.node_process.subprocess", template)
         yield
     template.close()

@@ -13,8 +13,8 @@ from attacker import EARLY, Attacker, Case
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.runner import Runner
-from los_testbed.run.screen import Screen
-from los_testbed.run.summary import print_summary, summarise_runs
+from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.summary import print_summary, summarise_runs
 from ros_runs import PLANT, config_for, topic_hashes
 from simple_telescope import SimpleTelescope
 

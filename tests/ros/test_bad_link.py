@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 import bad_link
 from bad_link import DELAYED, LOST, SWAPPED, TWICE, fate
-from los_testbed.run.node_launch import node_command
+from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, assert_gaps_are_counted, config_for, judged_at_pace, lost_samples, span_of
 

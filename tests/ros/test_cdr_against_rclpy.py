@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import Codec, codec_for, stamp_of
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
-from los_testbed.nodes.support.raw_topics import MESSAGES
+from los_testbed.nodes.support.transport.raw_topics import MESSAGES
 from los_testbed.topics import TOPICS
 from rclpy.serialization import deserialize_message, serialize_message
 

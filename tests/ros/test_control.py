@@ -14,7 +14,7 @@ import yaml
 pytest.importorskip("rclpy")
 from los_testbed.config import RunConfig
 from los_testbed.nodes.remote_control import NoAnswerError
-from los_testbed.run.node_launch import environment, node_command
+from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from ros_faults import run_with_fault
 from ros_runs import PLANT, config_for, topic_hashes

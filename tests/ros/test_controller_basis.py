@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.node_launch import environment, node_command
+from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from ros_runs import config_for
 

@@ -13,9 +13,9 @@ pytest.importorskip("foxglove")
 import rclpy
 from bystander import middleware
 from los_testbed.nodes.remote_control import remote_control
-from los_testbed.run.enclaves import heard_by, sent_by
+from los_testbed.run.processes.enclaves import heard_by, sent_by
+from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
-from los_testbed.run.viewers import Live
 from rclpy.context import Context
 from rclpy.node import Node
 from ros_runs import PLANT, config_for

@@ -16,9 +16,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from attack_campaign import messages_of, run_beside
 from attacker import EARLY, Attacker, Case
-from los_testbed.run.isolation import isolated_environment, isolated_network
+from los_testbed.run.processes.isolation import isolated_environment, isolated_network
+from los_testbed.run.processes.viewers import Live, listening_sockets
 from los_testbed.run.runner import Runner
-from los_testbed.run.viewers import Live, listening_sockets
 from ros_runs import PLANT, config_for
 
 pytestmark = pytest.mark.ros
@@ -95,7 +95,7 @@ def test_a_viewer_outside_gets_the_page(run):
 
 MAKE = """
 import json, os, subprocess, sys
-from los_testbed.run.isolation import isolated_network
+from los_testbed.run.processes.isolation import isolated_network
 with isolated_network() as network:
     inside = network.command([sys.executable, "-c", sys.argv[1]])
     done = subprocess.run(inside, pass_fds=network.descriptors, check=True, capture_output=True, text=True)

@@ -11,8 +11,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 from foxglove_client import FoxgloveClient
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
-from los_testbed.run.viewers import Live
 from mcap.reader import make_reader
 from mcap_ros2._dynamic import generate_dynamic
 from ros_runs import PLANT, config_for

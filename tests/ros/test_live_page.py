@@ -16,9 +16,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
 pytest.importorskip("std_srvs")
 from foxglove_client import SUBPROTOCOL, never_reading
+from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.run.viewers import Live
 from ros_runs import PLANT, config_for
 from support import headless_browser
 

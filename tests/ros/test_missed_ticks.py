@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
 
 SLOW = """
 import time
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 
 class Slow(LosEstimator):

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 from bystander import Bystander
 from los_testbed.config import RunConfig
-from los_testbed.run.domains import (
+from los_testbed.run.processes.domains import (
     DOMAIN_GAIN,
     FIRST_PARTICIPANT,
     PARTICIPANT_GAIN,
@@ -21,7 +21,7 @@ from los_testbed.run.domains import (
     output_lock,
 )
 from los_testbed.run.runner import Runner
-from los_testbed.run.summary import summarise_runs
+from los_testbed.run.summary.summary import summarise_runs
 from mcap.reader import make_reader
 from ros_faults import diagnostics
 from ros_runs import PLANT, config_for, span_of
@@ -153,7 +153,7 @@ def test_a_domain_whose_first_participant_has_ended_is_not_free():
 
 HOLDING = """
 import sys
-from los_testbed.run.domains import free_domain
+from los_testbed.run.processes.domains import free_domain
 sys.stdin.readline()
 with free_domain("/telescope") as domain:
     print(domain, flush=True)

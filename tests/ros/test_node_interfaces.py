@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES as CHANGING
-from los_testbed.run.node_launch import environment, node_command
+from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from los_testbed.topics import TOPICS
 from mcap.reader import make_reader

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.node_launch import environment, node_command, parameter_file
+from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
 from support.unjudged import judged

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 import rclpy
-from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.requests import Requests
+from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Header

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 import simple_telescope
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.nodes.support.handshake import LISTEN_S
-from los_testbed.run.node_launch import environment, node_command, parameter_file
+from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, assert_gaps_are_counted, assert_plant_is_recorded, config_for, span_of, topic_hashes

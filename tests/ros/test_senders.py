@@ -8,9 +8,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("std_srvs")
 from bystander import middleware
 from geometry_msgs.msg import Vector3Stamped
-from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
 from los_testbed.nodes.support.requesters import UNKNOWN, WAIT_S, Requesters
-from los_testbed.nodes.support.serialized_reader import publisher_gid
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
+from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

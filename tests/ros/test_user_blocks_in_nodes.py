@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 MODULE = """
 import numpy as np
 from los_estimator.runtime import LosEstimator
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 """
 MODULE += STORED_LAW
 MODULE += """

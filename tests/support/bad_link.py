@@ -14,8 +14,8 @@ import sys
 
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.loop.scheduling import become_real_time
-from los_testbed.nodes.support.middleware import choose_middleware
-from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription, Waiter
+from los_testbed.nodes.support.transport.middleware import choose_middleware
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription, Waiter
 from los_testbed.topics import TOPICS
 
 from titop_plant.interface import TICK_NS

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.diagnostics import read_diagnostics
-from los_testbed.nodes.support.middleware import (
+from los_testbed.nodes.support.transport.middleware import (
     PROFILE_VARIABLES,
     TRANSPORT_VARIABLE,
     choose_middleware,
 )
-from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.run.node_launch import RANGE_VARIABLE
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
+from los_testbed.run.processes.node_launch import RANGE_VARIABLE
 from los_testbed.topics import TopicDefinition
 from rclpy.context import Context
 from rclpy.node import Node

@@ -58,8 +58,8 @@ def local_addresses() -> set[str]:
 def run(config: str, device: str, folder: str) -> dict[str, object]:
     """Run until the stranger has left."""
     from los_testbed.config import RunConfig
+    from los_testbed.run.processes.viewers import Live
     from los_testbed.run.runner import Runner
-    from los_testbed.run.viewers import Live
     from ros_runs import PLANT
 
     packets = OutgoingPackets(device)

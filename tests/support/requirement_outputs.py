@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from los_testbed.run.summary import print_summary, summarise_runs
+from los_testbed.run.summary.summary import print_summary, summarise_runs
 from rich.console import Console
 
 from pointing_analysis.read.series import Series

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from los_testbed.run.budget_sources import testbed_sources
+from los_testbed.run.summary.budget_sources import testbed_sources
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, state_space

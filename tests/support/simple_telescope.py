@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from los_testbed.config import RunConfig
-from los_testbed.run.node_launch import environment, node_command, parameter_file
+from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 
 LINK = str(Path(__file__).with_name("lossy_link.py"))
 HOST_OF_NODE = {"plant": "a", "recorder": "a", "estimator": "b", "controller": "b"}

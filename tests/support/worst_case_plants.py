@@ -9,9 +9,9 @@ import numpy as np
 
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
+from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 
-worst_case_module = importlib.import_module("lftkit.tuning.worst_case")
+worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 
 OPEN = System.static([[0.0]], [("y", 1)], [("u", 1)], "no controller")
 

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.systems.ordered_product import add_up
+from lftkit.systems.sampled.ordered_product import add_up
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.plant_step import whole_step

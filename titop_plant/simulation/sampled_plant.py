@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
-from lftkit.systems.ordered_product import OrderedProduct
+from lftkit.systems.sampled.ordered_product import OrderedProduct
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, MEASUREMENTS, TRUTH, sample_ticks
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.plant_step import PlantStep

@@ -28,8 +28,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit import Connection, Port, System, connect, state_space, static_gain
+from lftkit.systems.connection.filters import high_pass
 from lftkit.systems.delay import delayed_port
-from lftkit.systems.filters import high_pass
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.systems.ports import Port
-from lftkit.systems.sampling import discretise
+from lftkit.systems.sampled.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
 from lftkit.uncertainty.parameters import RealParameter

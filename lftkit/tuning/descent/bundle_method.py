@@ -21,8 +21,8 @@ from lftkit.arrays import FloatArray, Matrix
 from lftkit.tuning.descent.bundle import Bundle
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
-from lftkit.tuning.descent.minimax import DescentOptions
-from lftkit.tuning.descent.simplex_qp import simplex_minimum
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.simplex_qp import simplex_minimum
 from lftkit.tuning.pieces import Oracle, OracleResult
 from lftkit.tuning.status import TuningStatus
 

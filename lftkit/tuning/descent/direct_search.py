@@ -16,7 +16,7 @@ from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.gain_moves import gain_moves
 from lftkit.tuning.descent.grid_source import Point, point_at
 from lftkit.tuning.descent.metric import Metric
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.quasi_newton import QuasiNewtonResult, quasi_newton
 from lftkit.tuning.descent.single_start import StartResult, stabilise, unstable
 from lftkit.tuning.descent.smooth_objective import SmoothObjective

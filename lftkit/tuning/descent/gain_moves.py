@@ -18,8 +18,8 @@ from lftkit.tuning.descent.metric import Metric
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.smooth_phase import smooth_phase
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.stable_state_space import StableStateSpace
-from lftkit.tuning.structures import AffineStructure, Structure
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
+from lftkit.tuning.structures.structures import AffineStructure, Structure
 
 GAINS = (10.0, 3.0)  # factors of the controller's gain
 FURTHER = (4.0, 1.0)  # times the last displacement

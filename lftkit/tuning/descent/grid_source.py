@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.tuning.descent.minimax import VISIBLE
+from lftkit.tuning.descent.minimax.minimax import VISIBLE
 from lftkit.tuning.descent.smooth_objective import SmoothObjective, same_h2
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.problem import Evaluation, Problem, worst_values

@@ -11,7 +11,7 @@ from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.bundle_method import BundleResult, minimise
 from lftkit.tuning.descent.gain_moves import descended, gain_moves
 from lftkit.tuning.descent.grid_source import FEASIBLE, GridSource, Point, point_at
-from lftkit.tuning.descent.minimax import VISIBLE, DescentOptions, lower_point
+from lftkit.tuning.descent.minimax.minimax import VISIBLE, DescentOptions, lower_point
 from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
 from lftkit.tuning.descent.starts import lowered_gain
 from lftkit.tuning.pieces import HARD_TARGET, Oracle, OracleResult

@@ -15,7 +15,7 @@ from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.gains.grid_gains import GridGains
 from lftkit.tuning.pieces import HARD_TARGET
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
-from lftkit.tuning.structures import gain_sizes, jacobian
+from lftkit.tuning.structures.structures import gain_sizes, jacobian
 
 NEGLIGIBLE = 14.0  # entries below exp(-14) of the largest weight are left out
 LEAST_LOG = float(np.log(1e-300))

@@ -15,8 +15,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.grid_source import GridSource, Point, point_at
-from lftkit.tuning.descent.minimax import DescentOptions, descend
-from lftkit.tuning.descent.prox_linear import prox_linear
+from lftkit.tuning.descent.minimax.minimax import DescentOptions, descend
+from lftkit.tuning.descent.minimax.prox_linear import prox_linear
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.smooth_objective import HARD_MARGIN, PENALTY, SLOW, STEPS
 from lftkit.tuning.pieces import HARD_TARGET

@@ -25,7 +25,7 @@ from lftkit.tuning.descent.direct_search import (
     perturbed,
 )
 from lftkit.tuning.descent.exact_value import ExactValue
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem

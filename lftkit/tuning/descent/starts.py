@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
-from lftkit.tuning.bounds import bounds_of
 from lftkit.tuning.descent.gain_moves import with_gain
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.stable_state_space import StableStateSpace
-from lftkit.tuning.structures import AffineStructure, Structure
+from lftkit.tuning.structures.bounds import bounds_of
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
+from lftkit.tuning.structures.structures import AffineStructure, Structure
 
 SIZES = (0.1, 1.0, 0.01, 3.0, 10.0, 0.3, 100.0, 30.0)  # of random starts in turn
 LOWER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)

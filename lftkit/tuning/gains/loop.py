@@ -16,8 +16,8 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.norms import schur_lyapunov
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.delay import pade_delay
-from lftkit.systems.feedback import cascade
 from lftkit.systems.system import System
 
 

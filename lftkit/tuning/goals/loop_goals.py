@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output

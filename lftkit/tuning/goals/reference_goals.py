@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import H2Gain, HinfGain, Requirement

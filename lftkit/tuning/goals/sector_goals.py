@@ -96,7 +96,7 @@ class Passivity(_OfChannel):
     --------
     The velocity of a mass on a damper is passive under a force, its position is not:
 
-    >>> from lftkit.systems.filters import transfer
+    >>> from lftkit.systems.connection.filters import transfer
     >>> from lftkit.tuning import certify
     >>> def index(numerator, denominator):
     ...     channel = transfer(numerator, denominator)

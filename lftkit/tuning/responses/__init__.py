@@ -4,7 +4,7 @@ Where :func:`lftkit.tuning.tune` closes state-space models, this source needs re
 its delays and holds, or measured ones. A pair costs a solution of the order of the commands, so that hundreds of
 parameter points are tuned at once. What a sample does not show is not seen: stability is checked by the caller's
 function at every step, and the result belongs to a search for worse parameters. The descent is that of every source,
-:func:`lftkit.tuning.descent.minimax.descend`.
+:func:`lftkit.tuning.descent.minimax.minimax.descend`.
 """
 
 from lftkit.tuning.responses.blocks import ControllerBlock, ControllerResponse, gain_matrices, parameters_of

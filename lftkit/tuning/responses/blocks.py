@@ -17,7 +17,7 @@ from scipy import linalg
 
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from lftkit.tuning.structures import gain_sizes
+from lftkit.tuning.structures.structures import gain_sizes
 
 FrequencyFunction = Callable[[FloatArray], ComplexArray]
 MOST_CONDITION = 1e8
@@ -115,7 +115,7 @@ def with_least_decay(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatA
 
 
 def entry_sizes(blocks: Sequence[ControllerBlock], x: FloatArray) -> FloatArray:
-    """Size of each entry of all gain matrices (:func:`lftkit.tuning.structures.gain_sizes`); one where all are zero."""
+    """Size of each entry of all gain matrices, as :func:`gain_sizes`; one where all are zero."""
     sizes = np.concatenate([gain_sizes(M, block.order).ravel() for block, M in zip(blocks, gain_matrices(blocks, x))])
     return np.asarray(np.where(np.isfinite(sizes), sizes, 1.0))
 

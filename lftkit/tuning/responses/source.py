@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
-from lftkit.tuning.descent.prox_linear import ACCEPTED, FIRST_WEIGHT, prox_linear
+from lftkit.tuning.descent.minimax.prox_linear import ACCEPTED, FIRST_WEIGHT, prox_linear
 from lftkit.tuning.responses.blocks import entry_sizes, with_least_decay
 from lftkit.tuning.responses.problem import ResponseProblem
 from lftkit.tuning.source import Merit

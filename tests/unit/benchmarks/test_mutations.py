@@ -76,7 +76,9 @@ def test_a_kind_does_what_its_name_says(kind: str, old: str, new: str) -> None:
 
 def test_the_longest_path_names_the_tests() -> None:
     assert script.tests_of("lftkit/systems/ports.py") == ("tests/unit/lftkit",)
-    assert "tests/unit/lftkit/systems/test_interconnection.py" in script.tests_of("lftkit/systems/interconnection.py")
+    assert "tests/unit/lftkit/systems/test_interconnection.py" in script.tests_of(
+        "lftkit/systems/connection/interconnection.py"
+    )
     with pytest.raises(SystemExit, match="MODULE must be below one of"):
         script.tests_of("docs/index.md")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lftkit.tuning.responses import gain_matrices
-from lftkit.tuning.structures import gain_matrix_of
+from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis import start_choice, synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import BOTH, blocks

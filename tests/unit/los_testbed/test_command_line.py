@@ -11,7 +11,7 @@ from los_testbed.factories import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

@@ -14,7 +14,7 @@ import fsm_pma_controller
 import los_estimator
 from lftkit import System
 from lftkit.systems.exchange import as_system, read_sampled, write_mat
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.read.run import Run
 
 DESIGNS = {
@@ -54,7 +54,7 @@ def test_a_continuous_controller_is_refused(tmp_path: Path) -> None:
 
 def test_systems_of_python_control_fly_as_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    lines = ["from pathlib import Path", "from lftkit.systems.sampled_system import SampledSystem"]
+    lines = ["from pathlib import Path", "from lftkit.systems.sampled.sampled_system import SampledSystem"]
     lines += [f"{name} = SampledSystem.from_file({str(path)!r}).to_control()" for name, path in DESIGNS.items()]
     Path("laws_of_control.py").write_text("\n".join(lines) + "\n")
     as_code = los(tmp_path / "code", k_fsm="laws_of_control:k_fsm", k_pma="laws_of_control:k_pma")

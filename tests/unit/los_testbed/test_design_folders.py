@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli import app as cli
-from los_testbed.cli.redesign import check_output
+from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
-from los_testbed.run.control_effect import ControlEffect
+from los_testbed.run.summary.control_effect import ControlEffect
 from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS, of_designs, worst_member
 
 from los_design.synthesis.store import design_file

@@ -22,7 +22,7 @@ HEAD = """
 import sys
 import numpy as np
 from numpy.linalg import LinAlgError
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from simple_telescope import SimpleTelescope
 
 FAULTS = {

@@ -11,13 +11,13 @@ import pytest
 
 pytest.importorskip("tornado")
 pytest.importorskip("foxglove")
-from los_testbed.cli.live_options import SERVED, check_live, server_for_viewers
+from los_testbed.cli.options.live_options import SERVED, check_live, server_for_viewers
 from los_testbed.config import RunConfig
 from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.page_server import MAX_VIEWERS, PageServer
-from los_testbed.run.viewers import Live
+from los_testbed.run.processes.viewers import Live
 from tornado.websocket import websocket_connect
 
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.loop_curves import broken_loops, loop_curves
+from los_testbed.run.summary.loop_curves import broken_loops, loop_curves
 
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop

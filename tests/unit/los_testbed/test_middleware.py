@@ -4,7 +4,7 @@ import re
 from xml.etree import ElementTree
 
 import pytest
-from los_testbed.nodes.support.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
+from los_testbed.nodes.support.transport.middleware import LOCALHOST_PROFILE, NETWORK_PROFILE, choose_middleware
 
 TRANSPORT = (
     "transport_descriptors",

@@ -13,7 +13,7 @@ import yaml
 from los_testbed.cli.app import command_line
 from los_testbed.cli.run import configure, with_lone_options
 from los_testbed.config import RunConfig, physical_hash
-from los_testbed.run.node_launch import parameter_text
+from los_testbed.run.processes.node_launch import parameter_text
 
 from pointing_analysis.read.run import Run
 from titop_plant.physical_settings import PhysicalSettings

@@ -13,7 +13,7 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS

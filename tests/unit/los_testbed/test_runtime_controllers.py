@@ -7,7 +7,7 @@ from simple_telescope import write_controllers
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator, hold_values
 from titop_plant.interface import (
     CAMERA,

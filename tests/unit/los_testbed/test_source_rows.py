@@ -13,8 +13,8 @@ from los_testbed.campaign.member import MemberEvaluator, source_columns
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.budget_sources import testbed_sources as sources_of_table
-from los_testbed.run.source_shares import source_shares
+from los_testbed.run.summary.budget_sources import testbed_sources as sources_of_table
+from los_testbed.run.summary.source_shares import source_shares
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.run import summary as screen
 from los_testbed.run.older_bags import REMARK
-from los_testbed.run.source_shares import as_rows
-from los_testbed.run.summary import RunSummaries, missed_share, print_summary, summarise_runs
+from los_testbed.run.summary import summary as screen
+from los_testbed.run.summary.source_shares import as_rows
+from los_testbed.run.summary.summary import RunSummaries, missed_share, print_summary, summarise_runs
 from rich.console import Console
 from rich.table import Table
 

@@ -19,7 +19,7 @@ from los_testbed.user_blocks import BlockFailedError, UserBlock
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 
 MODULE = '''
 import numpy as np
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 
 class Observer(LosEstimator):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.run.worst_case_rows import level, limits_kept
+from los_testbed.run.summary.worst_case_rows import level, limits_kept
 
 from pointing_analysis.spectra.tone_budget import ToneBudget
 from titop_plant.telescope.budget import combined_level

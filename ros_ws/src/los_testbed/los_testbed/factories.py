@@ -16,7 +16,7 @@ import los_estimator
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.flight_library import LibraryLaw

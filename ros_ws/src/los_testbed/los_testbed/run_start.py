@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config import RunConfig
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from support.circle_reference import (
 )
 from support.resonant_systems import resonator, sum_of
 
-import lftkit.analysis.circle_norm
-from lftkit.analysis.circle_response import CircleResolvents, circle_modes
+import lftkit.analysis.circle.circle_norm
+from lftkit.analysis.circle.circle_response import CircleResolvents, circle_modes
+from lftkit.analysis.circle.exact_circle_norm import Quotient, exact_circle_norm
 from lftkit.analysis.eigenvectors import balanced
-from lftkit.analysis.exact_circle_norm import Quotient, exact_circle_norm
 from lftkit.analysis.norms import h2_norm, hinf_norm
 
 EPS = np.finfo(float).eps
@@ -143,7 +143,7 @@ def test_three_ways_agree() -> None:
     given = *balanced(A, B, C), D
     form, stable = circle_modes(given, 1.0 - 1e-14)
     assert stable and form is not None
-    peaks = [lftkit.analysis.circle_norm.circle_norm(way, 1e-6) for way in (form, CircleResolvents.of(given))]
+    peaks = [lftkit.analysis.circle.circle_norm.circle_norm(way, 1e-6) for way in (form, CircleResolvents.of(given))]
     quotient = Quotient.of(given)
     assert quotient is not None and quotient.stable(1.0 - 1e-14)
     value, upper, _ = exact_circle_norm(quotient, 1e-6)
@@ -158,12 +158,12 @@ def test_bound_covers_an_error_of_the_modal_form(monkeypatch: pytest.MonkeyPatch
     rng = np.random.default_rng(1)
     A, B, C, D = rng.normal(size=(5, 5)), rng.normal(size=(5, 1)), rng.normal(size=(1, 5)), np.zeros((1, 1))
     A *= 0.9 / np.abs(scipy.linalg.eigvals(A)).max()
-    honest = lftkit.analysis.circle_response.modes
-    monkeypatch.setattr(lftkit.analysis.circle_response, "modes", lambda X: honest(X + 1e-6 * np.ones_like(X)))
-    monkeypatch.setattr(lftkit.analysis.circle_response, "corrected_modes", lambda _, found: found)
+    honest = lftkit.analysis.circle.circle_response.modes
+    monkeypatch.setattr(lftkit.analysis.circle.circle_response, "modes", lambda X: honest(X + 1e-6 * np.ones_like(X)))
+    monkeypatch.setattr(lftkit.analysis.circle.circle_response, "corrected_modes", lambda _, found: found)
     form, stable = circle_modes((A, B, C, D), 1.0 - 1e-14)
     assert stable and form is not None
-    peak = lftkit.analysis.circle_norm.circle_norm(form, 1e-9)
+    peak = lftkit.analysis.circle.circle_norm.circle_norm(form, 1e-9)
     exact, _ = exact_norm((A, B, C, D))
     assert peak.value <= exact <= peak.upper and peak.upper > peak.value * (1 + 1e-7)
 

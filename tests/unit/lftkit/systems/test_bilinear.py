@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.bilinear import to_continuous, to_discrete
+from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
 
 DT = 0.3
 

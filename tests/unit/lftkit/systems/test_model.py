@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lftkit.analysis.frequency_response import direct_response
-from lftkit.systems.feedback import cascade, close_loop
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.feedback import cascade, close_loop
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
-from lftkit.systems.sampling import sampled
+from lftkit.systems.sampled.sampling import sampled
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
-from lftkit.tuning.structures import pid, state_space
+from lftkit.tuning.structures.structures import pid, state_space
 
 
 def plant() -> System:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lftkit import Port, SampledSystem
-from lftkit.systems.ordered_product import OrderedProduct
+from lftkit.systems.sampled.ordered_product import OrderedProduct
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import pytest
 from scipy import signal
 
 from lftkit import Port, SampledSystem, state_space
-from lftkit.systems.filters import high_pass, with_input_filter
-from lftkit.systems.sampling import sampled
+from lftkit.systems.connection.filters import high_pass, with_input_filter
+from lftkit.systems.sampled.sampling import sampled
 
 PORTS = (Port("u", 2),), (Port("y", 1),)
 

@@ -9,7 +9,7 @@ from lftkit.tuning import HinfGain, state_space
 from lftkit.tuning.descent.direct_search import direct_polish, direct_restarts
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.metric import Metric
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.quasi_newton import quasi_newton
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem

@@ -16,7 +16,7 @@ from lftkit.analysis.batched_linalg import (
     solve,
 )
 from lftkit.analysis.norms import hinf_norm
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.full_order import reduced_starts
@@ -24,7 +24,7 @@ from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import H2Gain, HinfGain
-from lftkit.tuning.structures import state_space
+from lftkit.tuning.structures.structures import state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 U, Y = ("u", 2), ("y", 3)

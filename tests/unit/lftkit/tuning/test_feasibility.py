@@ -10,7 +10,7 @@ from lftkit.tuning.descent.grid_source import Point, point_at
 from lftkit.tuning.descent.smooth_phase import smooth_phase
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
-from lftkit.tuning.structures import gain
+from lftkit.tuning.structures.structures import gain
 from lftkit.tuning.tuner import TuningOptions, tune
 
 STATIC = gain([("y", 1)], [("u", 1)])

@@ -11,8 +11,8 @@ from lftkit.tuning.descent.grid_source import point_at
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.stable_state_space import StableStateSpace
-from lftkit.tuning.structures import Structure, controller, gain, pid, state_space
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
+from lftkit.tuning.structures.structures import Structure, controller, gain, pid, state_space
 
 W = np.array([0.0, 0.3, 2.0, 50.0])
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
@@ -27,9 +27,9 @@ from lftkit.tuning import (
     gain,
     tune,
     tune_robust,
-    worst_case,
 )
 from lftkit.tuning.goals import resolved
+from lftkit.tuning.robust import worst_case
 
 
 def plant(numerator: Any, denominator: Any) -> System:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
-from lftkit.tuning.decentralised import Decentralised
 from lftkit.tuning.gains.gains import singular_slopes
 from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.pieces import Piece
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
-from lftkit.tuning.stable_state_space import StableStateSpace
-from lftkit.tuning.structures import Structure, gain, gain_matrix_of, pid, state_space
+from lftkit.tuning.structures.decentralised import Decentralised
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
+from lftkit.tuning.structures.structures import Structure, gain, gain_matrix_of, pid, state_space
 
 Y, U = (Port("y", 3),), (Port("u", 2),)
 

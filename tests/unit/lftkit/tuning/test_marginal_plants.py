@@ -9,7 +9,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
-from lftkit.tuning.structures import controller, gain, pid, state_space
+from lftkit.tuning.structures.structures import controller, gain, pid, state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from lftkit.systems.system import System
 from lftkit.tuning import Decentralised, HinfGain, StableStateSpace, TuningOptions, controller, gain, pid, tune
-from lftkit.tuning.structures import AffineStructure, state_space
+from lftkit.tuning.structures.structures import AffineStructure, state_space
 
 
 def frequency_response(K: System, omega: float) -> complex:

@@ -11,13 +11,13 @@ import pytest
 from lftkit.systems.system import System
 from lftkit.tuning import DescentOptions, DescentState, descend
 from lftkit.tuning.descent.grid_source import GridSource
-from lftkit.tuning.descent.minimax import lower_point
-from lftkit.tuning.descent.prox_linear import prox_linear
+from lftkit.tuning.descent.minimax.minimax import lower_point
+from lftkit.tuning.descent.minimax.prox_linear import prox_linear
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.descent.smooth_phase import smooth_phase
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.structures import gain, gain_sizes, state_space
+from lftkit.tuning.structures.structures import gain, gain_sizes, state_space
 
 
 def lag() -> System:

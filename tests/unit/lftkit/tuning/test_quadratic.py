@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lftkit.tuning.descent.bundle_method import minimise
-from lftkit.tuning.descent.minimax import DescentOptions
-from lftkit.tuning.descent.simplex_qp import simplex_minimum
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.simplex_qp import simplex_minimum
 from lftkit.tuning.pieces import HARD_TARGET, OracleResult, Piece
 
 

@@ -8,7 +8,7 @@ import pytest
 from lftkit.support.progress import Progress
 from lftkit.tuning import HinfGain, TuningOptions, TuningStatus, gain, tune
 from lftkit.tuning.descent import start_runner
-from lftkit.tuning.descent.minimax import DescentOptions
+from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult
 from lftkit.tuning.descent.start_runner import run_starts
 from lftkit.tuning.descent.starts import random_starts

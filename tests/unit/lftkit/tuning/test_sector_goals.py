@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg, optimize
 
 from lftkit.analysis.norms import hinf_norm
-from lftkit.systems.filters import transfer
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning import (
     ConicSector,
@@ -22,11 +22,11 @@ from lftkit.tuning import (
     gain,
     state_space,
     tune,
-    worst_case,
 )
-from lftkit.tuning.closed_loop_evaluator import ClosedLoopEvaluator
 from lftkit.tuning.goals import resolved
 from lftkit.tuning.problem import Problem
+from lftkit.tuning.robust import worst_case
+from lftkit.tuning.robust.closed_loop_evaluator import ClosedLoopEvaluator
 
 NOTHING = System.static(np.zeros((0, 0)), [], [])
 LAG = transfer([1.0], [1.0, 1.0])

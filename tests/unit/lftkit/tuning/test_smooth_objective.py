@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lftkit.analysis.frequency_response import direct_response
-from lftkit.systems.feedback import close_loop
+from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.descent.metric import metric_of
 from lftkit.tuning.descent.quasi_newton import _updated, quasi_newton
@@ -15,7 +15,7 @@ from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.gains.prefeedback import prefeedback
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.structures import controller, gain, state_space
+from lftkit.tuning.structures.structures import controller, gain, state_space
 
 
 def oscillator(damping: float = 0.0) -> System:

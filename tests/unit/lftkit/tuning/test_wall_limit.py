@@ -13,7 +13,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.descent.smooth_objective import SmoothObjective
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.structures import state_space
+from lftkit.tuning.structures.structures import state_space
 from lftkit.tuning.tuner import TuningOptions, tune
 
 AFTER = 4  # evaluations after the limit: the one that is running, the point that is kept, and the result

@@ -23,9 +23,9 @@ from support.worst_case_plants import (
 
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
+from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 
-worst_case_module = importlib.import_module("lftkit.tuning.worst_case")
+worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 
 
 def test_interior_worst_case_is_found_by_the_climb() -> None:

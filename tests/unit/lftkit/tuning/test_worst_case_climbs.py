@@ -12,12 +12,12 @@ from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, f
 
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.robust import tune_robust
-from lftkit.tuning.structures import gain
+from lftkit.tuning.robust.robust import tune_robust
+from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
+from lftkit.tuning.structures.structures import gain
 from lftkit.tuning.tuner import TuningOptions
-from lftkit.tuning.worst_case import WorstCaseOptions, worst_case
 
-worst_case_module = importlib.import_module("lftkit.tuning.worst_case")
+worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 
 
 def captured(monkeypatch: pytest.MonkeyPatch, build: Callable, box: dict, need, **options) -> list[tuple]:

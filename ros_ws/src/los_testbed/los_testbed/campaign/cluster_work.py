@@ -22,8 +22,8 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped, unus
 
 from lftkit.support.workers import Workers
 from los_testbed import __version__
+from los_testbed.campaign.cluster.tls_files import TlsFiles
 from los_testbed.campaign.execution import LOOK, PATIENCE, POLL, cluster
-from los_testbed.campaign.tls_files import TlsFiles
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -23,10 +23,10 @@ import numpy as np
 import scipy
 
 from los_testbed import __version__
+from los_testbed.campaign.cluster.local_cluster import local_cluster
+from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.local_cluster import local_cluster
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
-from los_testbed.campaign.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 

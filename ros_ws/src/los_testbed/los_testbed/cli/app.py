@@ -19,8 +19,8 @@ from los_testbed import __version__
 from los_testbed.cli.command_group import CommandGroup
 from los_testbed.cli.environment import QUIET, SUPERVISED, TRACEBACK
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.memory import TOO_LITTLE_MEMORY
-from los_testbed.run.screen import printable
+from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY
+from los_testbed.run.summary.screen import printable
 
 app = typer.Typer(
     cls=CommandGroup,

@@ -14,10 +14,19 @@ from rich.console import Console
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
-from los_testbed.cli.cluster_options import SchedulerOption, TlsCaFile, TlsCertificate, TlsKey
-from los_testbed.cli.options import Designs, ForceLawFile, Json, NewFolder, ObserverFile, Telescope, option, with_files
+from los_testbed.cli.options.cluster_options import SchedulerOption, TlsCaFile, TlsCertificate, TlsKey
+from los_testbed.cli.options.options import (
+    Designs,
+    ForceLawFile,
+    Json,
+    NewFolder,
+    ObserverFile,
+    Telescope,
+    option,
+    with_files,
+)
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.screen import Screen
+from los_testbed.run.summary.screen import Screen
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -75,11 +84,11 @@ def campaign(
     json_: Json = False,
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
+    from los_testbed.campaign.cluster.tls_files import TlsFiles
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.campaign.execution import check_cluster, check_workers, cluster, identity
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
-    from los_testbed.campaign.tls_files import TlsFiles
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
 

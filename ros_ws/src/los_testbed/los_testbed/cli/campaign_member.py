@@ -13,7 +13,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import RunConfig
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.screen import Screen
+from los_testbed.run.summary.screen import Screen
 from pointing_analysis.requirements.rows import ABSENT, digits
 
 

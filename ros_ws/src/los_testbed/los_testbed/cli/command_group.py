@@ -35,16 +35,18 @@ class Entry:
 
 ENTRIES = {
     "run": Entry("run", "Run the loop, record it, evaluate the record.", "run", "RUN_EXAMPLES"),
-    "analyse": Entry("analyse", "Evaluate recorded runs and write an HTML report.", "analyse", "ANALYSE_EXAMPLES"),
+    "analyse": Entry(
+        "analysis.analyse", "Evaluate recorded runs and write an HTML report.", "analyse", "ANALYSE_EXAMPLES"
+    ),
     "report": Entry(
-        "report",
+        "analysis.report",
         "Write one HTML page about one or several bags: verdict, requirements, figures, provenance.",
         "report",
         "REPORT_EXAMPLES",
     ),
     "replay": Entry("replay", "Drive controllers with the sensors of a bag.", "replay", "REPLAY_EXAMPLES"),
     "budget": Entry(
-        "budget",
+        "analysis.budget",
         "Evaluate a pointing budget: contributions, total and margin for each requirement.",
         "budget",
         "BUDGET_EXAMPLES",
@@ -63,7 +65,7 @@ ENTRIES = {
         "KEYS_EXAMPLES",
     ),
     "bag": Entry("groups", "Describe, check, sign and repair recorded runs.", "bag_app"),
-    "image": Entry("image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"),
+    "image": Entry("analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"),
     "control": Entry(
         "control",
         "Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
@@ -71,7 +73,7 @@ ENTRIES = {
     ),
     "plant": Entry("plant", "The telescope's model: order, parameters, poles, inertia, bodies.", "plant_app"),
     "design": Entry("groups", "Make and check the controllers.", "design_app"),
-    "export": Entry("export", "Flight code of the laws in C.", "export_app"),
+    "export": Entry("designs.export", "Flight code of the laws in C.", "export_app"),
 }
 """In the order of the help."""
 

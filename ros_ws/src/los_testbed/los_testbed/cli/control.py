@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from los_testbed.cli.options import option
+from los_testbed.cli.options.options import option
 from los_testbed.cli.output import number, seconds
 from los_testbed.config import NAMESPACE, RunConfig
 from los_testbed.loop.changes import owner_of
@@ -33,7 +33,7 @@ def _remote(domain: int | None, namespace: str, timeout: float, at: float | None
     domain = RunConfig(namespace=namespace, domain=domain).domain
     number("--timeout", timeout, 0.0, 86400.0, "s")
     seconds("--at", at, 1e6)
-    from los_testbed.run.node_launch import check_ros
+    from los_testbed.run.processes.node_launch import check_ros
 
     check_ros()
     from los_testbed.nodes.remote_control import remote_control

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from los_testbed.cli.bag import bag_app
-from los_testbed.cli.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
-from los_testbed.cli.bag_topics import TOPICS_EXAMPLES, topics
-from los_testbed.cli.check_proof import CHECK_PROOF_EXAMPLES, check_proof
-from los_testbed.cli.design import design_app
-from los_testbed.cli.proofs import CERTIFY_EXAMPLES, certify
+from los_testbed.cli.bags.bag import bag_app
+from los_testbed.cli.bags.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
+from los_testbed.cli.bags.bag_topics import TOPICS_EXAMPLES, topics
+from los_testbed.cli.designs.check_proof import CHECK_PROOF_EXAMPLES, check_proof
+from los_testbed.cli.designs.design import design_app
+from los_testbed.cli.designs.proofs import CERTIFY_EXAMPLES, certify
 
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 bag_app.command(name="info", help=INFO_EXAMPLES)(info)

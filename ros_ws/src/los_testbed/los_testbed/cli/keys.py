@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options import option
+from los_testbed.cli.options.options import option
 from los_testbed.config import NAMESPACE, RunConfig
-from los_testbed.run.keystore import write_keystore
+from los_testbed.run.processes.keystore import write_keystore
 from pointing_analysis.files.atomic_output import check_output
 
 KEYS_EXAMPLES = """Keys, certificates and signed permissions of the nodes, for a ROS 2 with DDS security (SROS 2).

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.screen import printable
+from los_testbed.run.summary.screen import printable
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.options import Json, Telescope
+from los_testbed.cli.options.options import Json, Telescope
 from los_testbed.cli.output import print_json
-from los_testbed.run.screen import Screen
+from los_testbed.run.summary.screen import Screen
 from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:

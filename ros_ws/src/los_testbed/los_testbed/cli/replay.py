@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
 from los_testbed.config import RunConfig
-from los_testbed.run.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, say
 
 if TYPE_CHECKING:
     from pointing_analysis.read.run import Run
@@ -119,7 +119,7 @@ def _through(
 
 def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None, timeout: float) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
-    from los_testbed.run.node_launch import check_ros
+    from los_testbed.run.processes.node_launch import check_ros
     from pointing_analysis.replay.replay import compare
 
     check_ros()

@@ -16,19 +16,19 @@ import typer
 
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.cli import live_options
 from los_testbed.cli.environment import SUPERVISED
-from los_testbed.cli.live_options import LIVE_PORT, check_live, server_for_viewers
-from los_testbed.cli.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
+from los_testbed.cli.options import live_options
+from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
+from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import RunParts, check_controllers
-from los_testbed.run.domains import free_domain
+from los_testbed.run.processes.domains import free_domain
+from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import MAX_MISSED, Results, RunError
-from los_testbed.run.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import code_of_user, supervise
-from los_testbed.run.viewers import Live
 from los_testbed.user_blocks import make_disturbance
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from pointing_analysis.read.mcap.records import ShortRunError
@@ -169,7 +169,7 @@ def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool) -> No
         raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
     if isolated:
         raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
-    from los_testbed.run.node_launch import run_alone
+    from los_testbed.run.processes.node_launch import run_alone
 
     raise typer.Exit(run_alone(name, config))
 
@@ -195,7 +195,7 @@ def _run_and_tell(
     key: Ed25519PrivateKey | None = None,
 ) -> None:
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
-    from los_testbed.run.summary import missed_share, print_summary, summarise_runs
+    from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
     bag, results = execute(config, nodes)
@@ -300,7 +300,7 @@ def check(config: RunConfig) -> tuple[str, ...]:
     for source in RunParts(config).sources:
         warnings += tuple(f"disturbance {source.name}: {remark}" for remark in source.remarks)
     if config.mode != "inprocess":
-        from los_testbed.run.node_launch import check_ros
+        from los_testbed.run.processes.node_launch import check_ros
 
         check_ros()
     return warnings

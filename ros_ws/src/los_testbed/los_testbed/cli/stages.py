@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.options import (
+from los_testbed.cli.options.options import (
     Case,
     Cases,
     Designs,
@@ -25,7 +25,7 @@ from los_testbed.cli.options import (
     with_files,
 )
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, say
 from pointing_analysis.files.atomic_output import write_text
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def stages(
     from los_testbed.bags.writer import check_new_bag
     from los_testbed.config import RunConfig
     from los_testbed.factories import check_controllers
-    from los_testbed.run.node_launch import check_ros
+    from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, Plan
     from los_testbed.variants import chosen_member, layered
     from titop_plant.interface import SCENARIOS
@@ -142,10 +142,10 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the stages side by side, the model beside the measured lines."""
-    from los_testbed.run.loop_curves import loop_curves
-    from los_testbed.run.predictions import predictions
     from los_testbed.run.stages import REPORTED, WORST, select
-    from los_testbed.run.summary import remarks_of
+    from los_testbed.run.summary.loop_curves import loop_curves
+    from los_testbed.run.summary.predictions import predictions
+    from los_testbed.run.summary.summary import remarks_of
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels, write_report
     from pointing_analysis.requirements.summary import summarise

@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 
 from lftkit.systems.ports import Port
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed import __version__
 from los_testbed.flight_code.laws import FlightLaws
 from los_testbed.flight_code.tables import HEADER, UNITS, Tables, common_hash, hex_float

@@ -10,7 +10,7 @@ import numpy as np
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig

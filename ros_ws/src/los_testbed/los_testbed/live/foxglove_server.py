@@ -12,7 +12,7 @@ from foxglove import Channel, Context, Schema
 from los_testbed.bags.schemas import DEFINITIONS
 from los_testbed.live.access import FOXGLOVE_SITE, Access
 from los_testbed.live.gate import Gate
-from los_testbed.run.viewers import listening_sockets
+from los_testbed.run.processes.viewers import listening_sockets
 
 BACKLOG = 16_384
 """Messages that are kept for a viewer that is slow, about 2 s or 3 MB; of older ones it gets none."""

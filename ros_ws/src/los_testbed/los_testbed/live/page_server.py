@@ -23,7 +23,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from los_testbed.live.access import MAX_VIEWERS, Access
 from los_testbed.live.connections import SilentConnections, place_is_free
-from los_testbed.run.viewers import listening_sockets
+from los_testbed.run.processes.viewers import listening_sockets
 
 STATIC = Path(__file__).with_name("static")
 FRAME_S = 0.1

@@ -17,7 +17,7 @@ from los_testbed.loop.changes import ACTIVE, Apply, Fade
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.raw_topics import RawPublisher, settle
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
 from los_testbed.user_blocks import watched

@@ -26,7 +26,7 @@ from los_testbed.live.page_server import PageServer
 from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.track import merge, report_tracks, topic_tracks
-from los_testbed.run.viewers import Live
+from los_testbed.run.processes.viewers import Live
 from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 DEPTH = 1000

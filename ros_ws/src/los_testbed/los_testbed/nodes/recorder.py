@@ -22,12 +22,12 @@ from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.raw_topics import RawPublisher
 from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import UNKNOWN_NS, Track, merge, report_tracks, topic_tracks
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher
 from los_testbed.run.bag_names import free_name
-from los_testbed.run.node_launch import STATISTICS_VARIABLE
+from los_testbed.run.processes.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, PROGRESS_TOPIC
 from pointing_analysis.read.messages.cdr import Encoder

@@ -21,8 +21,8 @@ from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.loop.tick_clock import wait_until
 from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import RawPublisher, RawSubscription
-from los_testbed.run.domains import domain_lock
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
+from los_testbed.run.processes.domains import domain_lock
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from lftkit.systems.sampled_system import SampledSystem
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
@@ -27,7 +27,7 @@ from los_testbed.factories import assemble_controller, compare_with_telescope
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
-from los_testbed.run.memory_file import memory_file
+from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run_start import START_FILE, RunStart
 from los_testbed.topics import ISOLATOR_ACCEL, SENSORS, TOPICS
 from pointing_analysis.files.atomic_output import atomic_folder

@@ -16,11 +16,11 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import check_controllers
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.run.bag_names import free_name, recorded
-from los_testbed.run.domains import domain_lock, output_lock
-from los_testbed.run.isolation import Network, network_of_nodes
-from los_testbed.run.memory import check_address_space
-from los_testbed.run.memory_file import MemoryFile, memory_file
-from los_testbed.run.node_launch import (
+from los_testbed.run.processes.domains import domain_lock, output_lock
+from los_testbed.run.processes.isolation import Network, network_of_nodes
+from los_testbed.run.processes.memory import check_address_space
+from los_testbed.run.processes.memory_file import MemoryFile, memory_file
+from los_testbed.run.processes.node_launch import (
     STATISTICS_VARIABLE,
     check_ros,
     environment,
@@ -28,9 +28,9 @@ from los_testbed.run.node_launch import (
     parameter_text,
     ros_arguments,
 )
-from los_testbed.run.node_process import NodeProcess
+from los_testbed.run.processes.node_process import NodeProcess
+from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Results, RunError, counted, late_reports
-from los_testbed.run.viewers import LIVE, Live
 from los_testbed.run_start import at_rest
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE

@@ -2,7 +2,7 @@
 
 Every metric is computed from the bag of its run. The parts are runs of their own: all, the disturbance alone (no sensor
 noise) and the noise alone (no disturbance). In the scenario worst_case each stage has its own worst parameters and
-tone, one for each index (:mod:`los_testbed.run.worst_case_rows`).
+tone, one for each index (:mod:`los_testbed.run.summary.worst_case_rows`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
-from los_testbed.run.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
+from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, random_member, worst_member
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise

@@ -9,8 +9,8 @@ from typing import Any
 from rich.table import Table
 
 from los_testbed.factories import RunParts
-from los_testbed.run import worst_case_rows
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
+from los_testbed.run.summary import worst_case_rows
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.rows import cells, heads
 

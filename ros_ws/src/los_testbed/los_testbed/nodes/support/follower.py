@@ -12,7 +12,7 @@ from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
+from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
 from titop_plant.interface import TICK_NS
 

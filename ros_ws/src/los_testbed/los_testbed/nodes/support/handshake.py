@@ -17,9 +17,9 @@ from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
-from los_testbed.nodes.support.raw_topics import RawSubscription
 from los_testbed.nodes.support.requesters import UNKNOWN
-from los_testbed.nodes.support.serialized_reader import Taken
+from los_testbed.nodes.support.transport.raw_topics import RawSubscription
+from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.topics import ISOLATOR_ACCEL
 from titop_plant.interface import MEASUREMENTS, TRUTH
 

@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
-from los_testbed.nodes.support.raw_topics import Waiter
+from los_testbed.nodes.support.transport.raw_topics import Waiter
 from titop_plant.interface import TICK_NS
 
 WAIT_NS = 50_000_000

@@ -34,15 +34,15 @@ from los_testbed.loop.scheduling import (
     sharpen_timers,
 )
 from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
-from los_testbed.nodes.support.middleware import choose_middleware
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
-from los_testbed.nodes.support.raw_topics import listed_publisher
 from los_testbed.nodes.support.report_watch import report_quality
 from los_testbed.nodes.support.requesters import UNKNOWN, Requesters
 from los_testbed.nodes.support.requests import Requests
-from los_testbed.nodes.support.security import refuse_missing_security
-from los_testbed.nodes.support.serialized_reader import publisher_gid
-from los_testbed.run.node_launch import EVENTS_VARIABLE
+from los_testbed.nodes.support.transport.middleware import choose_middleware
+from los_testbed.nodes.support.transport.raw_topics import listed_publisher
+from los_testbed.nodes.support.transport.security import refuse_missing_security
+from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
+from los_testbed.run.processes.node_launch import EVENTS_VARIABLE
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 CHANGING = "set_parameters", "set_parameters_atomically"

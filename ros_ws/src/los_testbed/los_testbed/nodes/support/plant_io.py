@@ -9,8 +9,14 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawPublisher, RawSubscription, settle
 from los_testbed.nodes.support.source_watch import SourceWatch
+from los_testbed.nodes.support.transport.raw_topics import (
+    LOCKSTEP_DEPTH,
+    READER_DEPTH,
+    RawPublisher,
+    RawSubscription,
+    settle,
+)
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TOPICS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS

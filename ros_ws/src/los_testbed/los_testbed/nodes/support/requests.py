@@ -7,7 +7,7 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
-from los_testbed.nodes.support.raw_topics import is_raw
+from los_testbed.nodes.support.transport.raw_topics import is_raw
 
 
 class Requests:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rclpy.node import Node
 
 from los_testbed.loop.members import OPEN, PENDING
-from los_testbed.nodes.support.raw_topics import RawSubscription
+from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 
 UNKNOWN_NODE, SAME_NAME = "unknown", "of the same name"
 UNKNOWN_LOOKS = 50

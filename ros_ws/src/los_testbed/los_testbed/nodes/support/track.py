@@ -14,8 +14,8 @@ from los_testbed.loop.members import OPEN, OWN, PENDING
 from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.raw_topics import RawSubscription
-from los_testbed.nodes.support.serialized_reader import Taken
+from los_testbed.nodes.support.transport.raw_topics import RawSubscription
+from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS, TopicDefinition
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
 from titop_plant.interface import TICK_NS

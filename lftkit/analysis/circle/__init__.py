@@ -1,0 +1,1 @@
+"""Norms and responses on the unit circle, of discrete systems."""

@@ -1,0 +1,225 @@
+"""H-infinity norm in discrete time: gains on the unit circle, and a test that covers the circle by intervals.
+
+Nothing is mapped to continuous time. On each interval the square of the response is a polynomial; its Bernstein
+coefficients bound it (the basis functions are positive and add up to 1, and the largest eigenvalue is convex).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import comb
+from typing import Protocol
+
+import numpy as np
+
+from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
+from lftkit.analysis.circle.circle_response import ORDER, CircleResolvents, Expansion, circle_modes
+from lftkit.analysis.circle.exact_circle_norm import Quotient, exact_circle_norm
+from lftkit.analysis.eigenvectors import EPS, balanced
+from lftkit.analysis.peak_search import climb
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
+
+MAX_INTERVALS = 40_000
+MAX_ROUNDS = 40
+PEAK_CUTS = 13  # halvings of the distance of the nearest pole
+GROWTH = 2.0  # of the intervals away from a pole
+CLIMBED, RIVAL = 3, 0.7  # seeds from which a peak is searched; of the largest gain: seeds below are not tried
+
+
+class Expandable(Protocol):
+    """A stable response on the unit circle."""
+
+    @property
+    def angle(self) -> FloatArray:
+        """Angles of the poles [rad]."""
+
+    @property
+    def gap(self) -> FloatArray:
+        """Distances of the poles from the circle."""
+
+    def expansion(self, theta: FloatArray, half: FloatArray) -> Expansion:
+        """Expansions around angles."""
+
+    def derivatives(self, theta: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response and two derivatives."""
+
+
+@dataclass(frozen=True)
+class CirclePeak:
+    """Gain reached less its rounding, level not exceeded, angle of the gain [rad], test behind the level."""
+
+    value: float
+    upper: float
+    theta: float
+    certificate: str = "interval"
+
+
+def discrete_norm(system: Matrices, rtol: float) -> CirclePeak | None:
+    """H-infinity norm of a system in discrete time with at least one state; None for an unstable one.
+
+    Poles within four roundings per state of the circle count as unstable. The modal form is tried first, then
+    resolvents, then exact arithmetic; where none of them closes the gap to `rtol`, the best bounds are returned, of the
+    certificate ``none`` where there is no upper bound.
+    """
+    given, unit = in_units(system)
+    found = _norm_in_units(given, rtol)
+    return found and replace(found, value=found.value * unit, upper=found.upper * unit)
+
+
+def in_units(system: Matrices) -> tuple[Matrices, float]:
+    """Balanced system with entries of B, C and D of 1 at most, and by what its gain is to be multiplied; exact."""
+    A, B, C = balanced(*system[:3])
+    b, c = (int(np.frexp(np.abs(X).max(initial=0.0))[1]) for X in (B, C))
+    d = int(np.frexp(np.abs(system[3]).max(initial=0.0))[1])
+    if not (B.any() and C.any()):
+        b = c = 0
+    unit = max(b + c, d) if system[3].any() else b + c
+    unit = int(np.clip(unit, -1000, 1000))
+    return (A, np.ldexp(B, c - unit), np.ldexp(C, -c), np.ldexp(system[3], -unit)), float(np.ldexp(1.0, unit))
+
+
+def stability_limit(system: Matrices) -> float:
+    """Magnitude of a pole from which a system counts as unstable: four roundings per state below 1."""
+    return 1.0 - 4.0 * EPS * len(system[0])
+
+
+def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
+    limit = stability_limit(given)
+    form, stable = circle_modes(given, limit)
+    if stable is False:
+        return None
+    best = circle_norm(form, rtol) if form else None
+    if best is None:
+        resolvents = CircleResolvents.of(given)
+        if resolvents.gap.min() > 1.0 - limit:
+            best = circle_norm(resolvents, rtol)
+    if best is not None and best.upper <= best.value * (1.0 + rtol):
+        return best
+    if (quotient := Quotient.of(given)) is not None:
+        if stable is None and not quotient.stable(limit):
+            return None
+        if (exact := exact_circle_norm(quotient, rtol)) is not None:
+            return CirclePeak(*exact, certificate="polynomial")
+    if best is not None:
+        return best
+    direct = float(largest_gains(given[3][None].astype(complex))[0])  # the norm is that of D at least
+    return CirclePeak(direct, float("inf"), 0.0, "none")
+
+
+def circle_norm(response: Expandable, rtol: float) -> CirclePeak | None:
+    """H-infinity norm of a stable response; None where `MAX_INTERVALS` do not show it.
+
+    The two sides are `rtol` apart unless rounding forbids it; then they are as far apart as rounding makes them.
+    """
+    seeds = np.unique(np.concatenate([[0.0, np.pi], np.abs(response.angle)]))
+    gain, theta = _best_peak(response, seeds, rtol)
+    rounding = _rounding(response, theta)
+    level = (gain + rounding) * (1.0 + 0.9 * rtol) + 2.0 * rounding
+    for _ in range(MAX_ROUNDS):
+        cuts = _cuts(response, seeds, theta)
+        outcome = _cover(response, level, np.column_stack([cuts[:-1], cuts[1:]]))
+        if outcome is True:
+            return CirclePeak(max(gain - rounding, 0.0), level, theta)
+        if outcome is False:
+            return None
+        found, doubt = outcome
+        better, place = _best_peak(response, np.array([found]), rtol)
+        if better > gain:
+            gain, theta = better, place
+            rounding = _rounding(response, theta)
+        level = max((gain + rounding) * (1.0 + 0.9 * rtol) + 2.0 * rounding, doubt * (1.0 + 0.9 * rtol))
+    return None
+
+
+def _rounding(response: Expandable, theta: float) -> float:
+    return float(response.expansion(np.array([theta]), np.zeros(1)).rounding[0])
+
+
+def _best_peak(response: Expandable, seeds: FloatArray, rtol: float) -> tuple[float, float]:
+    """Largest gain near the best `CLIMBED` seeds: (gain, angle)."""
+    centres = response.expansion(seeds, np.zeros(len(seeds))).coefficients[:, 0]
+    gains = np.sqrt(largest_eigenvalues(_square(centres[:, None])[:, 0]))
+    chosen = np.argsort(gains)[::-1][:CLIMBED]
+    best, theta = float(gains[chosen[0]]), float(seeds[chosen[0]])
+    for k in chosen[gains[chosen] >= RIVAL * best]:
+        start = float(seeds[k])
+        if 0.0 < start < np.pi:
+            angle, gain = climb(response.derivatives, start, float(gains[k]), _distance(response, start), rtol)
+            if gain > best and 0.0 <= angle <= np.pi:
+                best, theta = gain, angle
+    return best, theta
+
+
+def _distance(response: Expandable, theta: float) -> float:
+    """Distance of the nearest pole, at least in order of magnitude."""
+    apart = np.abs(np.remainder(theta - response.angle + np.pi, 2.0 * np.pi) - np.pi)
+    return float(np.hypot(apart, response.gap).min(initial=1.0))
+
+
+def _cuts(response: Expandable, seeds: FloatArray, peak: float) -> FloatArray:
+    """First cuts of half the circle: intervals that grow with the distance from the nearest pole and from the peak."""
+    steps = _distance(response, peak) * 2.0 ** np.arange(-PEAK_CUTS, 1.0)
+    near = (response.gap < 0.3) & (response.angle >= 0.0)
+    angle, gap = np.abs(response.angle[near]), response.gap[near]
+    growth = int(np.ceil(np.log(np.pi / max(float(gap.min(initial=1.0)), 1e-15)) / np.log(GROWTH)))
+    reach = 0.5 * gap * GROWTH ** np.arange(growth + 2)[:, None]
+    around = np.concatenate([angle - reach, angle + reach]).ravel()
+    owner = np.tile(np.arange(len(angle)), 2 * len(reach))
+    nearest = np.abs(around[:, None] - angle).argmin(axis=1) if len(angle) else owner
+    around = around[np.abs(angle[nearest] - angle[owner]) <= 1e-12]
+    every = np.concatenate([np.linspace(0.0, np.pi, 9), seeds, around, [peak], peak - steps, peak + steps])
+    every = np.unique(every[(every >= 0.0) & (every <= np.pi)])
+    return np.asarray(every)
+
+
+def _cover(response: Expandable, level: float, intervals: FloatArray) -> tuple[float, float] | bool:
+    """True where the gain stays below; else an angle at which it may not, with the gain there; False: given up."""
+    done = 0
+    while len(intervals):
+        done += len(intervals)
+        if done > MAX_INTERVALS:
+            return False
+        centre, half = 0.5 * (intervals[:, 0] + intervals[:, 1]), 0.5 * (intervals[:, 1] - intervals[:, 0])
+        found = response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
+        square = _square(found.coefficients)
+        bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
+        k = square.shape[-1]
+        highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
+        gains = np.sqrt(largest_eigenvalues(square[:, 0]))
+        slack = found.rounding * 2.0 + found.rest
+        bound = np.sqrt(highest * (1.0 + 1e-14)) + slack
+        sure = gains + 2.0 * found.rounding
+        if np.any(over := sure > level):
+            worst = int(np.argmax(np.where(over, sure, 0.0)))
+            return float(centre[worst]), float(sure[worst])
+        left = intervals[~(bound <= level)]
+        middle = 0.5 * (left[:, 0] + left[:, 1])
+        if np.any((middle <= left[:, 0]) | (middle >= left[:, 1])):
+            return False
+        intervals = np.concatenate([np.column_stack([left[:, 0], middle]), np.column_stack([middle, left[:, 1]])])
+    return True
+
+
+def _square(coefficients: ComplexArray) -> ComplexArray:
+    """Coefficients of ``G G^H`` or ``G^H G``, whichever is smaller: from (N, K + 1, p, m) to (N, 2 K + 1, k, k)."""
+    G = coefficients if coefficients.shape[2] <= coefficients.shape[3] else coefficients.swapaxes(2, 3)
+    H = G.conj().swapaxes(2, 3)
+    order = G.shape[1] - 1
+    out = np.zeros((len(G), 2 * order + 1, G.shape[2], G.shape[2]), dtype=complex)
+    for a in range(order + 1):
+        out[:, a : a + order + 1] += G[:, a, None] @ H
+    return out
+
+
+def _bernstein_matrix(degree: int) -> FloatArray:
+    """From coefficients of ``x^k``, x from -1 to 1, to Bernstein coefficients on that interval."""
+    matrix = np.zeros((degree + 1, degree + 1))
+    for k in range(degree + 1):
+        for i in range(k + 1):  # x = 2 u - 1: x^k has the coefficients comb(k, i) 2^i (-1)^(k - i)
+            factor = comb(k, i) * 2**i * (-1) ** (k - i)
+            for j in range(i, degree + 1):
+                matrix[j, k] += factor * comb(j, i) / comb(degree, i)
+    return matrix
+
+
+_TO_BERNSTEIN = _bernstein_matrix(2 * ORDER)

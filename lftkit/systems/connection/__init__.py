@@ -1,0 +1,1 @@
+"""Systems connected by the names of their ports."""

@@ -1,0 +1,1 @@
+"""Discrete systems with named ports, and sampling of continuous ones."""

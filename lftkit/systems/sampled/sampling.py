@@ -1,0 +1,92 @@
+"""From continuous systems to discrete ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray, Matrices
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.sampled.sampled_system import SampledSystem
+from lftkit.systems.system import System
+
+METHODS = ("tustin", "hold")
+
+
+def sampled(
+    system: System,
+    dt: float,
+    *,
+    method: str = "tustin",
+    name: str = "controller",
+    provenance: Mapping[str, Any] | None = None,
+) -> SampledSystem:
+    """Sample a system.
+
+    Parameters
+    ----------
+    system : System
+        Continuous time; of an uncertain system the nominal member.
+    dt : float
+        Period [s].
+    method : {"tustin", "hold"}
+        Bilinear transformation (for controllers: no extra delay) or zero-order hold (for plants).
+    name, provenance
+        As in :class:`SampledSystem`.
+
+    Raises
+    ------
+    ValueError
+        Unknown method, or a period that is not positive.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt must be positive, got {dt}")
+    system.require_continuous()
+    s = system.nominal()
+    matrices = to_discrete(*s.matrices, dt) if method == "tustin" else _zero_order_hold(*s.matrices, dt)
+    return SampledSystem(*matrices, s.inputs, s.outputs, dt, name=name, provenance=dict(provenance or {}))
+
+
+def discretise(system: System, dt: float, *, method: str = "tustin") -> System:
+    """The system in discrete time, as a :class:`System`; :func:`sampled` gives a controller ready to run.
+
+    Parameters
+    ----------
+    system : System
+        Continuous time. Uncertain elements stay with the method "tustin"; dynamics become discrete ones.
+    dt : float
+        Period [s].
+    method : {"tustin", "hold"}
+        Bilinear transformation, or zero-order hold of the inputs (certain systems only).
+
+    Raises
+    ------
+    ValueError
+        Unknown method, a period that is not positive, a discrete system, or a hold of an uncertain one.
+
+    Examples
+    --------
+    >>> from lftkit import transfer
+    >>> float(discretise(transfer([1.0], [1.0, 1.0]), 0.5, method="hold").A[0, 0]) == float(np.exp(-0.5))
+    True
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt must be positive, got {dt}")
+    system.require_continuous()
+    matrices = to_discrete(*system.lft, dt) if method == "tustin" else _zero_order_hold(*system.matrices, dt)
+    return system.with_lft(matrices, dt=dt)
+
+
+def _zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Matrices:
+    n, size = len(A), sum(B.shape)
+    whole = np.zeros((size, size))
+    whole[:n, :n], whole[:n, n:] = A, B
+    step = linalg.expm(whole * dt)[:n]
+    return step[:, :n], step[:, n:], C, D

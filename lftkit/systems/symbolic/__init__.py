@@ -1,0 +1,1 @@
+"""Systems written as expressions of s and of uncertain parameters."""

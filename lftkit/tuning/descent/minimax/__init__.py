@@ -1,0 +1,1 @@
+"""Local steps for the largest of many smooth functions."""

@@ -1,0 +1,1 @@
+"""Tuning for all values of uncertain parameters, by rounds of worst cases."""

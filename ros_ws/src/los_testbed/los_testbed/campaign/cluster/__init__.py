@@ -1,0 +1,1 @@
+"""The processes of a Dask cluster and who may speak to them."""

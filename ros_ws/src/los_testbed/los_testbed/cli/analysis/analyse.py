@@ -1,0 +1,82 @@
+"""Command ``los-testbed analyse``: metrics and verdicts of recorded runs, and their report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from los_testbed.cli.analysis.recordings import (
+    Bags,
+    Los,
+    OpticsFile,
+    Rate,
+    Requirements,
+    Unit,
+    open_runs,
+    requirements_in,
+)
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.run.summary.screen import Screen
+
+if TYPE_CHECKING:
+    from pointing_analysis.read.recording import Recording
+
+ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
+
+**Examples**
+
+    los-testbed analyse bags/run-20260101-120000
+
+    los-testbed analyse bags/isolator bags/fsm+pma --report comparison.html --json
+
+    los-testbed analyse my_bag --los /my/los --unit arcsec --rate 512     # another bag: topic, or topic.field
+
+    los-testbed analyse measured.csv --los x,y --unit mas --requirements mission.toml --report measured.html
+
+    los-testbed analyse measured.csv --los x,y --unit mas --optics my_telescope.toml    # MTF, Strehl ratio, EE80
+
+    los-testbed analyse measured.mat --los los --unit urad                # CSV, Parquet, .mat, HDF5, .npy, .npz
+
+`los-testbed bag topics BAG` lists what a bag has that could be a line of sight.
+"""
+
+
+def analyse(
+    bags: Bags,
+    report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    transient: Transient = None,
+    los: Los = None,
+    unit: Unit = None,
+    rate: Rate = None,
+    time: Annotated[
+        str | None, typer.Option(help="Its times: header or log of a bag, name of the column of a table.")
+    ] = None,
+    requirements: Requirements = None,
+    optics: OpticsFile = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See ANALYSE_EXAMPLES."""
+    from lftkit.support.progress import Progress
+    from los_testbed.run.summary.summary import print_summary, summarise_runs
+    from pointing_analysis.read.los_source import open_los
+
+    seconds("--transient", transient)
+    target = report
+    if target is None and len(bags) == 1 and bags[0].is_dir():
+        target = bags[0] / "report.html"
+    given = requirements_in(requirements)
+
+    def opener(bag: Path, limit: int) -> Recording:
+        return open_los(bag, los=los, unit=unit, rate=rate, time=time, max_chunk=limit)
+
+    with Progress("analysis"):
+        runs = open_runs(bags, opener, max_chunk, optics)
+        summaries = summarise_runs(runs, target, transient, requirements=given)
+    print_summary(Screen(stderr=json_), summaries)
+    if json_:
+        print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})
+    leave_if_contradicted(text for summary in summaries.summaries for text in summary.contradictions)

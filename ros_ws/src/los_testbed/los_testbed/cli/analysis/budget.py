@@ -1,0 +1,150 @@
+"""Command ``los-testbed budget``: a pointing budget, its contributions and margins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from los_testbed.cli.options.options import Designs, Json
+from los_testbed.cli.output import number, print_json
+from los_testbed.run.summary.screen import Screen
+
+if TYPE_CHECKING:
+    from los_testbed.run.summary.worst_budget import Loader, Overlay
+    from pointing_analysis.budget.file import Budget
+    from pointing_analysis.budget.total import BudgetVerdict
+
+BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
+
+Without FILE the budget of the testbed itself: wheels, array drives and sensor noise through its closed loop, beside the
+requirements of the reference telescope.
+
+**Examples**
+
+    los-testbed budget
+
+    los-testbed budget from_peet.csv --table results.csv
+
+    los-testbed budget --designs examples/spacecraft/small_telescope
+
+    los-testbed budget --members 20                     # and the worst of 20 telescopes of the family
+
+    los-testbed budget my_budget.toml --output budget.html --json
+"""
+ROWS = 12
+
+
+def _shown(v: BudgetVerdict) -> Table:
+    """Contributions, total and margin of a requirement for the screen."""
+    from pointing_analysis.report.budget_page import digits, vector
+
+    table = Table(title=f"{v.requirement}", title_justify="left")
+    table.add_column("source", overflow="fold")
+    for head in ("sigma", "alone", "share"):
+        table.add_column(head, justify="right")
+    for s in v.shares[:ROWS]:
+        table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
+    if len(v.shares) > ROWS:
+        rest = sum(s.share for s in v.shares[ROWS:])
+        table.add_row(f"{len(v.shares) - ROWS} others", "", "", f"{100 * rest:.3g} %")
+    table.add_row("total", "", digits(v.total), "", style="bold")
+    table.add_row("limit", "", digits(v.limit), "")
+    table.add_row("margin", "", digits(v.margin), "", style="green" if v.compliant else "red")
+    return table
+
+
+def budget(
+    file: Annotated[Path | None, typer.Argument(help="TOML file of the budget, or CSV table of its sources.")] = None,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    table: Annotated[Path | None, typer.Option(help="CSV file of the results to write, by steps AST-1 to 4.")] = None,
+    sources: Annotated[Path | None, typer.Option(help="CSV file of the sources to write, which can be read.")] = None,
+    designs: Designs = None,
+    members: Annotated[
+        int, typer.Option(help="Also at so many random members of the telescope's family, and at its worst points.")
+    ] = 0,
+    json_: Json = False,
+) -> None:
+    """See BUDGET_EXAMPLES."""
+    import pointing_analysis.budget.file as budget_file
+    from los_testbed.run.summary.budget_sources import testbed_requirements, testbed_sources, with_designs
+    from los_testbed.run.summary.worst_budget import members_of
+    from pointing_analysis.budget.result_table import result_rows
+    from pointing_analysis.budget.source_table import COLUMNS, source_rows, text_of
+    from pointing_analysis.budget.total import as_dict, axis_total, evaluate
+    from pointing_analysis.files.atomic_output import check_output, write_text
+    from pointing_analysis.report.budget_page import render_budget, vector
+
+    shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
+    for path, what in ((output, "the page"), (table, "--table"), (sources, "--sources")):
+        if path is not None:
+            check_output(path, what)
+    if sources is not None:
+        write_text(sources, text_of(source_rows(budget_file.read_content(file or shipped)), COLUMNS))
+
+    number("--members", members, 0, 100_000)
+
+    def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
+        return with_designs(table, designs) if designs else table
+
+    def load(overlay: Overlay) -> Budget:
+        return budget_file.load_budget(
+            file or shipped,
+            lambda path, table, unit: testbed_sources(path, overlay(of_designs(table)), unit),
+            lambda table: testbed_requirements(of_designs(table)),
+        )
+
+    named = budget_file.testbed_table(budget_file.read_content(file or shipped).get("sources", {}))
+    if members and named is None:
+        raise ValueError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
+    found = load(lambda table: table)
+    verdicts = evaluate(found)
+    console = Screen(stderr=json_)
+    console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
+    for v in verdicts:
+        console.print(_shown(v))
+    for rule in found.totals:
+        total = axis_total(found, rule)
+        axes = ", ".join(found.axes)
+        text = f"{rule.index}, factor {rule.factor:g}, {axes}: RSS {vector(total.rss.tolist())}"
+        console.print(f"{text}; level {vector(total.level.tolist())}", highlight=False, soft_wrap=True)
+    if output is not None:
+        write_text(output, render_budget(found, verdicts))
+        console.print(f"page    {output}", soft_wrap=True, highlight=False)
+    if table is not None:
+        write_text(table, text_of(result_rows(found, verdicts)))
+        console.print(f"table   {table}", soft_wrap=True, highlight=False)
+    over = {}
+    if members and named is not None:
+        over["over_members"] = _over_members(
+            console, load, verdicts, members_of(of_designs(named), designs or "", members)
+        )
+    if json_:
+        print_json({**as_dict(found, verdicts), **over})
+
+
+def _over_members(
+    console: Screen, load: Loader, verdicts: Sequence[BudgetVerdict], members: Mapping[str, Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Totals over members of the family beside those at the point of the budget; rows for JSON."""
+    from lftkit.support.progress import Progress
+    from los_testbed.run.summary.worst_budget import worst_totals
+    from pointing_analysis.report.budget_page import digits
+
+    with Progress("members") as bar:
+        found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
+    table = Table(title=f"Over {len(members)} members of the family: worst found, no bound", title_justify="left")
+    table.add_column("requirement", overflow="fold")
+    for head in ("at the point", "worst", "limit", "margin", "member"):
+        table.add_column(head, justify="right")
+    for row in found:
+        v = row.worst
+        style = "green" if v.compliant else "red"
+        cells = (digits(row.at.total), digits(v.total), digits(v.limit), Text(digits(v.margin), style=style))
+        table.add_row(str(v.requirement), *cells, row.member)
+    console.print(table)
+    return [row.as_dict() for row in found]

@@ -1,0 +1,103 @@
+"""Command ``los-testbed report``: one HTML page from one or several bags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, open_runs, requirements_in
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
+from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.files.atomic_output import check_output
+
+if TYPE_CHECKING:
+    from pointing_analysis.requirements.summary import Summary
+
+REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, figures, provenance.
+
+For bags of this testbed it also compares the predicted with the measured amplitude of each tone of the disturbance. The
+page needs no other file and no network.
+
+**Examples**
+
+    los-testbed report bags/run-20260101-120000                    # into the bag's folder
+
+    los-testbed report bags/none bags/isolator bags/fsm bags/fsm+pma --output stages.html
+
+    los-testbed report bags/long --requirements mission.toml --transient 5
+
+    los-testbed report bags/night --start 3600 --stop 4200         # ten minutes of a large bag
+"""
+
+
+def report(
+    bags: Annotated[list[Path], typer.Argument(help="Bags: folders or .mcap files.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(help="HTML file. Default: report.html in the folder of a single bag, else in this folder."),
+    ] = None,
+    requirements: Requirements = None,
+    optics: OpticsFile = None,
+    transient: Transient = None,
+    start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
+    stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
+    namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See REPORT_EXAMPLES."""
+    from lftkit.support.progress import Progress
+    from los_testbed.run.summary.summary import judged
+    from pointing_analysis.read.run import Run
+    from pointing_analysis.report.report import labels
+
+    for option, value in (("--transient", transient), ("--start", start)):
+        seconds(option, value)
+    if not stop > start:
+        raise ValueError(f"--stop must be after --start = {start:g} s, got {stop:g} s")
+    given = requirements_in(requirements)
+    target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
+    check_output(target, "--output")
+
+    def opener(bag: Path, limit: int) -> Run:
+        return Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit)
+
+    with Progress("report"):
+        result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
+        result.write_page(target, result.notes, start, stop)
+    found, console = result.summaries, Screen(stderr=json_)
+    show(console, labels(result.runs), found)
+    for text in dict.fromkeys(text for texts in result.notes for text in texts):
+        say(console, text, "note")
+    say(console, f"report  {target}")
+    if json_:
+        print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
+    leave_if_contradicted(text for s in found for text in s.contradictions)
+
+
+def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
+    """Print the metrics of some runs, one line each, and the problems of their bags."""
+    from pointing_analysis.requirements.rows import digits, overall
+    from pointing_analysis.requirements.summary import UNKNOWN
+
+    table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
+    table.add_column("run", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
+    for head in ("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"):
+        table.add_column(head, justify="right")
+    for name, s in zip(names, found):
+        ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
+        table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", s.lost_text())
+    console.print(table)
+    if not all(s.requirements_known for s in found):
+        say(console, UNKNOWN, "note")
+    for name, s in zip(names, found):
+        for problem in s.problems:
+            say(console, f"{name}: {problem}", "note")

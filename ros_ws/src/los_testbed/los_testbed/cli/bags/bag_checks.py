@@ -1,0 +1,127 @@
+"""Commands ``los-testbed bag info``, ``verify`` and ``sign``: what a bag holds, whether it is whole, who signed it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
+from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
+from los_testbed.run.summary.screen import Screen, say
+
+INFO_EXAMPLES = """Show what a bag holds: times, topics with types and counts, the run with its seed, hashes.
+
+**Example**
+
+    los-testbed bag info bags/run-20260101-120000
+"""
+
+VERIFY_EXAMPLES = """Read a bag from one end to the other and compare all that it says of itself.
+
+Exit code 0: whole. 1: damaged or incomplete. 5: it contradicts its own digests, counts, or the signature.
+
+**Examples**
+
+    los-testbed bag verify bags/run-20260101-120000
+
+    los-testbed bag verify bags/run-20260101-120000 --public-key public.pem
+"""
+
+SIGN_EXAMPLES = """Sign a whole bag with an Ed25519 key; the signature is written beside its file, as NAME.mcap.sig.
+
+**Example**
+
+    openssl genpkey -algorithm ed25519 -out key.pem; openssl pkey -in key.pem -pubout -out public.pem
+
+    los-testbed bag sign bags/run-20260101-120000 --key key.pem
+"""
+
+Bag = Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")]
+STYLES = {"damaged": "red", "contradicts": "red", "agrees": "green"}
+
+
+def info(bag: Bag, max_chunk: MaxChunk = MAX_CHUNK_MB, json_: Json = False) -> None:
+    """See INFO_EXAMPLES."""
+    from los_testbed.bags.describe import describe_bag
+
+    found, console = describe_bag(bag, chunk_limit(max_chunk)), Screen(stderr=json_)
+    _show(console, found)
+    for problem in found["problems"]:
+        say(console, problem, "note")
+    if json_:
+        print_json(found)
+    leave_if_contradicted(found["contradictions"])
+
+
+def _show(console: Console, found: Mapping[str, Any]) -> None:
+    """Lines like those of ``ros2 bag info``, and what only bags of this testbed have."""
+    lines = {"files": ", ".join(found["files"]), "size": f"{found['size_bytes'] / 1e6:.3f} MB", "storage": "mcap"}
+    if found["start_ns"] is not None:
+        start = datetime.fromtimestamp(found["start_ns"] * 1e-9, timezone.utc)
+        lines["start"] = f"{start:%Y-%m-%d %H:%M:%S} UTC ({found['start_ns'] * 1e-9:.9f})"
+        lines["duration"] = f"{found['duration_s']:.9g} s"
+    lines["messages"] = str(found["messages"])
+    lines |= {key: str(value) for key, value in (found["run"] | found["hashes"]).items()}
+    lines |= {f"SHA-256 of {name}": value for name, value in found["sha256"].items()}
+    lines |= {f"SHA-256 of {name}": about["sha256"] for name, about in found["attachments"].items()}
+    if found["chain"]:
+        lines["chain"] = ", ".join(found["chain"])
+    lines["signature"] = "there, not checked: los-testbed bag verify" if found["signed"] else "none"
+    width = max(map(len, lines))
+    for name, value in lines.items():
+        say(console, f"{name:<{width}}  {value}")
+    table = Table(box=None, padding=(0, 1))
+    for head in ("topic", "type", "messages"):
+        table.add_column(head, justify="right" if head == "messages" else "left", overflow="fold")
+    for name, topic in found["topics"].items():
+        table.add_row(name, topic["type"], str(topic["messages"]))
+    console.print(table)
+
+
+def verify(
+    bag: Bag,
+    public_key: Annotated[Path | None, typer.Option(help="PEM file: it must be signed with this key.")] = None,
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See VERIFY_EXAMPLES."""
+    from los_testbed.bags.check import check_bag
+    from los_testbed.bags.signature import public_key as read_key
+
+    key = None if public_key is None else read_key("--public-key", public_key)
+    found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
+    table = Table(title=Text(f"{bag}: {('whole' if not found.code else 'not whole')}"), title_justify="left")
+    for head in ("check", "result", "found"):
+        table.add_column(head, overflow="fold")
+    for row in found.rows:
+        table.add_row(row.name, Text(row.state, style=STYLES.get(row.state, "")), row.found)
+    console.print(table)
+    for problem in found.problems:
+        say(console, problem, "note")
+    if json_:
+        print_json(found.as_dict())
+    if found.code:
+        raise typer.Exit(found.code)
+
+
+def sign(
+    bag: Bag,
+    key: Annotated[Path, typer.Option(help="PEM file of an Ed25519 private key without password.")],
+    max_chunk: MaxChunk = MAX_CHUNK_MB,
+    json_: Json = False,
+) -> None:
+    """See SIGN_EXAMPLES."""
+    from los_testbed.bags.check import sign_bag
+    from los_testbed.bags.signature import private_key
+
+    written = sign_bag(bag, private_key("--key", key), chunk_limit(max_chunk))
+    say(Screen(stderr=json_), f"signature {written}")
+    if json_:
+        print_json({"bag": str(bag), "signature": str(written)})

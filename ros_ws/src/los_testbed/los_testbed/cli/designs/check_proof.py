@@ -1,0 +1,193 @@
+"""Command ``los-testbed design check-proof``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from los_testbed.cli.designs.proofs import loops_of
+from los_testbed.cli.options.cluster_options import WorkersOption, processes
+from los_testbed.cli.options.options import Json
+from los_testbed.cli.output import print_json
+from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
+from titop_plant.interface import MIRROR_STAGES
+
+if TYPE_CHECKING:
+    from los_design.verification.bundle import CheckedBundle
+
+CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
+
+The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
+`lftkit/proofs/sampled_loop/checker.py` and what it imports): it optimises nothing. Exit code 1 if the
+proof is refused.
+
+A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
+proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--of FOLDER`; the
+words in the file prove nothing.
+
+**Examples**
+
+    los-testbed design check-proof proofs/bundle.zip
+
+    los-testbed design check-proof proof.json
+
+    los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --of designs/soft
+"""
+
+
+def check_proof(
+    file: Annotated[Path, typer.Argument(help="Proof (.json), or bundle (.zip) or proof (.npz) of `design certify`.")],
+    of: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
+    ] = None,
+    workers: WorkersOption = 0,
+    json_: Json = False,
+) -> None:
+    """See CHECK_PROOF_EXAMPLES."""
+    from lftkit.proofs.checking import proof_format
+    from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
+    from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
+    from lftkit.proofs.verdict import ProofError
+
+    count = processes(workers)
+    if not file.exists():
+        raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
+    if of is not None and file.suffix != ".npz":
+        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
+    try:
+        if file.suffix == ".zip":
+            _check_bundle(file, count, json_)
+        elif proof_format(file) == LOOP:
+            _check_loop(file, count, of, json_)
+        elif proof_format(file) == NOISE_FORMAT:
+            raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
+        else:
+            _check_system(file, json_)
+    except ProofError as error:
+        sys.stderr.write(f"refused: {error}\n")
+        raise typer.Exit(1) from None
+
+
+def _check_system(file: Path, json_: bool) -> None:
+    """Check a proof of a gain or of the stability of an uncertain system."""
+    from lftkit.proofs import CheckedProof, ProofError
+    from lftkit.proofs import check_proof as check
+    from lftkit.support.threads import one_thread
+
+    with one_thread():
+        checked = check(file)
+    if not isinstance(checked, CheckedProof):
+        raise ProofError(f"the file must be a proof of a system, got one of {type(checked).__name__}")
+    band = [checked.band[0], None if math.isinf(checked.band[1]) else checked.band[1]]
+    if json_:
+        print_json({**vars(checked), "band": band, "margin": min(checked.margin, 1e300)})
+        return
+    box = ", ".join(f"{name} in [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
+    frequencies = f"from {checked.band[0]:g} rad/s " + ("on" if band[1] is None else f"to {band[1]:g} rad/s")
+    if checked.kind == "gain":
+        sys.stdout.write(f"proven: gain below {checked.level:.6g} at all frequencies {frequencies}\n")
+    if checked.stable:
+        sys.stdout.write("proven: stable\n")
+    sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
+    sys.stdout.write(f"{checked.cells} parts; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
+
+
+def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
+    """Check a proof of a sampled loop, and of which loop it is."""
+    from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+    from lftkit.proofs.verdict import ProofError
+    from lftkit.support.threads import one_thread
+    from lftkit.support.workers import Workers
+    from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
+
+    whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
+    proof = LoopProof.from_file(file)
+    stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
+    compared = ProofComparison((f"stage, got {stage}",))
+    if stage in MIRROR_STAGES:
+        loop = loops_of(of, [stage])[0][stage]
+        compared = compare_proof(proof, loop, figure)
+        proof = proof_of_loop(proof, loop, figure) if compared.same else proof
+    other = ", ".join(compared.mismatches)
+    if of is not None and other:
+        raise ProofError(f"it is not of {whose}: other {other}")
+    with one_thread(), Workers(count) as pool:
+        checked = check_loop_proof(proof, pool.each)
+    if json_:
+        below = checked.stable_below if math.isfinite(checked.stable_below) else None
+        mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
+        print_json({**vars(checked), "stable_below": below, **mismatches})
+        return
+    if compared.same:
+        sys.stdout.write(f"of {whose}: their loop was made anew, and the scalings of the file prove this of it\n")
+    else:
+        sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
+    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
+    about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
+    sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
+    sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
+    sys.stdout.write(f"{_stability(checked.stable_below)}\n")
+    sys.stdout.write(f"for all deviations from the nominal values {box} (of an angle [rad])\n")
+    sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
+
+
+def _check_bundle(file: Path, count: int, json_: bool) -> None:
+    """Check all proofs of a bundle and print what they prove, of what, and what they do not."""
+    from lftkit.support.progress import Progress
+    from lftkit.support.threads import one_thread
+    from lftkit.support.workers import Workers
+    from los_design.verification.bundle import as_mapping, check_bundle, open_bundle
+
+    with open_bundle(file) as bundle, one_thread(), Workers(count) as pool, Progress(file.name) as bar:
+        checked = check_bundle(bundle, pool.each, bar.report)
+    if json_:
+        print_json(as_mapping(checked))
+        return
+    sys.stdout.write("\n".join(_sentences(checked)) + "\n")
+
+
+def _sentences(checked: CheckedBundle) -> list[str]:
+    """What a bundle proves."""
+    subject = checked.subject
+    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
+    lines = [
+        f"bundle {checked.name}: K_FSM {subject.k_fsm}, K_PMA {subject.k_pma}, telescope {subject.telescope}",
+        *(f"requirement: {text}" for text in checked.requirements),
+        f"for all deviations from the nominal values {box} (of an angle [rad])",
+        "and every tone whose amplitudes over all weighted channels of disturbance have norm 1 together:",
+    ]
+    for figure in checked.figures:
+        low, high = figure.band
+        lines.append(
+            f"proven: {figure.stage}, {figure.text}, {figure.level:.4g} of the limit, from {low:g} to {high:.6g} rad/s"
+        )
+    lines += [f"{stage}: {_stability(below)}" for stage, below in checked.stable.items()]
+    for stage, (absolute, relative) in checked.noise.items():
+        lines.append(
+            f"proven: {stage}, noise of the sensors, rms of both axes: {absolute / RAD_PER_ARCSEC:.4g} arcsec, "
+            f"relative error {relative / RAD_PER_MAS:.4g} mas"
+        )
+    lines += [f"from these bounds: {stage}, {row.text}" for stage, rows in checked.sums.items() for row in rows]
+    missing = [stage for stage in checked.stable if stage not in checked.noise]
+    noise = f"noise of {', '.join(missing)} and its sum with tones, " if missing else ""
+    lines.append(
+        f"not proven: {noise}saturation, tones above half of the sampling rate, sidebands of sampling, "
+        "parameters that vary in time"
+    )
+    return lines
+
+
+def _stability(below: float) -> str:
+    """What is said about stability, with its condition, if no pole crosses the axis up to a frequency [rad/s]."""
+    if math.isinf(below):
+        return "proven: stable, as a loop without the sidebands that sampling makes of uncertain parameters and frames"
+    if below:
+        return (
+            f"proven: stable nominal loop, and no pole crosses the axis up to {below:.6g} rad/s; "
+            "not proven: stable, as poles may cross above"
+        )
+    return "not proven: stable; the level is that of the frequency response"

@@ -1,0 +1,332 @@
+"""Command group ``los-testbed design``: make, compare, draw and check the implemented controllers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from lftkit.support.progress import Progress
+from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, verify_folder
+from los_testbed.cli.options.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
+from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.summary.screen import Screen, met
+from titop_plant.interface import LOOP_DELAY
+
+if TYPE_CHECKING:
+    from lftkit import SampledSystem
+    from lftkit.support.workers import Workers
+    from los_design.synthesis.options import DesignOptions
+
+MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
+
+**Examples**
+
+    los-testbed design {kind}                          # as implemented, over the whole box of parameters
+
+    los-testbed design {kind} --loop-delay 0           # the paper's continuous problem
+
+    los-testbed design {kind} --nominal                # on the nominal model alone
+
+    los-testbed design {kind} --output mine.json --time-limit 60
+
+    los-testbed design {kind} --parameters mine.toml --output mine.json      # for your telescope
+{more}"""
+
+WITH_OBSERVER = """
+    los-testbed design k-pma --k-fsm mine_observer.json --output mine.json  # on this observer
+"""
+
+NOMINAL_POINTS = 60
+"""Parameter points at which `verify` looks at the nominal design."""
+
+VERIFIED = ("implemented", "implemented_nominal", "paper")
+"""Variants of the stored designs that `verify` evaluates."""
+
+design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
+
+Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
+Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
+Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
+Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
+Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
+
+
+@design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm", more=""))
+def k_fsm(
+    nominal: Nominal = False,
+    loop_delay: Delay = LOOP_DELAY,
+    time_limit: Limit = 1800.0,
+    seed: DesignSeed = 0,
+    starts: Starts = 0,
+    parameters: Telescope = None,
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """See MAKE_EXAMPLES."""
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), parameters, None, output, json_)
+
+
+@design_app.command(
+    "k-pma", help=MAKE_EXAMPLES.format(what="the proof-mass law K_PMA", kind="k-pma", more=WITH_OBSERVER)
+)
+def k_pma(
+    nominal: Nominal = False,
+    loop_delay: Delay = LOOP_DELAY,
+    time_limit: Limit = 1800.0,
+    seed: DesignSeed = 0,
+    starts: Starts = 0,
+    parameters: Telescope = None,
+    k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """See MAKE_EXAMPLES."""
+    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), parameters, k_fsm, output, json_)
+
+
+def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
+    from los_design.synthesis.options import DesignOptions
+
+    number("--loop-delay", loop_delay, 0.0, 1.0, "s")
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--starts", starts, 0, 10_000)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    return DesignOptions(
+        nominal=nominal,
+        loop_delay=loop_delay,
+        wall_limit=time_limit,
+        seed=seed,
+        starts=starts,
+        progress=True,
+    )
+
+
+def _make(
+    kind: str, options: DesignOptions, file: Path | None, observer: Path | None, output: Path | None, json_: bool
+) -> None:
+    from lftkit import SampledSystem
+    from lftkit.support.threads import one_thread
+    from los_design.synthesis.store import design_file
+    from los_design.synthesis.synthesis import design_actuators, design_observer
+    from pointing_analysis.files.atomic_output import check_output
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation.build import telescope
+    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+
+    if output is None and (file is not None or observer is not None):
+        raise ValueError(
+            "--output must be given with --parameters or --k-fsm, got none: the stored design is not theirs"
+        )
+    path = output or design_file(kind, options.variant)
+    check_output(path, "--output")
+    parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
+    with one_thread(), Progress(kind) as bar:
+        if kind == "k-fsm":
+            system = design_observer(assembled, parameters, options, bar.print)
+        else:
+            k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
+            warn(design_warnings([k_fsm], design_basis(parameters), closed=True))
+            system = design_actuators(assembled, parameters, k_fsm, options, bar.print)
+    system.to_file(path)
+    _show_design(system, path, json_)
+    if not_met := _not_met(system):
+        for text in not_met:
+            sys.stderr.write(f"not met: {text}\n")
+        raise typer.Exit(1)
+
+
+def _not_met(system: SampledSystem) -> list[str]:
+    """One line for each requirement whose gamma is above 1."""
+    provenance = system.provenance
+    worst = {w["requirement"]: w["value"] for w in provenance.get("worst_cases", [])}
+    values = {**provenance["tuned_values"], **worst}
+    return [f"{name} {value:.4f}, must be at most 1" for name, value in values.items() if not value <= 1.0]
+
+
+def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
+    provenance = system.provenance
+    if json_:
+        shown = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
+        print_json({"file": str(path), **shown})
+        return
+    table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
+    for column in ("requirement", "tuned", "worst found", "at [rad/s]", ""):
+        table.add_column(column, justify="left" if column == "requirement" else "right")
+    worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
+    for name, value in provenance["tuned_values"].items():
+        found = worst.get(name)
+        row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
+        largest = max(value, found["value"]) if found else value
+        table.add_row(name, f"{value:.4f}", *row, met(largest <= 1.0))
+    console = Screen()
+    console.print(table)
+    console.print(f"written to {path}", soft_wrap=True)
+
+
+design_app.command("all", help=ALL_EXAMPLES)(design_all)
+
+
+@design_app.command()
+def table(json_: Json = False) -> None:
+    """The gammas of the stored designs beside the paper's, with the worst-case parameters."""
+    from lftkit import SampledSystem
+    from los_design.synthesis.store import DESIGN_PACKAGES, VARIANTS, design_file
+    from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST
+
+    rows: list[dict[str, Any]] = []
+    for kind in DESIGN_PACKAGES:
+        short = "fsm" if kind == "k-fsm" else "pma"
+        for variant in VARIANTS:
+            path = design_file(kind, variant)
+            if not path.exists():
+                continue
+            provenance = SampledSystem.from_file(path).provenance
+            worst = {w["requirement"]: w["value"] for w in provenance.get("worst_cases", [])}
+            values = {**provenance.get("tuned_values", {}), **worst}
+            rows.append({"design": kind, "variant": variant, "gammas": values, "status": provenance.get("status", "")})
+        rows.append({"design": kind, "variant": "published, robust", "gammas": PAPER_ROBUST[short]})
+        rows.append({"design": kind, "variant": "published, nominal", "gammas": PAPER_NOMINAL[short]})
+    if json_:
+        print_json(rows)
+        return
+    shown = Table(title="Gammas (1 is the limit)")
+    for column in ("design", "problem", "gammas", "status"):
+        shown.add_column(column)
+    for row in rows:
+        gammas = row["gammas"]
+        text = (
+            ", ".join(f"{name} {value:.4f}" for name, value in gammas.items())
+            if isinstance(gammas, dict)
+            else ", ".join(f"{value:.4f}" for value in gammas)
+        )
+        shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
+    Screen().print(shown)
+
+
+@design_app.command()
+def verify(
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
+    samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
+    json_: Json = False,
+) -> None:
+    """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
+
+    The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The
+    exit code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
+    """
+    number("--samples", samples, 0, 1_000_000)
+    from lftkit.support.threads import one_thread
+
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
+    if folder is not None:
+        verify_folder(folder, samples, cluster, json_)
+        return
+    with one_thread(), cluster.workers() as pool:
+        result, failed = _verified(samples, pool)
+    if json_:
+        print_json({**result, "failures": failed})
+    else:
+        for name, content in result.items():
+            Screen().print(Text(name, style="bold"), json.dumps(content, indent=1))
+    for text in failed:
+        sys.stderr.write(f"verification failed: {text}\n")
+    if failed:
+        raise typer.Exit(1)
+
+
+def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]]:
+    from los_design.search.worst_points import load_adversarial
+    from los_design.synthesis.store import load_designs
+    from los_design.verification.verification import (
+        broken_requirements,
+        check_implemented,
+        check_paper,
+        failures,
+        verification_points,
+    )
+    from los_loop.margins import rounded
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation.build import control_loop_plant, telescope
+    from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
+
+    parameters, assembled = load_parameters(), telescope()
+    for variant in VERIFIED:
+        warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
+    system = control_loop_plant(assembled, parameters)
+    at = verification_points(parameters, system, samples)
+    at += load_adversarial()
+    some = at[:: max(1, len(at) // NOMINAL_POINTS)]
+    with Progress("loops as implemented") as bar:
+        step = _counted(bar, 2 * (len(at) + len(some) + 1))
+        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step, workers=workers)
+        nominal = load_designs("implemented_nominal")
+        alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
+        spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=workers)
+    paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
+    robust = load_designs("paper")
+    for design in robust:
+        paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
+    paper = check_paper(assembled, parameters, *robust, paper_points)
+    checks = {
+        "robust design": implemented,
+        "nominal design, nominal model": alone,
+        "nominal design, uncertain model": spread,
+    }
+    result = {
+        "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
+        "implemented": implemented.to_mapping(),
+        "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
+    }
+    return result, failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
+
+
+def _counted(bar: Progress, total: int) -> Callable[[], None]:
+    """Function that counts its calls on a progress bar."""
+    calls = count(1)
+    return lambda: bar.report(next(calls), total)
+
+
+def _rng() -> Any:
+    import numpy as np
+
+    return np.random.default_rng(1)
+
+
+@design_app.command()
+def figures(
+    output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("figures"),
+    samples: Annotated[int, typer.Option(help="Random parameter points in the clouds.")] = 12,
+    designs: Designs = None,
+) -> None:
+    """Draw the stages over sampled parameters with their templates, and the controllers."""
+    from lftkit.support.threads import one_thread
+    from los_design.figures.figures import draw
+    from pointing_analysis.files.atomic_output import check_output
+
+    number("--samples", samples, 0, 10_000)
+    check_output(output, "--output", folder=True)
+    with one_thread(), Progress("figures"):
+        paths = list(draw(output, samples, designs=None if designs is None else Path(designs)))
+    for path in paths:
+        sys.stdout.write(f"{path}\n")

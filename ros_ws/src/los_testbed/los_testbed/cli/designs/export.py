@@ -1,0 +1,99 @@
+"""Command group ``los-testbed export``: the laws as flight code in C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from los_testbed.cli.options.options import Designs, Json
+from los_testbed.cli.output import print_json, warn
+from los_testbed.exit_codes import ExitCode
+from los_testbed.run.summary.screen import Screen
+
+EXPORT_EXAMPLES = """The laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
+
+The C code has the bits of the testbed. If there is a C compiler (CC, or cc, gcc, clang), the self test is built and
+run; exit code 1 if it fails.
+
+**Examples**
+
+    los-testbed export c                                              # the shipped pair, into flight_code
+
+    los-testbed export c --designs designs/mine --output mine_c
+"""
+
+CHECK_EXAMPLES = """Compare the tables in a folder of flight code with a pair of designs.
+
+The hashes are computed from the numbers in the C files, and compared with those that the files state and with those of
+the designs. Exit code 1 if any of them differ.
+
+**Examples**
+
+    los-testbed export check flight_code                              # against the shipped pair
+
+    los-testbed export check mine_c --designs designs/mine
+"""
+
+export_app = typer.Typer(help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown")
+
+
+@export_app.command("c", help=EXPORT_EXAMPLES)
+def export_c(
+    designs: Designs = None,
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder for the files.")] = Path("flight_code"),
+    json_: Json = False,
+) -> None:
+    """See EXPORT_EXAMPLES."""
+    from los_testbed.flight_code.export import FILES, write_flight_code
+    from los_testbed.flight_code.laws import laws_of
+    from los_testbed.flight_code.tables import common_hash
+    from pointing_analysis.files.atomic_output import check_output
+
+    check_output(output, "--output", new=True, folder=True)
+    laws = laws_of(designs)
+    warn(laws.warnings)
+    result = write_flight_code(laws, output)
+    digest = common_hash({unit: tables.sha256 for unit, tables in laws.tables().items()})
+    console = Screen(stderr=json_)
+    lines = {
+        "files": f"{len(FILES)} in {output}",
+        "laws": f"{laws.k_fsm.name}, order {laws.k_fsm.order}; {laws.k_pma.name}, order {laws.k_pma.order}",
+        "tables": f"SHA-256 {digest}",
+        "self test": f"{result.status}: {result.text}" + (f" ({result.compiler})" if result.compiler else ""),
+    }
+    for name, text in lines.items():
+        console.print(f"{name:<10}{text}", soft_wrap=True, highlight=False, markup=False)
+    if not result.compiler:
+        console.print(f"{'':<10}with a compiler: make -C {output} check", soft_wrap=True, highlight=False, markup=False)
+    if json_:
+        self_test = {"status": result.status, "compiler": result.compiler, "text": result.text}
+        print_json({"output": str(output), "files": list(FILES), "tables_sha256": digest, "self_test": self_test})
+    if result.status == "failed":
+        raise typer.Exit(ExitCode.FAILED)
+
+
+@export_app.command("check", help=CHECK_EXAMPLES)
+def export_check(
+    folder: Annotated[Path, typer.Argument(help="Folder of `export c`.")],
+    designs: Designs = None,
+    json_: Json = False,
+) -> None:
+    """See CHECK_EXAMPLES."""
+    from los_testbed.flight_code.laws import laws_of
+    from los_testbed.flight_code.tables import check_tables
+
+    if not folder.is_dir():
+        raise ValueError(f"FOLDER must be a folder of flight code, got {folder}")
+    checked = check_tables(folder, laws_of(designs).tables())
+    whose = designs or "the shipped designs"
+    console = Screen(stderr=json_)
+    verdict = "differs:" if checked.faults else f"has the tables of {whose}, SHA-256 {checked.found}"
+    console.print(f"{folder} {verdict}", soft_wrap=True, highlight=False, markup=False)
+    for fault in checked.faults:
+        console.print(f"  {fault}", soft_wrap=True, highlight=False, markup=False)
+    if json_:
+        print_json({"found": checked.found, "expected": checked.expected, "faults": list(checked.faults)})
+    if checked.faults:
+        raise typer.Exit(ExitCode.FAILED)

@@ -1,0 +1,273 @@
+"""Command ``los-testbed design certify``."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from lftkit.support.progress import Progress
+from los_testbed.cli.designs.redesign import designs_in
+from los_testbed.cli.options.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
+from los_testbed.cli.options.options import Json
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.summary.screen import Screen
+from los_testbed.variants import WORST_POINTS
+from pointing_analysis.files.atomic_output import atomic_file, check_output
+from pointing_analysis.files.structured_text import load_json, read_text
+from titop_plant.interface import (
+    DT,
+    K_FSM_INPUTS,
+    K_FSM_OUTPUTS,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MIRROR_STAGES,
+)
+
+if TYPE_CHECKING:
+    from los_design.search.worst_points import WorstPoint
+    from los_design.verification.certify import FigureBounds
+    from los_loop.implemented_loop import ImplementedLoop
+
+CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
+
+Writes a proof STAGE-FIGURE.npz for each figure that is proven, bounds.json, and bundle.zip: the proofs with controllers
+and telescope, for `design check-proof`. Parts that are proven are kept: the
+same command goes on after an interruption, and another level begins with what holds of them. The exit code is 1 if a
+figure is violated or not proven to its end.
+
+**Examples**
+
+    los-testbed design certify --output proofs                     # the shipped pair, below its limits
+
+    los-testbed design certify designs/soft --output soft-proofs
+
+    los-testbed design certify --output proofs --stage fsm+pma --figure slow --gap 0.05
+
+    los-testbed design certify --output proofs --stage fsm+pma --figure "sensitivity, mirror"   # a disk margin
+
+    los-testbed design certify --output proofs --scheduler tcp://host:8786    # its workers prove the parts
+"""
+
+SUMMARY = "bounds.json"
+FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
+AT_MIRROR = ("sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror", "noise")
+BY_NAME = {"fsm": AT_MIRROR, "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces")}
+"""Margins, and the noise of the sensors: proven where they are asked for by name."""
+
+
+def certify(
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the proofs.")],
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`. Default: the shipped pair.")] = None,
+    level: Annotated[float, typer.Option(help="Part of the limit to be proven.")] = 1.0,
+    gap: Annotated[
+        float | None, typer.Option(help="Prove this much above the largest value known instead, e.g. 0.05.")
+    ] = None,
+    stage: Annotated[str | None, typer.Option(help="fsm or fsm+pma. Default: both.")] = None,
+    figure: Annotated[
+        str | None,
+        typer.Option(
+            help="APE, slow, fast, mirror or force (default: all), a margin as `sensitivity, mirror`, or noise."
+        ),
+    ] = None,
+    wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
+    workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
+    json_: Json = False,
+) -> None:
+    """See CERTIFY_EXAMPLES."""
+    from los_design.verification.certify import certify_figure
+    from los_design.verification.noise_certificate import NOISE, certify_noise
+    from los_testbed.campaign.proof_parts import prover_of
+
+    number("--level", level, 1e-6, 1e6)
+    number("--wall-limit", wall_limit, 1.0, 1e7, "s")
+    if gap is not None:
+        number("--gap", gap, 1e-3, 10.0)
+    if stage not in (None, *MIRROR_STAGES):
+        raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
+    chosen = _chosen(stage, figure)
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
+    check_output(output, "--output", folder=True)
+    if output.is_dir():
+        check_output(output / SUMMARY, f"{SUMMARY} in --output")
+    _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
+    until = time.monotonic() + wall_limit
+    loops, known = loops_of(folder, list(MIRROR_STAGES))
+    found: list[FigureBounds] = []
+    with ExitStack() as stack:
+        pool = stack.enter_context(cluster.workers())
+        prove = prover_of(pool)
+        stack.enter_context(_said_how_to_go_on())
+        for s, name in chosen:
+            with Progress(f"{s}, {name}") as bar:
+                if name == NOISE:
+                    found.append(certify_noise(loops[s], output, prove, until, bar.report))
+                else:
+                    points = known or _searched(loops[s], name, pool)
+                    wanted = None if gap else level
+                    found.append(
+                        certify_figure(loops[s], name, wanted, gap or 0.0, points, output, prove, until, bar.report)
+                    )
+            _keep(output / SUMMARY, found)
+            sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
+    if any(bounds.status == "proven" for bounds in found):
+        _bundle(output, loops)
+    _show(found, json_)
+    if any(bounds.status != "proven" for bounds in found):
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _said_how_to_go_on() -> Iterator[None]:
+    """After an interrupt: the command that goes on with the parts that are kept."""
+    try:
+        yield
+    except BaseException as error:
+        if not isinstance(error, Exception):
+            command = shlex.join(["los-testbed", *sys.argv[1:]])
+            sys.stderr.write(f"parts that are proven are kept; this goes on with them: {command}\n")
+        raise
+
+
+def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
+    """Stages and figures of the options: one figure, or all but those by name."""
+    stages = list(FIGURES) if stage is None else [stage]
+    if figure is None:
+        return [(s, name) for s in stages for name in FIGURES[s]]
+    found = [(s, name) for s in stages for name in FIGURES[s] + BY_NAME[s] if name == figure]
+    if not found:
+        names = dict.fromkeys(repr(name) for s in stages for name in FIGURES[s] + BY_NAME[s])
+        raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
+    return found
+
+
+def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
+    """The implemented loops, and the worst points that are known of them."""
+    from los_design.search.worst_points import load_worst_points
+    from los_design.synthesis.store import load_designs
+    from los_loop.implemented_loop import ImplementedLoop
+    from los_loop.open_loop import OpenLoop
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.parameters import design_basis, load_parameters
+
+    if folder is None:
+        parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
+    else:
+        parameters, k_fsm, k_pma = designs_in(folder)
+        k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+        k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
+    system = control_loop_plant(build_telescope(parameters), parameters)
+    points = []
+    if folder is None or (folder / WORST_POINTS).exists():
+        points = [point for table in load_worst_points(folder).values() for point in table.values()]
+    open_loop = OpenLoop(system, parameters)
+    return {stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points
+
+
+def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint]:
+    """Worst points by a search, where none are stored."""
+    from los_design.search.worst_case_search import Search
+
+    search = Search(loop)
+    return search.run([name], workers=workers)[name] if name in search.metrics else []  # of some margins no search
+
+
+def _bounds_of(path: Path) -> list[dict[str, Any]]:
+    """Bounds of a run before, none if there is no file.
+
+    Raises
+    ------
+    ValueError
+        The file has no bounds.
+    """
+    if not path.exists():
+        return []
+    try:
+        entries = load_json(read_text(path), path)["figures"]
+        return [{**entry, "stage": str(entry["stage"]), "figure": str(entry["figure"])} for entry in entries]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        raise ValueError(f"{SUMMARY} in --output must be that of a run before, got another file {path}") from None
+
+
+def _keep(path: Path, found: list[FigureBounds]) -> None:
+    """The bounds so far, with those of other figures that the file has by now."""
+    new = [bounds.to_mapping() for bounds in found]
+    done = {(entry["stage"], entry["figure"]) for entry in new}
+    kept = [entry for entry in _bounds_of(path) if (entry["stage"], entry["figure"]) not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as temporary:
+        temporary.write_text(json.dumps({"figures": [*kept, *new]}, indent=1) + "\n", encoding="utf-8")
+
+
+def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
+    """Put all proofs of the folder that are of these loops into one file, with controllers and telescope."""
+    from lftkit.proofs.sampled_loop import LoopProof
+    from lftkit.proofs.sampled_loop.noise import NoiseProof
+    from los_design.verification.bundle import write_bundle
+    from los_design.verification.noise_certificate import NOISE
+    from los_design.verification.proof_comparison import compare_proof, same_noise
+    from los_design.verification.subject import BUNDLE
+
+    proofs = {}
+    for entry in _bounds_of(output / SUMMARY):
+        stage, figure, file = entry["stage"], entry["figure"], output / str(entry.get("proof"))
+        if stage not in loops or not file.is_file():
+            continue
+        if figure == NOISE:
+            same = same_noise(NoiseProof.from_file(file), loops[stage])
+        else:
+            same = compare_proof(LoopProof.from_file(file), loops[stage], figure).same
+        if same:
+            proofs[stage, figure] = file
+    loop = next(iter(loops.values()))
+    write_bundle(output / BUNDLE, loop.parameters, loop.pair, proofs)
+
+
+def _show(found: list[FigureBounds], json_: bool) -> None:
+    if json_:
+        print_json({"figures": [bounds.to_mapping() for bounds in found]})
+        return
+    table = Table(title="Bounds over the whole box (1 is the limit)")
+    for column in ("stage", "figure", "lower", "upper", "at rad/s", "status", "stable", "strips", "CPU s"):
+        table.add_column(column, justify="left" if column in ("stage", "figure", "status", "stable") else "right")
+    for b in found:
+        upper, stable = (f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
+        work = (f"{b.strips}", f"{b.seconds:.0f}")
+        table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, f"{b.frequency:.5g}", b.status, stable, *work)
+    Screen().print(table)
+    for b in found:
+        if b.status == "violated":
+            values = ", ".join(f"{name} {value:.5g}" for name, value in b.point.items())
+            sys.stderr.write(
+                f"{b.stage}, {b.figure}: {b.lower:.4g} of the limit at {b.frequency:.6g} rad/s, {values}\n"
+            )
+        elif b.status == "unstable":
+            sys.stderr.write(f"{b.stage}, {b.figure}: the nominal loop was not proven stable\n")
+        elif b.uncovered:
+            low, high = b.uncovered[0]
+            sys.stderr.write(
+                f"{b.stage}, {b.figure}: {len(b.uncovered)} parts not covered, first {low:.6g} to {high:.6g} rad/s\n"
+            )

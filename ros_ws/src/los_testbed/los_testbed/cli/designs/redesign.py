@@ -1,0 +1,189 @@
+"""Commands of ``los-testbed design`` for folders of designs: a redesign for any telescope, and its verification."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from lftkit.support.progress import Progress
+from los_testbed.cli.options.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    WorkersOption,
+)
+from los_testbed.cli.options.options import DesignSeed, Json, Telescope
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.summary.screen import Screen, met
+from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from pointing_analysis.files.atomic_output import atomic_file
+
+if TYPE_CHECKING:
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import Parameters
+
+ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
+
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
+same telescope that was interrupted, or ended by its time limit, goes on in its descent or after its last search.
+The exit code is 1 if a requirement is not met.
+
+**Examples**
+
+    los-testbed design all --parameters soft.toml --output designs/soft
+
+    los-testbed run --designs designs/soft                 # the telescope and its controllers
+
+    los-testbed design verify designs/soft
+
+    los-testbed design all --output designs/mine --scheduler tcp://host:8786     # its workers search and verify
+"""
+
+FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
+
+
+def check_output(folder: Path, parameters: Path | None) -> None:
+    """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
+
+    Raises
+    ------
+    ValueError
+        A file in its place, a folder of another telescope's designs, or one that cannot be written to.
+    """
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+
+    own = load_parameters(parameters or REFERENCE)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--output must be a folder, got the file {folder}")
+    kept = folder / TELESCOPE_FILE
+    if kept.exists() and parameters_hash(load_parameters(kept)) != parameters_hash(own):
+        raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        beside = any(own[body]["modal_data"] for body in ("body", "payload")) or own["optics"]["pupil"]
+        if parameters is None or beside:
+            return  # the reference, or modal data or a pupil that belong beside the file
+        if not (kept.exists() and kept.samefile(parameters)):
+            with atomic_file(kept) as temporary:
+                shutil.copyfile(parameters, temporary)
+    except OSError as error:
+        raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+
+
+def design_all(
+    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
+    parameters: Telescope = None,
+    seed: DesignSeed = 0,
+    effort: Annotated[str, typer.Option(help="full or short.")] = "full",
+    nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
+    resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
+    time_limit: Annotated[float, typer.Option(help="Wall limit of the rounds [s]; run again to go on.")] = 3600.0,
+    workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    tls_ca_file: TlsCaFile = None,
+    tls_cert: TlsCertificate = None,
+    tls_key: TlsKey = None,
+    json_: Json = False,
+) -> None:
+    """See ALL_EXAMPLES."""
+    from los_design import redesign
+    from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
+
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
+    check_output(output, parameters)
+    for line in differences(parameters or REFERENCE):
+        sys.stderr.write(f"telescope: {line}\n")
+    with cluster.workers() as pool, Progress("design") as bar:
+        summary = redesign.design_all(
+            load_parameters(parameters or REFERENCE),
+            output,
+            seed=seed,
+            effort=effort,
+            resume=resume,
+            report=bar.print,
+            nominal=nominal,
+            wall_limit=time_limit,
+            workers=pool,
+        )
+    _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
+
+
+def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
+    """Telescope and controllers of a folder of designs; the reference telescope where it names none.
+
+    Raises
+    ------
+    ValueError
+        No folder, or a file that is missing or cannot be read.
+    """
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    if not folder.is_dir():
+        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+    file = folder / TELESCOPE_FILE
+    parameters = load_parameters(file if file.exists() else REFERENCE)
+    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    return parameters, k_fsm, k_pma
+
+
+def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> None:
+    """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
+
+    Raises
+    ------
+    ValueError
+        A file is missing.
+    """
+    from lftkit.support.threads import one_thread
+    from los_design.search.worst_points import load_adversarial
+    from los_design.verification.verification import broken_requirements, check_implemented, verification_points
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.layout import mirror_stages
+    from titop_plant.telescope.parameters import design_basis
+
+    parameters, k_fsm, k_pma = designs_in(folder)
+    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
+    with one_thread(), cluster.workers() as pool, Progress(f"{folder.name} as implemented") as bar:
+        system = control_loop_plant(build_telescope(parameters), parameters)
+        adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
+        at = [*verification_points(parameters, system, samples), *adversarial]
+        done, total = count(1), len(mirror_stages(parameters)) * len(at)
+        check = check_implemented(
+            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), total), workers=pool
+        )
+    _show(folder, check.to_mapping(), broken_requirements(check), json_)
+
+
+def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: bool) -> None:
+    """Table or JSON object, one line for each requirement that is not met, exit code 1 if there is one."""
+    if json_:
+        print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met})
+    else:
+        table = Table(title=f"{folder}: gammas as implemented (1 is the limit)")
+        for column in ("stage", "requirement", "gamma", ""):
+            table.add_column(column, justify="right" if column == "gamma" else "left")
+        for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
+            for name, gamma in zip(names, implemented.get(stage, ())):
+                table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
+        Screen().print(table)
+        for key in ("margins", "noise", "worst_point"):
+            if key in implemented:
+                Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
+    for text in not_met:
+        sys.stderr.write(f"not met: {text}\n")
+    if not_met:
+        raise typer.Exit(1)

@@ -1,0 +1,91 @@
+"""Options that say on which processes a command computes: of this machine, or of a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from los_testbed.cli.output import number
+
+if TYPE_CHECKING:
+    from lftkit.support.workers import Workers
+    from los_testbed.campaign.cluster.tls_files import TlsFiles
+
+WorkersOption = Annotated[
+    int, typer.Option("--workers", help="Processes; 0: one a processor. They do not change the result.")
+]
+SchedulerOption = Annotated[
+    str, typer.Option("--scheduler", metavar="tls://HOST:PORT", help="A running Dask scheduler, whose workers compute.")
+]
+TlsCaFile = Annotated[
+    Path | None, typer.Option("--tls-ca-file", metavar="FILE", help="For tls://: whom you trust, as PEM.")
+]
+TlsCertificate = Annotated[
+    Path | None, typer.Option("--tls-cert", metavar="FILE", help="For tls://: your certificate.")
+]
+TlsKey = Annotated[Path | None, typer.Option("--tls-key", metavar="FILE", help="Its key; default: in --tls-cert.")]
+
+
+def processes(workers: int) -> int:
+    """The number of processes that an option asks for."""
+    number("--workers", workers, 0, 1000)
+    return workers or len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Processes of this machine, or the workers of a scheduler.
+
+    Parameters
+    ----------
+    count : int
+        Processes of this machine.
+    scheduler : str
+        Address; empty: there is none.
+    tls : TlsFiles, optional
+    """
+
+    count: int
+    scheduler: str = ""
+    tls: TlsFiles | None = None
+
+    @classmethod
+    def of(
+        cls, workers: int, scheduler: str, ca_file: Path | None, certificate: Path | None, key: Path | None
+    ) -> Cluster:
+        """From the options.
+
+        Raises
+        ------
+        ValueError
+            A number of processes out of range, or certificates that cannot be.
+        """
+        from los_testbed.campaign.cluster.tls_files import TlsFiles
+
+        return cls(processes(workers), scheduler, TlsFiles.of(scheduler, ca_file, certificate, key))
+
+    @contextmanager
+    def workers(self) -> Iterator[Workers]:
+        """Workers with the results of one.
+
+        Raises
+        ------
+        ValueError
+            No scheduler at the address, one without workers, or a worker with other versions.
+        """
+        from lftkit.support.workers import Workers
+
+        if not self.scheduler:
+            with Workers(self.count) as here:
+                yield here
+            return
+        from los_testbed.campaign.cluster_work import ClusterWorkers, connected
+
+        with connected(self.scheduler, self.tls) as client, ClusterWorkers(client, self.count) as there:
+            yield there

@@ -1,0 +1,1 @@
+"""Messages as bytes, between the nodes and the middleware."""

@@ -1,0 +1,1 @@
+"""Processes of a run: their start, their surroundings and their end."""

@@ -1,0 +1,118 @@
+"""How a node is started: its command, parameters and environment; or alone, in this process."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+import yaml
+
+from los_testbed.bags.writer import check_new_bag
+from los_testbed.config import RunConfig
+from los_testbed.run.processes.enclaves import enclave_path
+from los_testbed.run.processes.memory_file import memory_file
+from los_testbed.topics import NODES
+from pointing_analysis.files.atomic_output import write_text
+
+EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
+"""Process number of the runner; if set, a node tells what happens, one JSON object per line on its output."""
+STATISTICS_VARIABLE = "LOS_TESTBED_STATISTICS"
+"""File with the last statistics of each node, as JSON, that the runner writes before it ends the recorder."""
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
+"""Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
+TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+LAYER_VARIABLE, LAYER = "RMW_IMPLEMENTATION", "rmw_fastrtps"
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Fast DDS 2 and 3 call it differently."""
+
+
+def node_command(name: str) -> list[str]:
+    """Command that starts a node with this interpreter."""
+    return [sys.executable, "-m", f"los_testbed.nodes.{name}"]
+
+
+def check_ros() -> None:
+    """Refuse to start processes that cannot run.
+
+    Raises
+    ------
+    ValueError
+        rclpy is not installed.
+    """
+    if importlib.util.find_spec("rclpy") is None:
+        raise ValueError(
+            "rclpy must be installed for this mode: ROS 2 is not installed; install the extra with "
+            "`pip install 'los-testbed[ros]'`, or use --mode inprocess"
+        )
+
+
+def parameter_text(config: RunConfig) -> str:
+    """ROS parameter file of a run."""
+    values = {name: value for name, value in config.to_plain().items() if value != []}
+    values["use_sim_time"] = config.mode == "lockstep"
+    return str(yaml.safe_dump({"/**": {"ros__parameters": values}}))
+
+
+def parameter_file(config: RunConfig, path: Path) -> None:
+    """Write the ROS parameter file of a run."""
+    write_text(path, parameter_text(config))
+
+
+def ros_arguments(config: RunConfig, parameters: str | Path, name: str) -> list[str]:
+    """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
+    quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
+    own = ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
+    return own + enclave_arguments(name, config.namespace)
+
+
+def enclave_arguments(name: str, namespace: str) -> list[str]:
+    """Arguments after ``--ros-args`` that name a node's keys; none without DDS security."""
+    return ["--enclave", enclave_path(name, namespace)] if security_is_asked_for() else []
+
+
+def security_is_asked_for() -> bool:
+    """Whether ROS is to use DDS security."""
+    return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+
+
+def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
+    """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
+    variables = dict(os.environ)
+    variables.setdefault(RANGE_VARIABLE, "LOCALHOST")
+    if logs is not None:
+        variables.setdefault("ROS_LOG_DIR", str(logs))
+    variables["OPENBLAS_NUM_THREADS"] = "1"
+    variables[EVENTS_VARIABLE] = str(os.getpid())
+    if config.domain is not None:
+        variables["ROS_DOMAIN_ID"] = str(config.domain)
+    if Path(sys.prefix, "share", "ament_index").is_dir():
+        variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    return variables
+
+
+def run_alone(name: str, config: RunConfig) -> int:
+    """Run one node in this process, for a loop over several hosts; returns its exit code.
+
+    Discovery is left as the environment has it: the other nodes may be anywhere.
+
+    Raises
+    ------
+    ValueError
+        No such node, a mode without nodes, or ROS missing.
+    """
+    if name not in NODES:
+        raise ValueError(f"--only must be one of {', '.join(NODES)}, got {name!r}")
+    if config.mode == "inprocess":
+        raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
+    check_ros()
+    if name == "recorder":
+        check_new_bag(config.bag)
+    if config.domain is not None:
+        os.environ["ROS_DOMAIN_ID"] = str(config.domain)
+    with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
+        node = importlib.import_module(f"los_testbed.nodes.{name}")
+        return int(node.main(ros_arguments(config, parameters.path, name)))

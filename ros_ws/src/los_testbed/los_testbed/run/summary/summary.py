@@ -1,0 +1,294 @@
+"""Metrics of recorded runs: the table on the screen, the JSON object, the HTML report."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from los_testbed.run.change_requests import requested
+from los_testbed.run.older_bags import REMARK, is_older, with_requirements
+from los_testbed.run.results import MAX_MISSED
+from los_testbed.run.summary.screen import met, printable, say
+from los_testbed.run.summary.source_shares import as_rows, source_shares
+from pointing_analysis.files.atomic_output import check_output
+from pointing_analysis.read.mcap.records import MAX_CHUNK
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.source_share import SourceShare
+from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
+from pointing_analysis.requirements.image_guarantee import proven_text
+from pointing_analysis.requirements.rows import cells, heads
+from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
+from pointing_analysis.requirements.verdict import Requirement
+
+
+@dataclass(frozen=True)
+class RunSummaries:
+    """Metrics of some runs.
+
+    Attributes
+    ----------
+    summaries : tuple of Summary
+    runs : tuple of dict
+        Each run as the JSON object of the command line.
+    report : Path or None
+        HTML report, if one was written.
+    remarks : tuple of tuple of str
+        Of each run sentences beside its verdict.
+    shares : tuple of tuple of SourceShare
+        Of each run what its sources of disturbance do.
+    """
+
+    summaries: tuple[Summary, ...]
+    runs: tuple[dict[str, Any], ...]
+    report: Path | None
+    remarks: tuple[tuple[str, ...], ...] = ()
+    shares: tuple[tuple[SourceShare, ...], ...] = ()
+
+
+def summarise_runs(
+    bags: Sequence[Path | Recording],
+    report: Path | None,
+    transient: float | None = None,
+    max_chunk: int = MAX_CHUNK,
+    requirements: Sequence[Requirement] | None = None,
+) -> RunSummaries:
+    """Read bags, compute their metrics, write the report.
+
+    Parameters
+    ----------
+    bags : sequence of Path or Recording
+        Folders or .mcap files of the testbed, or what is open already.
+    report : Path or None
+        HTML file to write.
+    transient : float, optional
+        Seconds of start-up to leave out.
+    max_chunk : int
+        Largest chunk that is unpacked [byte].
+    requirements : sequence of Requirement, optional
+        By default those of each bag; an older bag of this testbed is judged by those of the reference telescope.
+
+    Raises
+    ------
+    ValueError
+        A bag that cannot be read or holds no run.
+    """
+    if report is not None:
+        check_output(report, "the report")
+    found = judged(
+        [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags], transient, requirements
+    )
+    own = [
+        remarks_of(run, summary) if isinstance(run, Run) else () for run, summary in zip(found.runs, found.summaries)
+    ]
+    remarks = tuple((*one, *notes) for one, notes in zip(own, found.notes))
+    if report is not None:
+        found.write_page(report, remarks)
+    metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, remarks))
+    for values, rows in zip(metrics, found.shares):
+        if rows:
+            values["disturbances"] = as_rows(rows)
+    return RunSummaries(found.summaries, metrics, report, remarks, found.shares)
+
+
+@dataclass(frozen=True)
+class JudgedRuns:
+    """Open recordings with their verdicts.
+
+    Attributes
+    ----------
+    runs : tuple of Recording
+        Older bags of this testbed with the requirements of the reference telescope.
+    summaries : tuple of Summary
+    shares : tuple of tuple of SourceShare
+        Of each run what its sources of disturbance do.
+    notes : tuple of tuple of str
+        Of each run what is assumed, and why there are no shares.
+    transient : float or None
+        Seconds of start-up that are left out.
+    requirements : sequence of Requirement or None
+        In place of those of the runs.
+    """
+
+    runs: tuple[Recording, ...]
+    summaries: tuple[Summary, ...]
+    shares: tuple[tuple[SourceShare, ...], ...]
+    notes: tuple[tuple[str, ...], ...]
+    transient: float | None
+    requirements: Sequence[Requirement] | None
+
+    def write_page(
+        self, path: Path, remarks: Sequence[Sequence[str]], start: float = 0.0, stop: float = math.inf
+    ) -> None:
+        """Write the HTML report; `start` and `stop` are the part of each bag that was read [s]."""
+        from los_testbed.run.summary.loop_curves import loop_curves
+        from los_testbed.run.summary.predictions import predictions
+        from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
+
+        write_report(
+            self.runs,
+            path,
+            transient=self.transient,
+            requirements=self.requirements,
+            predictions=predictions(self.runs, self.transient, start, stop),
+            remarks=remarks,
+            sources=self.shares,
+            summaries=self.summaries,
+            loops=loop_curves(self.runs),
+        )
+
+
+def judged(
+    found: Sequence[Recording], transient: float | None, requirements: Sequence[Requirement] | None
+) -> JudgedRuns:
+    """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
+    assumed = [requirements is None and is_older(run) for run in found]
+    runs = tuple(with_requirements(run) if older else run for run, older in zip(found, assumed))
+    summaries = tuple(summarise_all(runs, transient=transient, requirements=requirements))
+    shares = [_shares_or_reason(run) for run in runs]
+    notes = tuple((*([REMARK] if older else []), *missing) for older, (_, missing) in zip(assumed, shares))
+    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), notes, transient, requirements)
+
+
+def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:
+    try:
+        return source_shares(run), ()
+    except (ValueError, OSError) as error:
+        return (), (str(error),)
+
+
+def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
+    """Sentences beside the verdict of a run."""
+    from los_testbed.run.summary.control_effect import control_effect
+
+    effect = control_effect(run, summary)
+    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof"))
+    proven, star = run.parameters.get(PROOF_RPE), summary.star
+    image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
+    return tuple(text for text in (effect.remark if effect else "", *notes, image, *requested(run)) if text)
+
+
+def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
+    """One run as the JSON object of the command line."""
+    plant, recorder = (_statistics(run, node) for node in ("plant", "recorder"))
+    return {
+        **summary.as_dict(),
+        "bag": str(summary.path),
+        "mode": summary.mode,
+        "loop": summary.loop,
+        "ticks": int(plant.get("ticks", summary.ticks)),
+        "periods": int(plant.get("ticks", summary.ticks)) + int(plant.get("skipped_periods", 0)),
+        "missed_ticks": int(plant["missed_ticks"]) if "missed_ticks" in plant else None,
+        "latency_us": _latency(run, plant),
+        "remarks": list(remarks),
+        "samples_lost": max(summary.samples_lost, int(recorder.get("samples_lost", 0))),
+    }
+
+
+def _statistics(run: Recording, node: str) -> dict[str, float]:
+    """Statistics of a node as the bag has them; what is no number is left out."""
+    statistics = run.parameters.get("statistics", {})
+    found = statistics.get(node, {}) if isinstance(statistics, dict) else {}
+    numbers: dict[str, float] = {}
+    for name, text in found.items() if isinstance(found, dict) else ():
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
+            numbers[name] = float(text)
+    whole = ("ticks", "missed_ticks", "samples_lost")
+    return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
+
+
+def _latency(run: Recording, plant: Mapping[str, float]) -> dict[str, float | None]:
+    """Wake-up of the plant to arrival of the mirror command; None where the plant did not report it."""
+    names = {"median": "latency_median_us", "p99": "latency_p99_us", "p999": "latency_p999_us"}
+    if all(name in plant for name in names.values()):
+        return {key: _number(plant[name]) for key, name in names.items()}
+    return dict.fromkeys(names)
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def missed_share(metrics: Mapping[str, Any]) -> float:
+    """Missed ticks of a run in real time [%]; zero where time was not real or the plant did not report them.
+
+    Examples
+    --------
+    >>> missed_share({"mode": "realtime", "missed_ticks": 129, "periods": 10_000})
+    1.29
+    """
+    if metrics["mode"] != "realtime" or metrics["missed_ticks"] is None:
+        return 0.0
+    # a missed tick is a held command or a lost period: at most all
+    return 100.0 * float(metrics["missed_ticks"]) / max(float(metrics["periods"]), 1.0)
+
+
+def print_summary(console: Console, results: RunSummaries, max_missed: float = MAX_MISSED) -> None:
+    """Print a table for each run, and the paths; `max_missed` is the limit of the missed ticks [%]."""
+    rows = results.shares or ((),) * len(results.runs)
+    for summary, metrics, shares in zip(results.summaries, results.runs, rows):
+        console.print(_table(summary, metrics, max_missed))
+        if not summary.requirements_known:
+            say(console, UNKNOWN, "note")
+        if shares:
+            console.print(_shares(shares))
+        if summary.budget is not None:
+            console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
+        for remark in metrics["remarks"]:
+            say(console, remark, "note")
+        for problem in summary.problems:
+            say(console, problem, "note")
+        if summary.sampling:
+            say(console, f"rate    {summary.sampling}")
+        say(console, f"{summary.kind:<7} {summary.path}")
+    if results.report is not None:
+        say(console, f"report  {results.report}")
+
+
+def _shares(shares: Sequence[SourceShare]) -> Table:
+    table = Table(title="Sources of disturbance, each alone in the loop", title_justify="left")
+    table.add_column("source", overflow="fold")
+    for head in ("kind", "place"):
+        table.add_column(head)
+    for head in ("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"):
+        table.add_column(head, justify="right")
+    for s in shares:
+        table.add_row(*s.shown.values())
+    return table
+
+
+def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> Table:
+    what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
+    title = ", ".join(part for part in what if part)
+    title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
+    table = Table(title=Text(title, style="table.title"))
+    for head in heads(summary.rows):
+        table.add_column(head, justify="right" if head in ("value", "limit", "upper bound", "bound") else "left")
+    for row in summary.rows:
+        style = {"ok": "green", "bad": "red"}.get(row.css, "")
+        table.add_row(*cells(row)[:-1], Text(printable(row.verdict_text), style=style))
+    table.add_section()
+    judged = {row.quantity for row in summary.rows}
+    for figure in summary.figures:
+        if figure.quantity not in judged:
+            table.add_row(figure.name, figure.text)
+    lost = metrics["samples_lost"]
+    verdict = "not known: cut off" if summary.open_end and not lost else met(not lost)
+    table.add_row("samples lost", summary.lost_text(lost), "0", "", verdict)
+    missed, periods = metrics["missed_ticks"], metrics["periods"]
+    if summary.mode == "realtime" and missed is not None:
+        share = missed_share(metrics)
+        ok = met(share <= max_missed)
+        table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", f"{max_missed:g} %", "", ok)
+        latency = metrics["latency_us"]
+        texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
+        table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs")
+    return table
