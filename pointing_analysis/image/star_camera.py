@@ -53,7 +53,7 @@ class StarCamera:
     >>> camera = StarCamera(Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3), GuideCamera(magnitude=14.0))
     >>> still = camera.expected(np.zeros((2, 2)))
     >>> round(float(still.sum())), round(float(still.max()))
-    (385, 57)
+    (376, 58)
     """
 
     optics: Optics

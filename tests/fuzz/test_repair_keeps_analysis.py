@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -43,14 +42,6 @@ class Recorded:
         shutil.copytree(self.folder / "bag", target)
         (target / "bag_0.mcap").write_bytes(data)
         return target
-
-
-@pytest.fixture(scope="module", autouse=True)
-def without_image() -> Iterator[None]:
-    """No figures of the star's image: `figures` has none of them, and they take most of the time of a summary."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pointing_analysis.requirements.summary._image", lambda run, series: (None, ""))
-        yield
 
 
 @pytest.fixture(scope="module")

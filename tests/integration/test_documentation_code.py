@@ -59,7 +59,7 @@ def a_design_that_is_only_called(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     from los_design import redesign
 
     (folder / "soft.toml").write_text("[pma]\nstiffness = 90.0\n")
-    check = SimpleNamespace(fsm={}, pma={})
+    check = SimpleNamespace(gammas={})
     summary = redesign.DesignSummary(folder, check, [])
     monkeypatch.setattr(redesign, "design_all", create_autospec(redesign.design_all, return_value=summary))
     return {}

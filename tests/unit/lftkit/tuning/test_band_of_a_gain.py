@@ -8,8 +8,7 @@ import pytest
 from lftkit.analysis.band_gain import band_gain
 from lftkit.analysis.norms import hinf_norm
 from lftkit.systems.system import System
-from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune
-from lftkit.tuning.robust import worst_case
+from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune, worst_case
 
 BAND = (2.0, 10.0)
 

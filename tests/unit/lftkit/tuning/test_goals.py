@@ -27,9 +27,9 @@ from lftkit.tuning import (
     gain,
     tune,
     tune_robust,
+    worst_case,
 )
 from lftkit.tuning.goals import resolved
-from lftkit.tuning.robust import worst_case
 
 
 def plant(numerator: Any, denominator: Any) -> System:

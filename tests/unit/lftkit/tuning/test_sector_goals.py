@@ -22,10 +22,10 @@ from lftkit.tuning import (
     gain,
     state_space,
     tune,
+    worst_case,
 )
 from lftkit.tuning.goals import resolved
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.robust import worst_case
 from lftkit.tuning.robust.closed_loop_evaluator import ClosedLoopEvaluator
 
 NOTHING = System.static(np.zeros((0, 0)), [], [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import UserDict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -96,10 +97,10 @@ def loaded(name: str) -> Any:
 
 
 class Commands(UserDict[str, Any]):
-    """Commands by name, each imported when it is asked for."""
+    """Commands by name, each imported when it is asked for, and further ones that a program adds."""
 
-    def __init__(self) -> None:
-        super().__init__(dict.fromkeys(ENTRIES))
+    def __init__(self, further: Mapping[str, Any]) -> None:
+        super().__init__({**dict.fromkeys(ENTRIES), **further})
 
     def __getitem__(self, name: str) -> Any:
         found = super().__getitem__(name)
@@ -113,7 +114,7 @@ class CommandGroup(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = Commands()
+        self.commands = Commands(self.commands)
         self._listing = False
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
