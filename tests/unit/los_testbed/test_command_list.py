@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -34,3 +35,16 @@ def test_commands_are_those_of_the_entries() -> None:
     assert commands["design"].commands.keys() >= {"all", "verify", "certify", "check-proof"}
     assert commands["bag"].commands.keys() >= {"repair", "topics", "info", "verify", "sign"}
     assert [command.name for command in commands.values()] == [name for name, _ in commands.items()]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("los-testbed ca", {"campaign"}), ("los-testbed bag ve", {"verify"}), ("los-testbed run --mo", {"--mode"})],
+)
+def test_bash_completes_commands_and_options(words: str, expected: set[str]) -> None:
+    asked = {"_LOS_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    code = "from los_testbed.cli.app import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **asked}, timeout=60
+    )
+    assert set(done.stdout.split()) == expected, done.stderr

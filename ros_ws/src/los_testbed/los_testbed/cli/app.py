@@ -27,7 +27,7 @@ app = typer.Typer(
     name="los-testbed",
     help="Testbed for fine line-of-sight control of a flexible space telescope.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode="markdown",
 )
 
