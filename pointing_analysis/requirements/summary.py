@@ -113,8 +113,8 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """Value with its unit."""
-        return with_unit(digits(self.value), self.unit)
+        """Value with its unit; an infinite one is a radius that the light is not within."""
+        return "beyond the image" if math.isinf(self.value) else with_unit(digits(self.value), self.unit)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.requirements.summary import (
+    Figure,
     Knowledge,
     Performance,
     Summary,
@@ -300,3 +301,8 @@ def test_a_topic_of_one_message_says_nothing_of_its_rate(tmp_path: Path) -> None
     given = {"truth/los": stamps, "m1/accel": stamps[:1]}
     found = summarise(Run.open(write_bag(tmp_path / "a", signals, stamps=given, parameters={"transient_s": 0})))
     assert found.samples_lost == 0 and found.problems == ()
+
+
+@pytest.mark.parametrize(("value", "text"), [(139.2, "139 mas"), (math.nan, "– mas"), (math.inf, "beyond the image")])
+def test_a_radius_that_the_light_is_not_within_has_no_unit(value: float, text: str) -> None:
+    assert Figure("EE80 radius, 99.7 %", value, "mas").text == text
