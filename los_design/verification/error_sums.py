@@ -55,8 +55,8 @@ class ErrorSum:
 
         Examples
         --------
-        >>> ErrorSum("APE, tone and noise", 9.3312, 10.0, "arcsec").text
-        'APE, tone and noise: 9.332 of 10 arcsec'
+        >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec").text
+        'APE, tone and noise: 9.332 of 12 arcsec'
         """
         value = math.ceil(self.value * 1e3) / 1e3
         return f"{self.name}: {value:g} of {self.limit:g} {self.unit}" + ("" if self.kept else ", above the limit")
