@@ -114,6 +114,17 @@ def _choose(found: list[Record], number: int, *ops: int) -> int | None:
     return places[number % len(places)] if places else None
 
 
+def _choose_chunk(found: list[Record], number: int) -> int | None:
+    """One of the chunks that an earlier change has left long enough to be taken apart."""
+    places = [i for i in _places(found, OP_CHUNK) if _is_chunk(found[i][1])]
+    return places[number % len(places)] if places else None
+
+
+def _is_chunk(body: bytes) -> bool:
+    begin = _CHUNK.size + 4
+    return len(body) >= begin and len(body) >= begin + struct.unpack_from("<I", body, _CHUNK.size)[0] + 8
+
+
 def _chunk_of(body: bytes) -> tuple[tuple[int, ...], str, bytes]:
     (length,) = struct.unpack_from("<I", body, _CHUNK.size)
     at = _CHUNK.size + 4 + length
@@ -126,7 +137,7 @@ def _packed(head: tuple[int, ...], kind: str, data: bytes) -> bytes:
 
 def _compression(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
     """Another name of the compression over the same data."""
-    at = _choose(found, m.which, OP_CHUNK)
+    at = _choose_chunk(found, m.which)
     if at is not None:
         head, _old, data = _chunk_of(found[at][1])
         names = ("", "lz4", "zstd", "zst", "brotli", "ZSTD", m.text)
@@ -136,7 +147,7 @@ def _compression(found: list[Record], m: RecordMutation, _: list[Record]) -> lis
 
 def _repacked(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
     """The same content, where it can be unpacked, under another compression: nothing is lost."""
-    at = _choose(found, m.which, OP_CHUNK)
+    at = _choose_chunk(found, m.which)
     if at is not None:
         head, kind, data = _chunk_of(found[at][1])
         content = _content(kind, data)
@@ -161,7 +172,7 @@ def _content(kind: str, data: bytes) -> bytes | None:
 
 def _chunk_head(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
     """Another time, size or checksum in the head of a chunk."""
-    at = _choose(found, m.which, OP_CHUNK)
+    at = _choose_chunk(found, m.which)
     if at is not None:
         head, kind, data = _chunk_of(found[at][1])
         fields, i = list(head), m.other % 4
@@ -245,7 +256,7 @@ def _beside(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Rec
 
 def _forged_content(found: list[Record], m: RecordMutation, _: list[Record]) -> list[Record]:
     """Other bytes in a chunk, with right checksum and without its manifest."""
-    at = _choose(found, m.which, OP_CHUNK)
+    at = _choose_chunk(found, m.which)
     if at is None:
         return found
     head, kind, data = _chunk_of(found[at][1])

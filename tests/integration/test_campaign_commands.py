@@ -67,7 +67,7 @@ def test_twenty_commands_of_simulated_members(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_commands_at_depth_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    compare_model(tmp_path, capsys, 2)
+    compare_model(tmp_path, capsys, 1)
 
 
 @pytest.mark.slow
