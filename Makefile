@@ -67,7 +67,7 @@ types-of-tests: types
 
 # style and types have the priority of the tests that start no nodes, see tests/support/lanes.py
 test: $(READY)
-	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 10" tests style types types-of-tests \
+	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 3" tests style types types-of-tests \
 	    || { echo "Something failed, see above; style and types alone: make lint"; exit 1; }
 
 tests: $(READY)

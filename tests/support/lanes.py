@@ -15,8 +15,9 @@ from xdist.scheduler import LoadFileScheduling
 
 NODES = "tests/ros/"
 """Folder of the tests that start nodes."""
-GIVE_WAY = 10
-"""Niceness of the other tests above that of `make`: a tenth of the share of a node that is ready at the same time."""
+GIVE_WAY = 3
+"""Niceness of the other tests above that of `make`: half of the share of a node that is ready at the same time, or of
+another program: where others have the processors, too, the tests go on."""
 _START = os.getpriority(os.PRIO_PROCESS, 0)
 
 
