@@ -127,6 +127,10 @@ def start(case: Case, domain: int, bag: Path) -> subprocess.Popen[str]:
     )
 
 
+TAKEN = f"without another run in namespace {NAMESPACE} on this machine"
+"""In the refusal of a domain that another program took after :func:`some_domain` had found it free."""
+
+
 def some_domain() -> int:
     """A ROS domain that other runs of this machine do not use: the smallest free one may be taken by the next."""
     while True:
@@ -404,8 +408,9 @@ def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
     make = rng.choices([fault for _, fault in FAULTS], [weight for weight, _ in FAULTS])[0]
     folder = Path(tempfile.mkdtemp(prefix="fault_"))
     case = make(rng, folder)
+    domain = some_domain()
     try:
-        process = start(case, some_domain(), case.bag)
+        process = start(case, domain, case.bag)
         out, hung = "", ""
         try:
             case.act(process)
@@ -420,6 +425,10 @@ def perform(seed: int, number: int, table: dict[str, Counter[str]]) -> bool:
     finally:
         if (folder / "small").is_mount():
             subprocess.run(["umount", "-l", str(folder / "small")], check=True)
+    if code == ExitCode.USER_ERROR and f"{TAKEN}, got {domain}" in " ".join(out.split()) and "domain" not in case.kind:
+        sys.stdout.write(f"case {number}: another program took domain {domain} before the run did; again\n")
+        shutil.rmtree(folder, ignore_errors=True)
+        return perform(seed, number, table)
     row = table.setdefault(case.kind, Counter())
     survived = code in (OK, ExitCode.RESTARTED)
     row.update({"cases": 1, "survived": survived, "reported": not survived and not end})
