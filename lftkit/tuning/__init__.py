@@ -7,6 +7,7 @@ compares it with systune.
 
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.minimax.minimax import Descent, DescentOptions, DescentState, descend
+from lftkit.tuning.discrete import tune_discrete
 from lftkit.tuning.goals import (
     ConicSector,
     Goal,
@@ -69,6 +70,7 @@ __all__ = [
     "pid",
     "state_space",
     "tune",
+    "tune_discrete",
     "tune_robust",
     "worst_case",
 ]

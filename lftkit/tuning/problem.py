@@ -12,6 +12,7 @@ import scipy.linalg
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
+from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
@@ -103,7 +104,7 @@ class Problem:
         if not models:
             raise ValueError("a design needs at least one model, got none")
         self.given, self.bounds = tuple(requirements), bounds_of(structure)
-        self.requirements: tuple[Requirement | ParameterBounds, ...] = self.given
+        self.requirements: tuple[Requirement | ParameterBounds | WellPosedness, ...] = self.given
         if self.bounds is not None:
             self.requirements = (*self.given, ParameterBounds())
         self.structure = structure
@@ -122,6 +123,8 @@ class Problem:
         self.gain_numbers = self.hinf + self.h2
         for k, model in enumerate(models):
             self.add_model(model, None if responses_of is None else responses_of.gains[k])
+        if any(plant.D22.any() for plant in self._bare):
+            self.requirements = (*self.requirements, WellPosedness())
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by what it was made of: small, and a copy in another process computes the same bits."""
@@ -218,21 +221,33 @@ class Problem:
         """Order of the closed loop of model k."""
         return len(self._bare[k].A)
 
+    def closed(self, k: int, K: FloatArray) -> ClosedLoop:
+        """Closed loop of model k with the gain matrix `K`, without inputs and outputs."""
+        return self._bare[k].closed(K)
+
     def abscissa_of(self, k: int, K: FloatArray) -> float:
         """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s]."""
         return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
 
     def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
-        """Pieces of the pole requirements of all models, and of the bounds of the parameters."""
-        pieces = self._bound_pieces(x)
+        """Pieces of the pole requirements of all models, and of what the problem itself asks for."""
+        pieces = self._own_pieces(x, K)
         if not any(isinstance(r, ClosedLoopPoles | ControllerPoles) for r in self.given):
             return pieces
         for k, plant in enumerate(self._bare):
             pieces += self._pole_pieces(x, K, k, spectrum(plant.closed(K), derivatives=True), band, True)
         return pieces
 
-    def _bound_pieces(self, x: FloatArray) -> list[Piece]:
-        return [] if self.bounds is None else self.bounds.pieces(x, len(self.given))
+    def _own_pieces(self, x: FloatArray, K: FloatArray) -> list[Piece]:
+        """Of what the problem itself asks for: bounds of the parameters, an algebraic loop far from singular."""
+        pieces = [] if self.bounds is None else self.bounds.pieces(x, len(self.given))
+        if isinstance(self.requirements[-1], WellPosedness):
+            last = len(self.requirements) - 1
+            for k, plant in enumerate(self._bare):
+                for number, (value, gradient) in enumerate(algebraic_values(plant.D22, K)):
+                    slope = _pulled(self.structure, x, gradient)
+                    pieces.append(Piece(value, slope, True, last, k, 2.0**number))
+        return pieces
 
     def stability_pieces(self, x: FloatArray, band: float) -> tuple[float, list[Piece]]:
         """Spectral abscissa over all models and the poles within `band` [rad/s] of it, as pieces."""
@@ -269,7 +284,7 @@ class Problem:
             spectra.append(spectrum(plant.closed(K), derivatives=gradients))
             if not spectra[-1].abscissa < -self.min_decay:
                 return Evaluation(spectra[-1].abscissa, values, frequencies, ())
-        pieces = self._bound_pieces(x)
+        pieces = self._own_pieces(x, K)
         values[:] = -np.inf
         for k in range(len(self.models)):
             pieces += self._gain_pieces(x, K, k, spectra[k], band, gradients)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from lftkit.analysis.norms import spectral_abscissa
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -38,7 +39,7 @@ class _Gain:
         if not (np.isfinite(self.bound) and self.bound > 0):
             raise ValueError(f"the bound of a gain requirement must be positive, got {self.bound}")
         for weight in (self.weight_in, self.weight_out):
-            if weight is not None and spectral_abscissa(weight.A) >= 0:
+            if weight is not None and not _stable(weight):
                 raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
         if not self.name:
             kind = type(self).__name__
@@ -184,6 +185,13 @@ class ParameterBounds:
 
 
 Requirement = HinfGain | H2Gain | ClosedLoopPoles | ControllerPoles
+
+
+def _stable(weight: System) -> bool:
+    """All poles in the open left half-plane, or in the open unit circle of discrete time."""
+    if weight.dt:
+        return bool(np.all(np.abs(scipy.linalg.eigvals(weight.A)) < 1.0)) if weight.order else True
+    return spectral_abscissa(weight.A) < 0.0
 
 
 def check_names(requirements: Sequence[Requirement]) -> None:

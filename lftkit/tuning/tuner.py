@@ -229,7 +229,7 @@ def tune(
         runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
         runs = [*runs, *_refined(problem, runs, options, deadline)]
         result = result_of(problem, runs, time.monotonic() - start_time)
-    if _all_met(problem, result.certificate, met):
+    if all_met(problem.given, result.certificate, met):
         return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
     cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
     status = TuningStatus.OUT_OF_TIME if cut else result.status
@@ -383,11 +383,11 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     )
 
 
-def _all_met(problem: Problem, certificate: Certificate | None, met: float) -> bool:
+def all_met(requirements: Sequence[Requirement], certificate: Certificate | None, met: float) -> bool:
     """Whether the certificate's upper sides are at most `met`, those of hard requirements 1."""
     if certificate is None or not met > -np.inf:
         return False
-    limits = np.array([1.0 + FEASIBLE if requirement.hard else met for requirement in problem.given])
+    limits = np.array([1.0 + FEASIBLE if requirement.hard else met for requirement in requirements])
     return bool(np.all(certificate.upper <= limits[:, None]))
 
 

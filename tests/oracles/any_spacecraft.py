@@ -18,7 +18,10 @@ from scipy import linalg
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel: its axis and its centre from ``I_w`` in the spacecraft's frame, its speed [rad/s]."""
+    """A wheel: its axis and its centre from ``I_w`` in the spacecraft's frame, its speed [rad/s].
+
+    `rotor`, where it has bearings: mass, radial inertia, stiffness and damping of translation x, y, z, rotation x, y.
+    """
 
     mass: float
     axial: float
@@ -26,6 +29,7 @@ class Wheel:
     axis: Sequence[float]
     position: Sequence[float]
     speed: float
+    rotor: tuple[float, float, Sequence[float], Sequence[float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,7 @@ class AnySpacecraft(Spacecraft):
             "pma": self.actuators,
             "sadm": len(self.driven),
             **{f"mounted_{i}": one.modes.frequencies.size for i, one in enumerate(mounted)},
+            **{f"rotor_{i}": 5 for i, wheel in enumerate(wheels) if wheel.rotor},
         }
         n, drives = len(wheels), {"sadm_torque": len(self.driven)} if self.driven else {}
         inputs = {"wheel_imbalance": 5 * n, **drives, "external_wrench": 6, "wheel_torque": n, "fsm_command": 2}
@@ -79,7 +84,15 @@ class AnySpacecraft(Spacecraft):
             x = x / math.sqrt(x @ x) if x @ x > 1e-12 else np.array([1.0, 0.0, 0.0])
             frame = np.array([x, np.cross(axis, x), axis])
             twist = linalg.block_diag(frame, frame) @ carry(np.asarray(wheel.position, dtype=float)) @ base
-            self.add_rigid(np.diag([wheel.mass] * 3 + [wheel.radial, wheel.radial, 0.0]), twist)
+            whole, hub = np.array([wheel.mass] * 3 + [wheel.radial] * 2 + [0.0]), twist
+            if wheel.rotor:
+                mass, inertia, stiffness, damping = wheel.rotor
+                moved, part = self.pick(f"rotor_{i}"), np.array([mass] * 3 + [inertia] * 2 + [0.0])
+                self.add_rigid(np.diag(whole - part), hub)
+                twist, whole = hub + np.vstack([moved, np.zeros((1, moved.shape[1]))]), part
+                self.K += moved.T @ np.diag(stiffness) @ moved
+                self.D += moved.T @ np.diag(damping) @ moved
+            self.add_rigid(np.diag(whole), twist)
             momentum = wheel.axial * wheel.speed
             self.D += momentum * (np.outer(twist[3], twist[4]) - np.outer(twist[4], twist[3]))
             first = self.inputs["wheel_imbalance"].start + 5 * i

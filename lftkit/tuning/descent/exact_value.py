@@ -15,6 +15,7 @@ from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.tuning.gains.algebraic_loop import WellPosedness
 from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
@@ -42,7 +43,7 @@ class ExactValue:
         commanded = tuple(p.name for p in problem.structure.outputs)
         self._plants: list[ExtendedPlant] = []
         for model in problem.models:
-            for r in problem.requirements:
+            for r in problem.given:
                 assert isinstance(r, HinfGain)
                 self._plants.append(
                     extended_plant(
@@ -63,13 +64,11 @@ class ExactValue:
     @staticmethod
     def suits(problem: Problem) -> bool:
         """Whether all requirements are soft H-infinity gains, there is no delay, and every loop is small."""
-        gains = all(
-            isinstance(r, HinfGain) and not (r.hard or r.banded or isinstance(r, SectorGain))
-            for r in problem.requirements
-        )
-        if not gains or problem.loop_delay or len(problem.models) * len(problem.requirements) > 4:
+        asked = [r for r in problem.requirements if not isinstance(r, WellPosedness)]
+        gains = all(isinstance(r, HinfGain) and not (r.hard or r.banded or isinstance(r, SectorGain)) for r in asked)
+        if not gains or problem.loop_delay or len(problem.models) * len(asked) > 4:
             return False
-        weights = [w for r in problem.requirements if isinstance(r, HinfGain) for w in (r.weight_in, r.weight_out) if w]
+        weights = [w for r in problem.given if isinstance(r, HinfGain) for w in (r.weight_in, r.weight_out) if w]
         extra = max((w.order for w in weights), default=0) * 2
         return all(0 < problem.order(k) <= MAX_ORDER - extra for k in range(len(problem.models)))
 

@@ -72,6 +72,7 @@ class GridSource:
         self._problem, self._rng, self._deadline = problem, rng or np.random.default_rng(0), deadline
         self._extra: tuple[FloatArray, ...] = tuple(np.zeros(0) for _ in problem.models)
         self._thin = True  # until a grid without the frequencies of small gains has missed an unstable pole
+        self._near_limit = False  # until a trial or a look was outside the limit of stability
         self._quick = False
         self._evaluated = 0
         self._seen: Point | None = None
@@ -104,13 +105,15 @@ class GridSource:
         """Remember the frequencies of the last grid, and the peaks and poles that it had missed."""
         if self._objective is not None:
             self._thin = bool(look.found.poles)
+            self._near_limit = self._objective.limit_watch.near or not look.found.poles
             more = self._objective.extra
             self._extra = tuple(_with_peaks(self._problem, k, e, look.found) for k, e in enumerate(more))
 
     def working_set(self, look: Point) -> SmoothObjective:
         """All values on the grid of a look."""
         self._evaluated = self.evaluations
-        self._objective = SmoothObjective(self._problem, look.x, look.found, self._extra, thin=self._thin)
+        hints: Any = {"thin": self._thin, "near_limit": self._near_limit}
+        self._objective = SmoothObjective(self._problem, look.x, look.found, self._extra, **hints)
         return self._objective
 
     def trials(self, look: Point) -> Iterator[FloatArray]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.tuning.descent.decay_limit import LimitWatch
+from lftkit.tuning.descent.grid_model import GridModel
 from lftkit.tuning.descent.metric import EIGENVALUE_FLOOR, Metric, metric_of
 from lftkit.tuning.gains.gains import unresolved
 from lftkit.tuning.gains.grid_gains import GridGains
@@ -26,6 +26,7 @@ METRIC_POWER = 4.0  # weights of the Gauss-Newton matrix: this power of value ov
 EXACT_STABILITY_ORDER = 60  # up to this order the poles are computed at every evaluation
 LEAST_RETURN = 1e-3  # of the return difference's determinant over that of the first point: loops above that order
 LARGEST_TURN = 2.0  # [rad] between neighbouring frequencies that the encirclement count trusts
+LARGEST_TOTAL = 1.5  # [rad] of all turns; half a turn is a real pole that crosses, of which the grid may see half
 MAX_SLOPES = 20  # slopes of one requirement and model in the metric
 LEAST_NEAR = -0.7  # logarithm of values over the largest one above which they are linearised
 MAX_NEAR = 600  # of one requirement and model
@@ -44,32 +45,6 @@ class _Entry:
     model: int
     values: FloatArray
     gradients: tuple[FloatArray, ...] = ()
-
-
-class GridModel:
-    """Logarithms of the values near the largest ones, linearised at a point: pieces of the progress function.
-
-    Hard ones are relative to the level that they shall keep, soft ones to the largest soft one.
-    """
-
-    def __init__(self, objective: SmoothObjective, x: FloatArray) -> None:
-        self._objective, self._x = objective, x
-        soft, hard = objective.largest(x)
-        self.merit = max(hard, 0.0), soft
-        logs, self.gradients, self.hard = objective.linearised(x)
-        self.values: FloatArray = np.where(self.hard, logs, logs - soft) - self.merit[0]
-        self.reached = x, self.merit
-
-    def factor(self) -> Any:
-        """Of the Gauss-Newton matrix."""
-        return linalg.cho_factor(self._objective.gauss_newton(self._x))
-
-    def decrease(self, step: FloatArray, predicted: float) -> float:
-        """Of the progress function; minus infinity where a loop is unstable."""
-        x = self._x + step
-        (soft, hard), (violation, before) = self._objective.largest(x), self.merit
-        self.reached = x, (max(hard, 0.0), soft)
-        return -max(soft - before - violation, hard - violation)
 
 
 class SmoothObjective:
@@ -92,6 +67,8 @@ class SmoothObjective:
         Frequencies [rad/s] to add to the grid of every model.
     thin : bool
         Leave out most of the frequencies at which all gains are small.
+    near_limit : bool
+        A point was outside for its stability: the steps are to know the limit from the first one on.
     """
 
     planes, steps, slow = PLANES, STEPS, SLOW
@@ -104,8 +81,10 @@ class SmoothObjective:
         extra: tuple[FloatArray, ...] | None = None,
         *,
         thin: bool = False,
+        near_limit: bool = False,
     ) -> None:
         self._problem = problem
+        self.limit_watch = LimitWatch(problem, found, near_limit)
         self.power = 40.0
         self.evaluations = 0
         self._last: tuple[FloatArray, tuple[float, float]] | None = None
@@ -150,8 +129,8 @@ class SmoothObjective:
     def stable(self, x: FloatArray) -> bool:
         """All models stable with a part of the first point's margin left.
 
-        By the poles of small loops; for large ones by the return difference on the grid: no encirclement, and no
-        frequency at which it has nearly vanished.
+        By the poles of small loops; for large ones by the return difference on the grid, which shows no encirclement.
+        Where it cannot tell, because it turns fast or nearly vanishes at a frequency, the poles decide.
         """
         if not self._problem.inside(x):
             return False
@@ -163,14 +142,14 @@ class SmoothObjective:
                     return False
                 continue
             ratio = grid.return_determinant(K) / reference
-            if float(np.abs(ratio).min()) < LEAST_RETURN:
-                return False
             turns = np.diff(np.angle(ratio))
             turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
-            if np.abs(turns).max(initial=0.0) > LARGEST_TURN:
+            total = abs(float(turns.sum()))
+            near = float(np.abs(ratio).min()) < LEAST_RETURN or np.abs(turns).max(initial=0.0) > LARGEST_TURN
+            if near or LARGEST_TOTAL < total <= np.pi:
                 if self._problem.abscissa_of(k, K) >= -self._problem.min_decay:
                     return False
-            elif abs(float(turns.sum())) > np.pi:
+            elif total > np.pi:
                 return False
         return True
 

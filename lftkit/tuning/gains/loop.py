@@ -179,14 +179,19 @@ def spectrum(loop: ClosedLoop, *, derivatives: bool) -> LoopSpectrum:
     """Poles of the closed loop, with derivatives if asked for."""
     if not derivatives:
         return LoopSpectrum(np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex))
-    found: Any = linalg.eig(loop.A, left=True, right=True, check_finite=False)  # the stubs say two results
-    values, left, right = cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
+    values, left, right = eigenvectors(loop.A)
     scale = np.sum(left.conj() * right, axis=0)
     # a defective pole has no derivative; a large finite one still points downhill
     scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
     return LoopSpectrum(
         np.asarray(values, dtype=complex), loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
     )
+
+
+def eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Eigenvalues (n,), left and right eigenvectors of unit length (n, n) of a matrix (n, n)."""
+    found: Any = linalg.eig(A, left=True, right=True, check_finite=False)  # the stubs say two results
+    return cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
 
 
 def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:

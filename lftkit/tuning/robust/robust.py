@@ -25,10 +25,19 @@ from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.robust.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
-from lftkit.tuning.rounds import Worse, in_rounds
+from lftkit.tuning.rounds import CUT, Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import Structure
-from lftkit.tuning.tuner import TuningOptions, TuningResult, limits_from, limits_of, result_of, tune
+from lftkit.tuning.tuner import (
+    ALL_MET,
+    TuningOptions,
+    TuningResult,
+    all_met,
+    limits_from,
+    limits_of,
+    result_of,
+    tune,
+)
 
 
 @dataclass(frozen=True)
@@ -108,7 +117,7 @@ def tune_robust(
         A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
     met : float
         Soft worst cases up to this value do not count: a target below it leaves a distance for the parameters
-        between the models.
+        between the models. A tuning whose certificate is at most that on all models is ``converged``.
     max_rounds : int
     options : TuningOptions, optional
         The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
@@ -172,21 +181,28 @@ class _Design:
         if self.tuning is None:
             options = replace(self.options, wall_limit=left, progress=False)
             common: Any = {"initial": self.given, "loop_delay": self.loop_delay, "options": options}
-            self.tuning = tune(problem.models, self.requirements, self.structure, **common)
+            self.tuning = self._judged(tune(problem.models, self.requirements, self.structure, **common))
             return self.tuning
         start_time, seed, band = time.monotonic(), self.options.seed, self.options.band
         limits = limits_of(self.options, start_time + left)
         runs = [tune_from(problem, self.tuning.x, seed, limits, band)]
         runs += feasibility_runs(problem, runs, seed, limits, band)
-        self.tuning = result_of(problem, runs, time.monotonic() - start_time)
+        self.tuning = self._judged(result_of(problem, runs, time.monotonic() - start_time))
         return self.tuning
+
+    def _judged(self, tuning: TuningResult) -> TuningResult:
+        """``converged`` where the certificate says that nothing above `met` is left on the models."""
+        ended = tuning.status is TuningStatus.TARGET or tuning.status in CUT
+        if ended or not all_met(self.requirements, tuning.certificate, self.met):
+            return tuning
+        return replace(tuning, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
 
     def worse(self, number: int, tuned: TuningResult, last: bool) -> Worse[dict[str, float]]:
         """Parameters at which a requirement exceeds what the tuning reached."""
         self.worst = self._worst(tuned, number)
         self.rounds.append(self._round(self.problem, tuned, self.worst))
         self.progress.print(_line(number, self.rounds[-1]))
-        return Worse(self._new(tuned, self.worst))
+        return Worse(self._new(tuned, self.worst), unfinished=tuned.status is TuningStatus.ITERATIONS)
 
     def add(self, tuned: TuningResult, worse: Worse[dict[str, float]]) -> None:
         """More models."""

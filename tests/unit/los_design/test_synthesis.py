@@ -54,8 +54,8 @@ def measured(parameters, pair, values) -> dict[str, float]:
         loop = ImplementedLoop(OpenLoop(system, parameters), *pair, name)
         for metric in loop_metrics(parameters, name).values():
             share = limits(parameters, stage)[metric.name]
-            omega = [w for w in grid() if metric.band[0] <= w < metric.band[1]][::4]
-            peaks = [loop.gains(loop.at(w), metric, loop.point(values)[None])[0] for w in omega]
+            omega = np.array([w for w in grid() if metric.band[0] <= w < metric.band[1]][::4])
+            peaks = [loop.gains(closed, metric, loop.point(values)[None])[0] for closed in loop.at_each(omega)]
             found[named(metric.name, stage)] = float(np.max(peaks)) * metric.limit / share
     return found
 

@@ -48,13 +48,17 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
     mu: FloatArray = np.full(m, 1.0 / float(e.sum()))
     s: FloatArray = np.ones(m)
     nu = 0.0
+    columns: FloatArray = np.asfortranarray(Q)  # as LAPACK has a matrix
+    hessian: FloatArray = np.empty((m, m), order="F")  # its factor takes its place
+    entries = hessian.reshape(-1, order="F")[:: m + 1]
     for _ in range(MAX_ITERATIONS):
         residual = Q @ mu - c - s + nu * e
         gap = float(mu @ s) / m
         if gap < tolerance and np.abs(residual).max() < 1e-12:
             break
-        hessian = cast("Matrix", Q + np.diag(s / mu + 1e-14))
-        factor, failed = linalg.lapack.dpotrf(hessian, lower=1, clean=0)
+        hessian[...] = columns
+        entries += s / mu + 1e-14
+        factor, failed = linalg.lapack.dpotrf(cast("Matrix", hessian), lower=1, clean=0, overwrite_a=1)
         if failed:
             raise linalg.LinAlgError("the program is not convex")
         rest = (residual, factor, linalg.lapack.dpotrs(factor, e, lower=1)[0], e, mu, s)
@@ -111,5 +115,5 @@ def _newton(
 
 
 def _longest(v: FloatArray, dv: FloatArray) -> float:
-    shrinking = dv < 0
-    return min(1.0, float(np.min(-v[shrinking] / dv[shrinking]))) if shrinking.any() else 1.0
+    """Largest step up to 1 that leaves no entry of v, all positive, below zero."""
+    return min(1.0, -float(np.divide(v, dv, out=np.full(len(v), -np.inf), where=dv < 0.0).max()))

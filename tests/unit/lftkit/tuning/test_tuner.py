@@ -48,7 +48,7 @@ def integrators() -> System:
 
 
 STATIC = gain([("y", 1)], [("u", 1)])
-QUICK = TuningOptions(starts=2)
+QUICK = TuningOptions(starts=1)
 
 
 def test_hard_requirement_is_active_at_the_optimum() -> None:
@@ -237,7 +237,7 @@ def test_stable_controller_on_request() -> None:
     """By structure or by requirement; p(K) of a plant that would like an unstable one stays stable."""
     plant = integrators()
     by_structure = StableStateSpace((Port("y", 1),), (Port("u", 1),), 2, min_decay=0.01)
-    options = TuningOptions(starts=2, iterations=15)
+    options = TuningOptions(starts=1, iterations=15)
     a = tune([plant], [HinfGain("w", "z")], by_structure, options=options)
     assert np.linalg.eigvals(a.controller.A).real.max() <= -0.01
     free = state_space([("y", 1)], [("u", 1)], 2)

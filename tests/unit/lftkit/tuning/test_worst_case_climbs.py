@@ -297,7 +297,7 @@ def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
         {"pole": (-1.0, -0.5)},
         needs,
         gain([("y", 1)], [("u", 1)]),
-        options=TuningOptions(starts=2),
+        options=TuningOptions(starts=1),
     )
     assert result.status == result.tuning.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
@@ -315,7 +315,7 @@ def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
         {"pole": (-1.0, 1.0)},
         needs,
         gain([("y", 1)], [("u", 1)]),
-        options=TuningOptions(starts=2),
+        options=TuningOptions(starts=1),
     )
     assert -result.controller.D.item() >= 5.0 * (1 - 1e-4), "the gain 1 / (k - 1) <= 1/4 asks for k >= 5"
     assert 1.0 < result.tuning.soft < 1.25
@@ -334,7 +334,7 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     box = {"mix": (-2.0, 2.0)}
     structure = gain([("y", 1)], [("u", 1)])
     result = tune_robust(
-        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=2)
+        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=1)
     )
     assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
     assert result.status == "converged"

@@ -1,0 +1,190 @@
+"""Tuning in discrete time: loops on samples, controllers that run on samples, norms on the unit circle.
+
+The bilinear map ``s = (2 / T) (z - 1) / (z + 1)`` takes the unit circle to the imaginary axis and keeps every gain at
+corresponding frequencies, hence stability and H-infinity norms without any error. The descent works on the image; what
+comes back, and its certificate, is of the discrete loop itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from lftkit.analysis.norms import hinf_norm
+from lftkit.arrays import FloatArray
+from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.system import System
+from lftkit.tuning.certificate import Certificate, weighted_loop
+from lftkit.tuning.goals import Goal
+from lftkit.tuning.goals.goal import resolved
+from lftkit.tuning.requirements import HinfGain, Requirement
+from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.structures.structures import AffineStructure
+from lftkit.tuning.tuner import AGREEMENT, TuningOptions, TuningResult, tune
+
+AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
+
+
+def image_of(model: System) -> System:
+    """Continuous system with the response of the discrete `model` at ``s = (2 / T) (z - 1) / (z + 1)``.
+
+    Raises
+    ------
+    ValueError
+        A pole at z = -1, which is at infinity in the image.
+    """
+    A, B, C, D = model.matrices
+    n, half = len(A), 0.5 * model.dt
+    moved = A + np.eye(n)
+    if n and float(linalg.svdvals(moved)[-1]) < AT_MINUS_ONE * max(float(np.abs(moved).max()), 1.0):
+        raise ValueError(f"{model.name}: system must have no pole at z = -1, got one")
+    through = linalg.solve(moved, np.hstack([A - np.eye(n), B])) if n else np.zeros((0, B.shape[1]))
+    a, b, root = through[:, :n] / half, through[:, n:], (2.0 / half) ** 0.5
+    c = linalg.solve(moved.T, C.T).T if n else C
+    return System(a, root * b, root * c, D - C @ b, model.inputs, model.outputs, model.name)
+
+
+def sampled_from_image(model: System, dt: float) -> System:
+    """Discrete system with period `dt` [s] whose image is `model`."""
+    A, B, C, D = model.matrices
+    n, half = len(A), 0.5 * dt
+    moved = np.eye(n) - half * A
+    through = linalg.solve(moved, np.hstack([np.eye(n) + half * A, B])) if n else np.zeros((0, B.shape[1]))
+    a, b = through[:, :n], through[:, n:]
+    c = linalg.solve(moved.T, C.T).T if n else C
+    root = np.sqrt(dt)
+    return System(a, root * b, root * c, D + half * C @ b, model.inputs, model.outputs, model.name, dt=dt)
+
+
+def tune_discrete(
+    models: Sequence[System],
+    requirements: Sequence[Requirement | Goal],
+    structure: AffineStructure,
+    *,
+    initial: Sequence[ArrayLike] = (),
+    met: float = -np.inf,
+    options: TuningOptions | None = None,
+) -> TuningResult:
+    """Tune a discrete controller on discrete models, as :func:`lftkit.tuning.tune` does in continuous time.
+
+    Parameters
+    ----------
+    models : sequence of System
+        All with the same sampling period.
+    requirements : sequence
+        :class:`HinfGain` over all frequencies, with weights of the same period, and goals that are made of such gains.
+    structure : AffineStructure
+        A static gain, also with fixed or bounded entries, or a state-space controller with all entries free.
+    initial, met, options
+        As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers.
+
+    Returns
+    -------
+    TuningResult
+        With a discrete controller; norms of the certificate are of the discrete loops, and decay rates are those of
+        ``log|z| / T`` [rad/s].
+
+    Raises
+    ------
+    ValueError
+        A model in continuous time, another period, a requirement or a structure that is not among these.
+
+    Examples
+    --------
+    x+ = 0.5 x + w + u with u = k x: the gain 1 / (1 - |0.5 + k|) is least at k = -0.5.
+
+    >>> plant = System([[0.5]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)],
+    ...               dt=0.1)
+    >>> from lftkit.tuning.structures.structures import gain
+    >>> result = tune_discrete([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]),
+    ...                        options=TuningOptions(starts=2))
+    >>> round(result.soft, 3), round(result.controller.D.item(), 2)
+    (1.0, -0.5)
+    """
+    ready, needs = resolved(models, requirements)
+    dt = _common_period(ready)
+    _check_structure(structure)
+    images = [_image_of_requirement(r, dt) for r in needs]
+    starts = [_parameters_of_image(structure, np.asarray(x, dtype=float), dt) for x in initial]
+    found = tune([image_of(m) for m in ready], images, structure, initial=starts, met=met, options=options)
+    K = sampled_from_image(found.controller, dt)
+    certificate = _certified(ready, K, needs, dt)
+    status = found.status
+    stable = bool(np.all(certificate.abscissae < 0.0))
+    if stable and not np.allclose(certificate.values, found.values, rtol=AGREEMENT, atol=1e-9):
+        status = TuningStatus.INACCURATE
+    hard = np.array([r.hard for r in needs])
+    return replace(
+        found,
+        status=status,
+        advice=found.advice if status is found.status else status.advice,
+        controller=K,
+        x=structure.parameters_of(K) if structure.order else found.x,
+        values=certificate.values,
+        soft=float(certificate.values[~hard].max(initial=-np.inf)),
+        hard=float(certificate.values[hard].max(initial=-np.inf)),
+        peak_frequencies=certificate.peak_frequencies,
+        abscissa=float(certificate.abscissae.max()),
+        certificate=certificate if stable else None,
+    )
+
+
+def _common_period(models: Sequence[System]) -> float:
+    for model in models:
+        model.require_certain()
+        if not model.dt:
+            raise ValueError(f"{model.name}: system must be in discrete time, got one in continuous time")
+        if model.dt != models[0].dt:
+            raise ValueError(f"{model.name}: sampling period must be {models[0].dt} s, got {model.dt} s")
+    return float(models[0].dt)
+
+
+def _check_structure(structure: AffineStructure) -> None:
+    if not isinstance(structure, AffineStructure):
+        raise ValueError(f"structure must be a gain or a state-space controller, got {type(structure).__name__}")
+    free = len(structure.parameters) == structure.base.size and structure.bounds is None
+    if structure.order and not (free and structure.size == structure.base.size and not structure.base.any()):
+        raise ValueError("a dynamic controller in discrete time must have all entries free, got fixed or bounded ones")
+
+
+def _image_of_requirement(r: Requirement, dt: float) -> HinfGain:
+    if not isinstance(r, HinfGain) or isinstance(r, SectorGain) or r.banded:
+        raise ValueError(f"{r.name}: requirement must be a gain over all frequencies in discrete time")
+    weights: dict[str, Any] = {}
+    for name in ("weight_in", "weight_out"):
+        weight: System | None = getattr(r, name)
+        if weight is not None and weight.order:
+            if weight.dt != dt:
+                raise ValueError(f"{r.name}: {name} must have the sampling period {dt} s, got {weight.dt or 0.0} s")
+            weight = image_of(weight)
+        elif weight is not None:
+            weight = System(*weight.matrices, weight.inputs, weight.outputs, weight.name)
+        weights[name] = weight
+    return replace(r, **weights)
+
+
+def _parameters_of_image(structure: AffineStructure, x: FloatArray, dt: float) -> FloatArray:
+    if not structure.order:
+        return x
+    n, K = structure.order, structure.gain_matrix(x)
+    sampled = System(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs, "K", dt=dt)
+    return structure.parameters_of(image_of(sampled))
+
+
+def _certified(models: Sequence[System], K: System, requirements: Sequence[Requirement], dt: float) -> Certificate:
+    shape = (len(requirements), len(models))
+    values, upper, omega, decays = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(len(models))
+    for k, model in enumerate(models):
+        poles = linalg.eigvals(close_loop(model, K, (), ()).A)
+        decays[k] = np.log(max(float(np.abs(poles).max(initial=0.0)), 1e-300)) / dt
+        for i, r in enumerate(requirements):
+            assert isinstance(r, HinfGain)
+            norm = hinf_norm(*weighted_loop(model, K, r).matrices, dt=dt, rtol=1e-5)
+            values[i, k], upper[i, k], omega[i, k] = norm.value / r.bound, norm.upper / r.bound, norm.omega
+    return Certificate(values, upper, omega, decays)

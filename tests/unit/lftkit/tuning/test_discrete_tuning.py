@@ -1,0 +1,121 @@
+"""Tuning of discrete loops: known optima, a scan of all gains, the image of a system, what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lftkit import hinf_norm
+from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.system import System
+from lftkit.tuning import (
+    ClosedLoopPoles,
+    H2Gain,
+    HinfGain,
+    TuningOptions,
+    gain,
+    pid,
+    state_space,
+    tune_discrete,
+)
+from lftkit.tuning.discrete import image_of, sampled_from_image
+
+OPTIONS = TuningOptions(starts=1)
+
+
+def delayed_lag(dt: float = 0.1) -> System:
+    """x+ = 0.9 x + w + u one sample late; y = x, z = (x, u / 2)."""
+    return System(
+        [[0.9, 1.0], [0.0, 0.0]],
+        [[1.0, 0.0], [0.0, 1.0]],
+        [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]],
+        [[0.0, 0.0], [0.0, 0.5], [0.0, 0.0]],
+        [("w", 1), ("u", 1)],
+        [("z", 2), ("y", 1)],
+        dt=dt,
+    )
+
+
+def norm_with(plant: System, K: System) -> float:
+    return hinf_norm(*close_loop(plant, K, ["w"], ["z"]).matrices, dt=plant.dt).value
+
+
+def scanned(plant: System) -> float:
+    """Least norm over static gains."""
+    ports = [("y", 1)], [("u", 1)]
+    return min(norm_with(plant, System.static([[k]], *ports)) for k in np.linspace(-0.95, 0.05, 401))
+
+
+def test_no_gain_of_a_scan_is_better() -> None:
+    plant = delayed_lag()
+    result = tune_discrete([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    best = scanned(plant)
+    assert str(result.status) == "converged"
+    assert result.soft == pytest.approx(best, rel=1e-4) and result.soft < 1.0005 * best
+    assert result.soft == pytest.approx(norm_with(plant, result.controller), rel=1e-5)
+    assert 0.0 <= result.peak_frequencies.max() <= np.pi / plant.dt
+
+
+def test_a_controller_with_a_state_gains_what_the_gain_cannot() -> None:
+    """Initial and final parameters are those of discrete controllers."""
+    plant, structure = delayed_lag(), state_space([("y", 1)], [("u", 1)], 1)
+    start = System([[-0.2]], [[0.1]], [[0.1]], [[-0.4]], [("y", 1)], [("u", 1)])
+    options = TuningOptions(starts=0, iterations=60)
+    result = tune_discrete(
+        [plant], [HinfGain("w", "z")], structure, initial=[structure.parameters_of(start)], options=options
+    )
+    K = result.controller
+    assert K.dt == plant.dt and result.soft < 0.99 * scanned(plant)
+    assert result.soft == pytest.approx(norm_with(plant, K), rel=1e-5)
+    assert np.block([[K.A, K.B], [K.C, K.D]]) == pytest.approx(structure.gain_matrix(result.x), abs=1e-12)
+
+
+def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
+    plant = delayed_lag()
+    lag = System([[0.5]], [[1.0]], [[0.5]], [[0.0]], [("in", 1)], [("out", 1)], dt=plant.dt)
+    double = System.static(2.0 * np.eye(2), [("in", 2)], [("out", 2)])
+    needs = [
+        HinfGain("w", "z", weight_in=lag, weight_out=double, name="weighted"),
+        HinfGain("w", "z", bound=4.0, hard=True, name="bound"),
+    ]
+    result = tune_discrete([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    assert result.feasible and result.certificate is not None and result.certificate.stable
+    loop = close_loop(plant, result.controller, ["w"], ["z"])
+    theta = np.linspace(0.0, np.pi, 2001)
+    gains = [np.linalg.norm(loop.C @ np.linalg.solve(np.exp(1j * t) * np.eye(2) - loop.A, loop.B), 2) for t in theta]
+    weight = np.abs(0.5 / (np.exp(1j * theta) - 0.5)) * 2.0
+    assert result.values[0, 0] == pytest.approx(np.max(gains * weight), rel=1e-4)
+    assert 4.0 * result.values[1, 0] == pytest.approx(np.max(gains), rel=1e-4)
+
+
+def test_an_image_has_the_response_of_its_system_and_leads_back() -> None:
+    rng = np.random.default_rng(4)
+    model = System(
+        0.5 * rng.standard_normal((3, 3)),
+        rng.standard_normal((3, 2)),
+        rng.standard_normal((1, 3)),
+        rng.standard_normal((1, 2)),
+        [("u", 2)],
+        [("y", 1)],
+        dt=0.2,
+    )
+    image, z = image_of(model), np.exp(0.7j)
+    s = 2.0 / 0.2 * (z - 1.0) / (z + 1.0)
+    there = image.C @ np.linalg.solve(s * np.eye(3) - image.A, image.B) + image.D
+    here = model.C @ np.linalg.solve(z * np.eye(3) - model.A, model.B) + model.D
+    assert there == pytest.approx(here, rel=1e-12)
+    back = sampled_from_image(image, 0.2)
+    for first, second in zip(back.matrices, model.matrices):
+        assert first == pytest.approx(second, abs=1e-12)
+
+
+def test_what_has_no_discrete_form_is_refused_in_one_line() -> None:
+    plant, static = delayed_lag(), gain([("y", 1)], [("u", 1)])
+    with pytest.raises(ValueError, match=r"must be a gain over all frequencies in discrete time$"):
+        tune_discrete([plant], [H2Gain("w", "z")], static)
+    with pytest.raises(ValueError, match=r"must be a gain over all frequencies in discrete time$"):
+        tune_discrete([plant], [HinfGain("w", "z"), ClosedLoopPoles(min_decay=1.0)], static)
+    with pytest.raises(ValueError, match="must have all entries free"):
+        tune_discrete([plant], [HinfGain("w", "z")], pid("y", "u", derivative_filter=0.1))
+    with pytest.raises(ValueError, match=r"sampling period must be 0\.1 s, got 0\.2 s$"):
+        tune_discrete([plant, delayed_lag(0.2)], [HinfGain("w", "z")], static)
