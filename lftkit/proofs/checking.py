@@ -14,9 +14,10 @@ from lftkit.proofs.axis.checker import check_axis_proof
 from lftkit.proofs.axis.proof import FORMAT as AXIS
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
+from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
+from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE
 from lftkit.proofs.sampled_loop.noise import CheckedNoise, NoiseProof, check_noise_proof
-from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.state_space.checker import DISCRETE
 from lftkit.proofs.state_space.checker import FORMAT as CELLS
@@ -67,7 +68,7 @@ def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> C
 def _check_strips(path: Path, name: str, each: Callable[..., Iterable[int | str]]) -> Checked:
     if name == NOISE:
         return check_noise_proof(NoiseProof.from_file(path), each)
-    return check_loop_proof(path, each) if name == LOOP else check_axis_proof(path, each)
+    return check_loop_proof(read_loop_proof(path), each) if name == LOOP else check_axis_proof(path, each)
 
 
 def proof_format(path: Path) -> str:

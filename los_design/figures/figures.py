@@ -28,12 +28,13 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from pointing_analysis.files.atomic_output import atomic_file
+from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import FORCES, LOOP_DELAY, MIRROR
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.layout import control_stages, mirror_stages
-from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
+from titop_plant.telescope.parameters import Parameters, load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
 STAGES = {
@@ -96,7 +97,7 @@ class Designed:
         file = designs / "telescope.toml"
         pair = [SampledSystem.from_file(designs / f"{name}.json") for name in ("k_fsm", "k_pma")]
         given = str(file) if file.exists() else None
-        return cls(load_parameters(given or REFERENCE), given, (pair[0], pair[1]), load_worst_points(designs))
+        return cls(load_parameters(given), given, (pair[0], pair[1]), load_worst_points(designs))
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -183,7 +184,7 @@ def stage_curves(designed: Designed, stage: str, values: Mapping[str, float]) ->
 
 def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
     """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
-    figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    figure = LaidOutFigure(figsize=(9.6, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     table = designed.parameters["weights"]
     edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
@@ -227,7 +228,7 @@ def _to_radians(hertz: FloatArray) -> FloatArray:
 
 def _controllers(designed: Designed) -> Figure:
     (k_fsm, k_pma), forces = designed.pair, len(mirror_stages(designed.parameters)) > 1
-    figure = Figure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
+    figure = LaidOutFigure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
     left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
     omega: FloatArray = np.asarray(np.geomspace(1e-2, 3e3, 400), dtype=float)
     assembled = telescope(designed.file)
@@ -267,7 +268,7 @@ def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
         ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
     ]
     panels = [panel for panel in panels if panel[0] in designed.stages]
-    figure = Figure(figsize=(3.6 * len(panels), 3.2), layout="constrained")
+    figure = LaidOutFigure(figsize=(3.6 * len(panels), 3.2), layout="constrained")
     columns = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, (stage, name, channels, title) in zip(columns, panels):
         loop = ImplementedLoop(open_loop, *pair, stage)

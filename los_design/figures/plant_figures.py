@@ -20,6 +20,7 @@ from matplotlib.ticker import LogLocator
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.files.atomic_output import atomic_file
+from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.simulation.disturbance_responses import (
     ALL,
     ARCSEC,
@@ -32,6 +33,7 @@ from titop_plant.telescope.layout import (
     ANGLE,
     arrays_turn,
     driven_arrays,
+    on_bearings,
     reaction_wheels,
     solar_arrays,
     speed_names,
@@ -76,7 +78,8 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     parameters : str, optional
         Parameter file; default: the reference telescope.
     names : sequence of str, optional
-        Some of :data:`FIGURES`; default: all. That of turning arrays is left out where none turns.
+        Some of :data:`FIGURES` and :data:`OF_BEARINGS`; default: all. That of turning arrays is left out where none
+        turns, that of bearings where all wheels are rigid.
 
     Returns
     -------
@@ -88,16 +91,18 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
         An unknown picture, a folder that cannot be made, a parameter file that cannot be read.
     """
     for name in names or ():
-        if name not in FIGURES:
-            raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join(FIGURES)}")
+        if name not in {**FIGURES, **OF_BEARINGS}:
+            raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_BEARINGS))}")
     both = disturbance_responses(parameters)
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
-    drawn = [name for name in names or FIGURES if name != "arrays_turn" or arrays_turn(both.parameters)]
-    return [path for name in drawn for path in _saved(folder, name, *FIGURES[name], both)]
+    known = {**FIGURES, **OF_BEARINGS}
+    possible = {"arrays_turn": arrays_turn(both.parameters), "bearings": on_bearings(both.parameters)}
+    drawn = [name for name in names or known if possible.get(name, True)]
+    return [path for name in drawn for path in _saved(folder, name, *known[name], both)]
 
 
 def _saved(
@@ -110,7 +115,7 @@ def _saved(
     settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
     with mpl.rc_context(settings):
-        figure = Figure(figsize=(7.4, height), layout="constrained")
+        figure = LaidOutFigure(figsize=(7.4, height), layout="constrained")
         draw(figure, both)
         with atomic_file(paths[0]) as png, atomic_file(paths[1]) as svg:
             figure.savefig(png, format="png", dpi=130, metadata={"Software": None})
@@ -144,6 +149,25 @@ def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
     _templates(axis, both.parameters, edges)
     _decorate(axis, edges, (1e-5, 5.0))
     _legend(figure)
+
+
+def _bearings(figure: Figure, both: DisturbanceResponses) -> None:
+    axis = figure.subplots()
+    edges = _columns(10.0, 1e4, 400)
+    wheels = reaction_wheels(both.parameters)
+    speeds = {name: wheel.default_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
+    fast = {name: wheel.maximum_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
+    rigid, grey = both.with_rigid_wheels(), "#777777"
+    for system, values, colour, name in (
+        (rigid, speeds, grey, "rigid wheels"),
+        (both.isolated, {}, BLUE, "on bearings, at rest"),
+        (both.isolated, speeds, ORANGE, "on bearings, default speeds"),
+        (both.isolated, fast, LIMIT, "on bearings, highest speeds"),
+    ):
+        curve = both.weighted(system, values, WHEELS, edges[0], edges[-1])
+        axis.loglog(curve.omega, curve.size, color=colour, label=name, linewidth=2.0 if colour == grey else 1.0)
+    _decorate(axis, edges, (1e-5, 5.0))
+    _legend(figure, columns=2)
 
 
 def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
@@ -280,3 +304,6 @@ FIGURES: dict[str, tuple[float, Callable[[Figure, DisturbanceResponses], None]]]
     "wheels_speed_up": (4.0, _wheels_speed_up),
 }
 """Name to height [inch] and drawing function."""
+
+OF_BEARINGS = {"bearings": (5.0, _bearings)}
+"""The same of a telescope whose wheels have bearings."""

@@ -41,11 +41,13 @@ import scipy
 
 from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseProof, check_noise_proof
+from lftkit.proofs.sampled_loop.files import read_loop_proof
+from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise_proof
 from lftkit.proofs.sampled_loop.nominal import whole_axis
 from lftkit.proofs.verdict import ProofError
 from los_design.synthesis.provenance import commit
 from los_design.verification.error_sums import ErrorSum, error_sums
+from los_design.verification.fast_parts import PARTS
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.loop_models import provable
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
@@ -59,6 +61,7 @@ from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.guide_camera import without_images
 from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash
+from titop_plant.telescope.requirements import design_limits, telescope_requirements
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
@@ -115,8 +118,8 @@ class CheckedBundle:
         Of the telescope in the bundle.
     name : str
         :attr:`Bundle.name`.
-    noise : mapping of str to (float, float)
-        Of stages with a proof of noise the root mean square of the absolute and the relative error [rad].
+    noise : mapping of str to (NoiseBound, NoiseBound)
+        Of stages with a proof of noise the bounds of the absolute and the relative error [rad].
     sums : mapping of str to tuple of ErrorSum
         Of each stage what the proven bounds make together.
     """
@@ -127,7 +130,7 @@ class CheckedBundle:
     box: Mapping[str, tuple[float, float]]
     requirements: tuple[str, ...]
     name: str
-    noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    noise: Mapping[str, tuple[NoiseBound, NoiseBound]] = field(default_factory=dict)
     sums: Mapping[str, tuple[ErrorSum, ...]] = field(default_factory=dict)
 
 
@@ -190,7 +193,7 @@ class Bundle:
 
     def proof(self, stage: str, figure: str) -> LoopProof:
         """The proof of a figure as its file has it."""
-        return LoopProof.from_file(self.folder / member_of(stage, figure))
+        return read_loop_proof(self.folder / member_of(stage, figure))
 
 
 def member_of(stage: str, figure: str) -> str:
@@ -316,7 +319,18 @@ def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
             if name not in names or PurePosixPath(name).parent != PurePosixPath(MODAL_DATA):
                 raise ProofError(f"modal data of {body} must be a member in {MODAL_DATA}, got {name!r}")
             content[body] = {**content[body], "modal_data": str(folder / name)}
+    _check_limits(content)
     return MappingProxyType(content)
+
+
+def _check_limits(content: Mapping[str, Any]) -> None:
+    """Requirements are printed beside what is proven: the limits must be theirs."""
+    limits, _ = design_limits(telescope_requirements(content))
+    for name, limit in limits.items():
+        if not math.isclose(float(content["weights"][name]), limit, rel_tol=1e-9):
+            raise ProofError(
+                f"{name} must be that of the requirements, {limit:.9g}, got {content['weights'][name]!r}"[:300]
+            )
 
 
 def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
@@ -325,7 +339,7 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     return tuple(
         bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
         for where, figure in bundle.figures
-        if where == stage
+        if where == stage and figure not in PARTS
     )
 
 
@@ -389,7 +403,7 @@ def check_bundle(
 
 def checked_noise(
     bundle: Bundle, loop: ImplementedLoop, each: Callable[..., Iterable[int | str]], stable: dict[str, float]
-) -> tuple[float, float]:
+) -> tuple[NoiseBound, NoiseBound]:
     """Bounds of a stage's noise; of unstable members there are none."""
     stage = loop.stage
     proof = noise_of_loop(NoiseProof.from_file(bundle.folder / member_of(stage, NOISE)), loop)
@@ -401,7 +415,9 @@ def checked_noise(
     stable[stage] = max(stable[stage], checked.stable_below)
     if not math.isinf(stable[stage]):
         raise ProofError(f"{stage}, {NOISE}: noise needs that every member is stable, which was not proven")
-    return checked.rms, checked.relative
+    if checked.relative is None:
+        raise ProofError(f"{stage}, {NOISE}: the telescope must have a window of the relative error, got {window} s")
+    return checked.absolute, checked.relative
 
 
 def _checked(proof: LoopProof, each: Callable[..., Iterable[int | str]], stability: bool) -> CheckedLoop:

@@ -24,8 +24,10 @@ import numpy as np
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
+from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
-from lftkit.proofs.strips import Interval, Strip, packed, unpacked
+from lftkit.proofs.strip_files import packed, unpacked
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
@@ -311,7 +313,7 @@ def certify_figure(
     proof = LoopProof(model, names, box, metric.band, target, tuple(strips), about)
     file = f"{loop.stage}-{name}.npz"
     with atomic_file(folder / file) as temporary:
-        proof.to_file(temporary)
+        write_loop_proof(proof, temporary)
     return replace(bounds, upper=target, proof=file, stable=whole_axis(metric.band, DT) and stable_above(loop))
 
 

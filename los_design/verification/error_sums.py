@@ -1,12 +1,12 @@
 """What proven bounds of tones and of noise make together, in the form of the budgets.
 
 A tone of amplitude a along one axis and noise of r rms keep :func:`titop_plant.telescope.budget.combined_level` in the
-required part of windows or instants; it grows with both, so that bounds of them give a bound (with the part of the
-noise on one axis that the budgets assume). A fast tone counts as one at the edge of its band, where it turns least in a
-window. Slow and fast tones at
-once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``. Along one axis and with
-independent phases their sum is ``R |sin phi|`` with phi uniform and R at most ``s a_slow + f a_fast <= hypot(a_slow,
-a_fast)``: no quantile of it, with noise, is above that of one tone of this amplitude.
+required part of windows or instants; it grows with both, so that bounds of them give a bound. The part of the noise
+that can be on the axis of the tone is proven with the noise. A fast tone counts with the least angle that it turns in a
+window: that of the lower end of the part of the band that its bound is of.
+
+Slow and fast tones at once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``,
+and random phases (:func:`titop_plant.telescope.budget.two_tone_level`). The largest level over the shares is the sum.
 
 Each of the 22 channels of the reference at its own weight has norm sqrt(22) in all, and bounds grow by that factor at
 most.
@@ -18,9 +18,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from scipy import optimize
+
+from lftkit.proofs.sampled_loop.noise import NoiseBound
+from los_design.verification.fast_parts import FAST, NEAR_EDGE, PARTS
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, BAND_EDGE, ON_AXIS, combined_level
+from titop_plant.telescope.budget import LEAST_ON_AXIS, combined_level, two_tone_level
 from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
@@ -62,8 +67,12 @@ class ErrorSum:
         return f"{self.name}: {value:g} of {self.limit:g} {self.unit}" + ("" if self.kept else ", above the limit")
 
 
+SHARES = 17
+"""Shares of slow and fast tones between which the largest sum is searched."""
+
+
 def error_sums(
-    parameters: Parameters, stage: str, tones: Mapping[str, float], noise: tuple[float, float] | None
+    parameters: Parameters, stage: str, tones: Mapping[str, float], noise: tuple[NoiseBound, NoiseBound] | None
 ) -> tuple[ErrorSum, ...]:
     """Sums of a stage; those of which a contribution is missing are left out.
 
@@ -73,27 +82,29 @@ def error_sums(
         Of the telescope.
     stage : str
     tones : mapping of str to float
-        Bounds of the figures APE, slow and fast [rad].
-    noise : (float, float) or None
-        Bounds of the root mean square of the absolute and the relative error over both axes [rad].
+        Bounds of the figures APE, slow and fast [rad], and of parts of the fast tones' band
+        (:data:`los_design.verification.fast_parts.PARTS`).
+    noise : (NoiseBound, NoiseBound) or None
+        Of the absolute and the relative error [rad].
     """
-    rules = telescope_requirements(parameters)
     ape, rpe = (figure(name).limit(parameters, stage) for name in ("APE", "RPE"))
     arcsec, mas = ape / RAD_PER_ARCSEC, rpe / RAD_PER_MAS
-    instants, windows = instant_probability(rules), window_probability(rules)
-    slow, fast = (tones.get(name, math.nan) / RAD_PER_MAS for name in ("slow", "fast"))
+    slow = tones.get("slow", math.nan) / RAD_PER_MAS
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
-    both, turn = math.hypot(slow, fast), BAND_EDGE * float(parameters["weights"]["rpe_window"])
+    fast = fast_pieces(parameters, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
     found = []
     if noise is not None:
-        wide, fine = noise[0] / RAD_PER_ARCSEC, noise[1] / RAD_PER_MAS
+        rules = telescope_requirements(parameters)
+        wide, fine = _scaled(noise[0], RAD_PER_ARCSEC), _scaled(noise[1], RAD_PER_MAS)
+        windows = window_probability(rules)
+        alone = max((_level(bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
         found += [
-            ("APE, tone of norm 1 and noise", _absolute(absolute, wide, instants), arcsec, "arcsec"),
+            ("APE, tone of norm 1 and noise", _level(absolute, wide, instant_probability(rules)), arcsec, "arcsec"),
             ("RPE, slow tone of norm 1 and noise", _level(slow, fine, windows), mas, "mas"),
-            ("RPE, fast tone of norm 1 and noise", _level(fast, fine, windows, turn), mas, "mas"),
+            ("RPE, fast tone of norm 1 and noise", alone, mas, "mas"),
             (
                 "RPE, slow and fast tone, norm 1 in all, and noise",
-                _level(both, fine, windows),
+                max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan),
                 mas,
                 "mas",
             ),
@@ -102,16 +113,53 @@ def error_sums(
     inputs = channels(parameters)
     norm = math.sqrt(inputs)
     together = f"each of {inputs} channels at its own weight, norm {norm:.2f}"
-    rows = (("APE", absolute, arcsec, "arcsec"), ("slow", slow, mas, "mas"), ("fast", fast, mas, "mas"))
+    largest = tones.get(FAST, math.nan) / RAD_PER_MAS
+    rows = (("APE", absolute, arcsec, "arcsec"), ("slow", slow, mas, "mas"), (FAST, largest, mas, "mas"))
     for name, tone, limit, unit in rows:
         if not math.isnan(tone):
             sums.append(ErrorSum(f"{name}, {together}, without noise", norm * tone, limit, unit))
     return tuple(sums)
 
 
-def _level(tone: float, noise: float, part: float, turn: float = 0.0, on_axis: float = ON_AXIS) -> float:
-    return math.nan if math.isnan(tone + part) else combined_level(tone, noise, part, on_axis, turn)
+def fast_pieces(parameters: Parameters, tones: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Least turn in a window [rad] and bound of each part of the fast tones' band; empty without a bound of all.
+
+    Parts without a gap from the edge of the band on have bounds of their own where they are proven; above them the
+    bound of the whole band counts.
+    """
+    if FAST not in tones:
+        return []
+    window, pieces, end = float(parameters["weights"]["rpe_window"]), [], NEAR_EDGE[0]
+    for name, (low, high) in PARTS.items():
+        if name not in tones:
+            break
+        pieces.append((low * window, min(tones[name], tones[FAST])))
+        end = high
+    return [*pieces, (end * window, tones[FAST])]
 
 
-def _absolute(tone: float, noise: float, part: float) -> float:
-    return _level(tone, noise, part, on_axis=ABSOLUTE_ON_AXIS)
+def _scaled(bound: NoiseBound, unit: float) -> NoiseBound:
+    return NoiseBound(bound.rms / unit, bound.along / unit)
+
+
+def _level(tone: float, noise: NoiseBound, part: float, turn: float = 0.0) -> float:
+    if math.isnan(tone + part):
+        return math.nan
+    return combined_level(tone, noise.rms, part, max(noise.on_axis, LEAST_ON_AXIS), turn)
+
+
+def _both(slow: float, fast: float, noise: NoiseBound, part: float, turn: float) -> float:
+    """Largest level over the shares of both tones."""
+    if math.isnan(slow + part):
+        return math.nan
+    on_axis = max(noise.on_axis, LEAST_ON_AXIS)
+
+    def level(angle: float) -> float:
+        return two_tone_level(math.cos(angle) * slow, math.sin(angle) * fast, noise.rms, part, on_axis, turn)
+
+    angles = np.linspace(0.0, 0.5 * math.pi, SHARES)
+    values = [level(float(angle)) for angle in angles]
+    k = int(np.argmax(values))
+    ends = float(angles[max(k - 1, 0)]), float(angles[min(k + 1, SHARES - 1)])
+    best = optimize.minimize_scalar(lambda angle: -level(float(angle)), bounds=ends, method="bounded")
+    return max(values[k], -float(best.fun))

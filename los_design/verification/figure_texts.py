@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from los_design.verification.fast_parts import PARTS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES
 from los_loop.spec import LINE_OF_SIGHT
@@ -22,17 +23,21 @@ def bound_text(figure: str, level: float, limit: float) -> str:
     'slow 14.97 of 30 mas'
     >>> bound_text("APE", 0.9958, 2.4240684e-5), bound_text("force", 0.2097, 0.1)
     ('APE 4.979 of 5 arcsec', 'force 0.02097 of 0.1 N')
+    >>> bound_text("fast, 85 to 126", 0.5, 1.4544410e-7)
+    'fast, 85 to 126 rad/s: 15 of 30 mas'
     """
     kind = figure.split(", ")[0]
     if kind in RETURNED or kind == SENSITIVITY:
         return f"{figure} {level * limit:.4g} of {limit:.4g} ({margin_text(kind, level * limit)})"
-    row = next(row for row in FIGURES if row.name == figure)
+    names = (figure, kind)  # of a part of a band the second one
+    row = next(row for name in names for row in FIGURES if row.name == name)
     unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"
     if row.output == COMMANDED[-1]:
         unit, name = 1.0, "N"
     elif row.relative:
         unit, name = RAD_PER_MAS, "mas"
-    return f"{figure} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
+    name_of = f"{figure} rad/s:" if figure in PARTS else figure
+    return f"{name_of} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
 
 
 def margin_text(kind: str, peak: float) -> str:

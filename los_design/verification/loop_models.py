@@ -15,6 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.strips import Interval
+from los_design.verification.fast_parts import FAST, PARTS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
@@ -174,6 +175,12 @@ def margins_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
     return margins
 
 
+def parts_near_edge(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Parts of the fast tones' band that can have bounds of their own, by name (:data:`PARTS`)."""
+    fast = figures_of(parameters, stage)[FAST]
+    return {name: replace(fast, name=name, band=band) for name, band in PARTS.items()}
+
+
 def provable(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """All gains of a stage that can be proven: figures and margins."""
-    return figures_of(parameters, stage) | margins_of(parameters, stage)
+    """All gains of a stage that can be proven: figures, margins, parts of the fast tones' band."""
+    return figures_of(parameters, stage) | margins_of(parameters, stage) | parts_near_edge(parameters, stage)

@@ -1,23 +1,27 @@
 """Proof of the noise of a stage: root mean square of the line of sight over the whole box of parameters.
 
 One proof bounds the absolute and the relative error, whose weight grows with frequency
-(:mod:`lftkit.proofs.sampled_loop.noise`). The level of each part of the band is as far above what members have as
-:data:`ABOVE` says; where that can't be proven it is raised. Parts are kept as those of figures are.
+(:mod:`lftkit.proofs.sampled_loop.noise`), both of all axes together and along any axis. Parts of the band are narrow
+where the response of the nominal member changes much in them (:data:`EXCESS`). The level of each part is as far above
+what members have as :data:`ABOVE` says; where that can't be proven it is raised. Parts are kept as those of figures
+are.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, mean_square
+from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, noise_bound, power_area
 from lftkit.proofs.strips import Interval
 from lftkit.proofs.verdict import ProofError
 from los_design.verification.certify import (
@@ -27,7 +31,6 @@ from los_design.verification.certify import (
     Prover,
     model_digest,
     nominal_stable,
-    parts_of,
     stable_above,
 )
 from los_design.verification.loop_models import NYQUIST, Box, box_of, noise_model
@@ -38,12 +41,24 @@ from titop_plant.interface import DT
 
 NOISE = "noise"
 """Name of the figure."""
-ABOVE, RAISED, ROUNDS = 1.05, 1.3, 12
-"""Level of a part over the largest gain seen, factor where that was not proven, and most times."""
-LEAST = 0.1
-"""Least level of a part, over that of white noise with the same mean square: lower ones would add less than 1 %."""
-MEMBERS, FREQUENCIES, LOWEST = 12, 5, 1e-4
+ABOVE, RAISED, ROUNDS = 1.007, 0.02, 9
+"""Level of a part over the largest gain seen, first raise where that was not proven (each further one is twice the
+one before), and most times."""
+LEAST = 0.05
+"""Least level of a part, over that of white noise with the same mean square, of the absolute and of the relative error:
+lower ones would add less than 0.2 %."""
+EXCESS, MOST_PARTS = 0.01, 160
+"""What the largest gains of parts add to the mean squares, at the nominal member, and most parts."""
+PLAIN = 0.15
+"""How much of that counts for the absolute error, which is far from its limit."""
+USEFUL = 5e-4
+"""What the bounds of a part's single rows must lower a mean square by, to be proven beside that of all rows."""
+WIDEST, GRID = 0.16, 0.01
+"""Widths of the widest parts and of the steps in which they are cut, of log frequency."""
+MEMBERS, FREQUENCIES, LOWEST = 12, 3, 1e-4
 """Members and frequencies at which the gain is looked at in each part; the least one [rad/s]."""
+
+Rows = tuple[int, ...]
 
 
 def certify_noise(
@@ -75,17 +90,16 @@ def certify_noise(
         return FigureBounds(loop.stage, NOISE, lower, math.inf, values, 0.0, "unstable", [whole])
     kept = folder / "parts" / f"{loop.stage}-{NOISE}-{model_digest(model, box)}"
     kept.mkdir(parents=True, exist_ok=True)
-    seen = {(row, band): seen_gain(replace(model, rows=(row,)), box, band) for row, band in _rows_and_parts(model)}
-    least = LEAST * math.sqrt(_mean(seen))
-    levels = {key: max(ABOVE * gain, least) for key, gain in seen.items()}
-    done: dict[tuple[int, Interval], PartResult] = {}
-    for _ in range(ROUNDS):
+    window = float(loop.parameters["weights"]["rpe_window"])
+    levels = _first_levels(model, box, noise_parts(model, window), window)
+    done: dict[tuple[Rows, Interval], PartResult] = {}
+    for turn in range(ROUNDS):
         open_parts = [key for key in levels if key not in done or done[key].uncovered]
         parts = [_part(model, box, key, levels[key], until, kept) for key in open_parts]
         for key, result in zip(open_parts, prove(parts)):
             done[key] = result
             if result.uncovered:
-                levels[key] = max(RAISED * levels[key], ABOVE * result.lower)
+                levels[key] = max((1.0 + RAISED * 2.0**turn) * levels[key], ABOVE * result.lower)
             report(sum(not found.uncovered for found in done.values()), len(levels))
         if not any(found.uncovered for found in done.values()) or not all(r.finished for r in done.values()):
             break
@@ -97,8 +111,8 @@ def certify_noise(
 def _bounds(
     loop: ImplementedLoop,
     model: LoopModel,
-    levels: dict[tuple[int, Interval], float],
-    done: dict[tuple[int, Interval], PartResult],
+    levels: dict[tuple[Rows, Interval], float],
+    done: dict[tuple[Rows, Interval], PartResult],
     bounds: FigureBounds,
     folder: Path,
 ) -> FigureBounds:
@@ -114,13 +128,13 @@ def _bounds(
     )
     if uncovered:
         return bounds
-    parts = tuple(NoisePart(row, band, levels[row, band], done[row, band].strips) for row, band in levels)
+    parts = tuple(NoisePart(rows, band, levels[rows, band], done[rows, band].strips) for rows, band in levels)
     names = tuple(p.name for p in loop.system.parameters)
     proof = NoiseProof(model, names, box_of(loop), parts, {"stage": loop.stage, "figure": NOISE})
     file = f"{loop.stage}-{NOISE}.npz"
     with atomic_file(folder / file) as temporary:
         proof.to_file(temporary)
-    upper = math.sqrt(mean_square(replace(model, scale=1.0), parts, 0.0))
+    upper = noise_bound(replace(model, scale=1.0), parts, 0.0).rms
     return replace(bounds, upper=upper, proof=file, stable=stable_above(loop))
 
 
@@ -135,8 +149,7 @@ def noise_of_loop(proof: NoiseProof, loop: ImplementedLoop) -> NoiseProof:
     if proof.names != tuple(p.name for p in loop.system.parameters):
         raise ProofError(f"{loop.stage}, {NOISE}: the proof must be of the telescope's parameters, got others")
     for (low, high), (least, largest) in zip(proof.box, box_of(loop)):
-        slack = 1e-12 * max(abs(least), abs(largest))
-        if low > least + slack or high < largest - slack:
+        if low > least or high < largest:
             raise ProofError(f"{loop.stage}, {NOISE}: the proof must be of the whole box, got another")
     return replace(proof, model=noise_model(loop), about={"stage": loop.stage, "figure": NOISE})
 
@@ -152,16 +165,76 @@ def seen_gain(model: LoopModel, box: Box, band: Interval) -> float:
     return max(float(member_gains(model, float(w), members).max()) for w in omega)
 
 
-def _rows_and_parts(model: LoopModel) -> Sequence[tuple[int, Interval]]:
-    return [(row, band) for row in model.rows for band in parts_of((0.0, NYQUIST))]
+def noise_parts(model: LoopModel, window: float) -> list[Interval]:
+    """Parts of the band in which the largest gains of the nominal member add little to its mean squares.
+
+    Parameters
+    ----------
+    model : LoopModel
+    window : float
+        Of the relative error [s].
+    """
+    first = LOWEST * 100.0
+    steps = math.ceil(math.log(NYQUIST / first) / GRID)
+    grid = np.concatenate([np.linspace(LOWEST, first, 9)[:-1], np.geomspace(first, NYQUIST, steps + 1)])
+    squares = np.array([_nominal_squares(model, float(w)) for w in grid])
+    width = np.array([[b - a, power_area(float(a), float(b), window)] for a, b in itertools.pairwise(grid)])
+    pieces = 0.5 * (squares[1:] + squares[:-1])[:, :, None] * width[:, None, :]
+    total = pieces.sum(axis=0)
+
+    def excess(low: int, high: int) -> float:
+        largest = squares[low : high + 1].max(axis=0)[:, None] * width[low:high].sum(axis=0)
+        return float(((largest - pieces[low:high].sum(axis=0)) / total * [PLAIN, 1.0]).max())
+
+    cuts = [0, 8, *range(8 + round(WIDEST / GRID), len(grid) - 1, round(WIDEST / GRID)), len(grid) - 1]
+    parts = {ends: excess(*ends) for ends in itertools.pairwise(cuts)}
+    while sum(parts.values()) > EXCESS and len(parts) < MOST_PARTS:
+        low, high = max(parts, key=lambda ends: parts[ends] if ends[1] - ends[0] > 1 else 0.0)
+        if high - low < 2:
+            break
+        del parts[low, high]
+        middle = (low + high) // 2
+        parts |= {(low, middle): excess(low, middle), (middle, high): excess(middle, high)}
+    found = [(float(grid[low]), float(grid[high])) for low, high in sorted(parts)]
+    return [(0.0, found[0][1]), *found[1:-1], (found[-1][0], NYQUIST)]
 
 
-def _mean(seen: dict[tuple[int, Interval], float]) -> float:
-    """Mean square of both rows over the limit, by the gains that were seen."""
-    return DT / math.pi * sum(gain**2 * (band[1] - band[0]) for (_, band), gain in seen.items())
+def _nominal_squares(model: LoopModel, omega: float) -> FloatArray:
+    """Squared gains of the nominal member at a frequency, of each row and of all rows together."""
+    e = model.at(omega)[1][:, model.sizes[0] :]
+    weight, amplitude = model.amplitudes(omega)
+    rows = np.abs(weight * e * amplitude) ** 2
+    largest = float(linalg.svdvals(weight * e * amplitude)[0]) ** 2
+    return np.array([*rows.sum(axis=1), largest])
 
 
-def _part(model: LoopModel, box: Box, key: tuple[int, Interval], level: float, until: float, folder: Path) -> ProofPart:
-    row, band = key
-    file = folder / f"{row}-{band[0]:.9g}-{band[1]:.9g}-{level!r}.npz"
-    return ProofPart(replace(model, rows=(row,)), box, band, level, until, file)
+def _first_levels(
+    model: LoopModel, box: Box, bands: Sequence[Interval], window: float
+) -> dict[tuple[Rows, Interval], float]:
+    """Levels of the parts of all rows, and of single rows where they help: a little above what is seen, or little."""
+    sets: list[Rows] = [*((row,) for row in model.rows), model.rows]
+    seen = {(rows, band): seen_gain(replace(model, rows=rows), box, band) for rows in sets for band in bands}
+    widths = {band: np.array([band[1] - band[0], power_area(*band, window)]) for band in bands}
+    levels = {}
+    for rows in sets:
+        mean = DT / math.pi * np.sum([seen[rows, band] ** 2 * widths[band] for band in bands], axis=0)
+        for band in bands:
+            power = np.maximum(widths[band] / (band[1] - band[0]), 1e-12)
+            levels[rows, band] = max(ABOVE * seen[rows, band], LEAST * float(np.sqrt(mean / power).min()))
+    singles = [(row,) for row in model.rows]
+    total = np.sum([levels[rows, band] ** 2 * widths[band] for rows in singles for band in bands], axis=0)
+    for band in bands:
+        saved = len(singles) * levels[model.rows, band] ** 2 - sum(levels[rows, band] ** 2 for rows in singles)
+        if len(singles) == 1 or float((saved * widths[band] / total * [PLAIN, 1.0]).max()) < USEFUL:
+            for rows in singles:
+                if rows != model.rows:
+                    del levels[rows, band]
+    return levels
+
+
+def _part(
+    model: LoopModel, box: Box, key: tuple[Rows, Interval], level: float, until: float, folder: Path
+) -> ProofPart:
+    rows, band = key
+    file = folder / f"{'-'.join(map(str, rows))}-{band[0]:.9g}-{band[1]:.9g}-{level!r}.npz"
+    return ProofPart(replace(model, rows=rows), box, band, level, until, file)

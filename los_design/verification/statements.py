@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from los_design.verification.fast_parts import PARTS
 from los_design.verification.subject import BUNDLE, Subject
 
 SHIPPED = Path(__file__).with_name("statements.json")
@@ -38,14 +39,16 @@ class Statement:
     figures: tuple[str, ...]
     checked: bool
     relative: float | None = None
+    with_noise: tuple[str, ...] = ()
+    """Proven sums of tones and noise, each with its limit; none where the noise was not proven."""
 
     @property
     def text(self) -> str:
         """One line."""
         which = f"bundle {self.bundle}" + ("" if self.checked else ", not checked here")
-        return (
-            f"proven for every telescope of the family and tones of norm 1 in all: {', '.join(self.figures)} ({which})"
-        )
+        noise = f"; with noise: {', '.join(self.with_noise)}" if self.with_noise else ""
+        said = f"{', '.join(self.figures)}{noise} ({which})"
+        return f"proven for every telescope of the family and tones of norm 1 in all: {said}"
 
 
 TONES = ("slow", "fast")
@@ -78,11 +81,11 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
     """
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
-        found = tuple(str(row["text"]) for row in shipped["figures"] if row["stage"] == stage)
-        levels = {
-            str(r["figure"]): float(r["level"]) * float(r["limit"]) for r in shipped["figures"] if r["stage"] == stage
-        }
-        return Statement(shipped["name"], found, True, relative_error(levels)) if found else None
+        rows = [row for row in shipped["figures"] if row["stage"] == stage]
+        found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
+        levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
+        sums = tuple(str(row["text"]) for row in shipped["sums"].get(stage, ()) if row["name"].endswith("and noise"))
+        return Statement(shipped["name"], found, True, relative_error(levels), sums) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from lftkit.proofs.verdict import ProofError

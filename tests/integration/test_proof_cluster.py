@@ -12,6 +12,7 @@ import pytest
 
 from lftkit import Port, RealParameter, System
 from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model
+from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from los_design.verification.certify import PartResult, ProofPart, prove_part
 
 pytest.importorskip("distributed")
@@ -35,8 +36,8 @@ def written(folder: Path, results: list[PartResult]) -> bytes:
     own = parts(folder)[0]
     strips = tuple(strip for result in results for strip in result.strips)
     proof = LoopProof(own.model, ("k",), own.box, (0.0, BANDS[-1][1]), LEVEL, strips)
-    proof.to_file(folder / "proof.npz")
-    assert check_loop_proof(folder / "proof.npz").level == LEVEL
+    write_loop_proof(proof, folder / "proof.npz")
+    assert check_loop_proof(read_loop_proof(folder / "proof.npz")).level == LEVEL
     return (folder / "proof.npz").read_bytes()
 
 

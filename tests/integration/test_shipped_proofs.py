@@ -23,9 +23,10 @@ from support.stored_proofs import (
     write_shipped_bundle,
 )
 
-from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+from lftkit.proofs.sampled_loop import check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import windows_of
+from lftkit.proofs.sampled_loop.files import read_loop_proof
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, open_bundle
@@ -71,7 +72,7 @@ def loop() -> ImplementedLoop:
 @pytest.mark.parametrize("figure", BANDS)
 def test_the_proof_is_of_the_loop_that_ships(figure: str, loop: ImplementedLoop, proofs: dict[str, Path]) -> None:
     """Remade by ``los-testbed design certify`` when the telescope or the controllers change."""
-    proof = LoopProof.from_file(proofs[figure])
+    proof = read_loop_proof(proofs[figure])
     assert printed_bound(figure) - 1e-4 < proof.level <= printed_bound(figure) <= 1.0, "rounded up"
     assert proof.band == pytest.approx(BANDS[figure])
     assert compare_proof(proof, loop, figure).mismatches == ()
@@ -101,7 +102,7 @@ def test_modal_coordinates_of_the_telescope_keep_its_responses(loop: Implemented
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", BANDS)
 def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
-    checked = check_loop_proof(proofs[figure])
+    checked = check_loop_proof(read_loop_proof(proofs[figure]))
     assert checked.level <= printed_bound(figure) and checked.band == pytest.approx(BANDS[figure])
     assert checked.stable == (BANDS[figure] == WHOLE), "poles above half of the sampling rate included"
 
@@ -142,7 +143,7 @@ def test_the_nominal_loop_is_proven_stable(loop: ImplementedLoop) -> None:
 )
 def test_the_scalings_do_not_prove_less_than_the_worst_point(figure: str, proofs: dict[str, Path]) -> None:
     """Level 0.5 % below the largest value known: the window of its frequency is refused for some part of the box."""
-    proof = LoopProof.from_file(proofs[figure])
+    proof = read_loop_proof(proofs[figure])
     known = [p for table in load_worst_points(None).values() for p in table.values()]
     worst = max((p for p in known if (p.stage, p.requirement) == ("fsm+pma", figure)), key=lambda p: p.gamma)
     held = []

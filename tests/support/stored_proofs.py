@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.checker import check_strip
+from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.strips import Strip
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
@@ -110,7 +111,7 @@ def is_scaling(name: str, array: NDArray[Any]) -> bool:
 
 def pack(source: Path, target: Path) -> Iterator[int]:
     """Store a proof; yields the bits of each strip."""
-    proof = LoopProof.from_file(source)
+    proof = read_loop_proof(source)
     strips = []
     for strip in proof.strips:
         coarse, bits = rounded_strip(proof, strip)
@@ -118,7 +119,7 @@ def pack(source: Path, target: Path) -> Iterator[int]:
         yield bits
     plain = io.BytesIO()
     coarse_file = target.with_suffix(".tmp")
-    replace(proof, strips=tuple(strips)).to_file(coarse_file)
+    write_loop_proof(replace(proof, strips=tuple(strips)), coarse_file)
     with np.load(coarse_file, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     coarse_file.unlink()

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop.bounds import LoopBounds, prove_level
     from lftkit.proofs.sampled_loop.build import box_of, loop_model
     from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
+    from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
     from lftkit.proofs.sampled_loop.proof import LoopProof
 
@@ -20,6 +21,8 @@ __all__ = [
     "check_loop_proof",
     "loop_model",
     "prove_level",
+    "read_loop_proof",
+    "write_loop_proof",
 ]
 
 __getattr__ = names_on_demand(
@@ -28,6 +31,7 @@ __getattr__ = names_on_demand(
         "bounds": ("LoopBounds", "prove_level"),
         "build": ("box_of", "loop_model"),
         "checker": ("CheckedLoop", "check_loop_proof"),
+        "files": ("read_loop_proof", "write_loop_proof"),
         "model": ("LoopModel",),
         "proof": ("LoopProof",),
     },

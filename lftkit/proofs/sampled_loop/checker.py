@@ -18,8 +18,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import linalg
@@ -31,9 +30,11 @@ from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.sampled_loop.polynomials import ORDER, UNIT, Polynomial, constant, stacked
 from lftkit.proofs.sampled_loop.premises import require_premises
 from lftkit.proofs.sampled_loop.proof import LoopProof
-from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError, uncovered
+
+if TYPE_CHECKING:
+    from lftkit.proofs.sampled_loop.responses import Responses
 
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
@@ -263,19 +264,18 @@ def check_strip(item: tuple[Responses, Strip, float]) -> int | str:
 
 
 def check_loop_proof(
-    proof: LoopProof | Path, each: Callable[..., Iterable[int | str]] = map, stability: bool = True
+    proof: LoopProof, each: Callable[..., Iterable[int | str]] = map, stability: bool = True
 ) -> CheckedLoop:
     """Verify a proof of a loop; a ProofError says why it is refused.
 
     Parameters
     ----------
-    proof : LoopProof or Path
+    proof : LoopProof
     each : callable
         Maps a function over the strips; they may be checked in several processes.
     stability : bool
         Whether stability is looked at, too; without it the result says that nothing was proven of it.
     """
-    proof = LoopProof.from_file(proof) if isinstance(proof, Path) else proof
     try:
         return _checked(proof, each, stability)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:

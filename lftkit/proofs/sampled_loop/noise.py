@@ -7,8 +7,12 @@ output at the ticks is ::
 
 with the row T of its responses. The band is cut into parts; in each the norm of T is below a level for all members of
 the box, by strips as for any gain (:mod:`lftkit.proofs.sampled_loop.checker`). The sum over parts of the squared levels
-bounds the integral. A weight that grows with frequency, as that of the relative error, counts with its value at the
-upper end of a part.
+bounds the integral. The weight of the relative error grows with frequency: in each of some pieces of a part it counts
+with its value at the upper end.
+
+In each part the largest singular value of all rows together is bounded: the sum of its squares bounds the largest
+eigenvalue of the covariance, that is the mean square along any axis. It bounds each row, too; where single rows have
+bounds of their own in a part, the smaller ones count. The sum over rows bounds the trace of the covariance.
 """
 
 from __future__ import annotations
@@ -21,22 +25,26 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.proofs.sampled_loop.checker import check_loop_proof, stable_below
+from lftkit.proofs.sampled_loop.files import model_entries, model_of
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.polynomials import INFLATE
-from lftkit.proofs.sampled_loop.proof import LoopProof, model_entries, model_of
-from lftkit.proofs.strips import Interval, Strip, packed, read_archive, unpacked, write_archive
+from lftkit.proofs.sampled_loop.proof import LoopProof
+from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
+from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError
 
-FORMAT = "los-testbed noise proof 1"
+FORMAT = "los-testbed noise proof 2"
+PIECES = 64
+"""Of a part, in each of which the weight of the relative error counts with its value at the upper end."""
 
 
 @dataclass(frozen=True)
 class NoisePart:
-    """The gain from all noise to one row, in a part of the band.
+    """The gain from all noise to one row, or to all rows together, in a part of the band.
 
     Parameters
     ----------
-    row : int
+    rows : tuple of int
         Of the errors.
     band : (low, high)
         Frequencies [rad/s].
@@ -45,7 +53,7 @@ class NoisePart:
     strips : tuple of Strip
     """
 
-    row: int
+    rows: tuple[int, ...]
     band: Interval
     level: float
     strips: tuple[Strip, ...]
@@ -62,7 +70,7 @@ class NoiseProof:
     names, box, about
         As of :class:`lftkit.proofs.sampled_loop.LoopProof`.
     parts : tuple of NoisePart
-        Of each row from zero to half of the sampling rate, without gaps.
+        Of all rows together from zero to half of the sampling rate without gaps; of single rows in any of these bands.
     """
 
     model: LoopModel
@@ -73,13 +81,13 @@ class NoiseProof:
 
     def of_part(self, part: NoisePart) -> LoopProof:
         """A part as a proof of a gain."""
-        model = replace(self.model, rows=(part.row,))
+        model = replace(self.model, rows=part.rows)
         return LoopProof(model, self.names, self.box, part.band, part.level, part.strips, self.about)
 
     def to_file(self, path: Path) -> None:
         """Write the proof as a compressed ``.npz``."""
         header, arrays = model_entries(self.model)
-        parts = [[part.row, *part.band, part.level, len(part.strips)] for part in self.parts]
+        parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in self.parts]
         header |= {"format": FORMAT, "names": self.names, "box": self.box, "parts": parts, "about": dict(self.about)}
         strips = [strip for part in self.parts for strip in part.strips]
         write_archive(path, header, arrays | packed(strips, len(self.names)))
@@ -97,10 +105,31 @@ class NoiseProof:
             box = tuple((float(a), float(b)) for a, b in header["box"])
             strips = iter(unpacked(arrays, len(header["names"])))
             parts = tuple(
-                NoisePart(row, (float(low), float(high)), float(level), tuple(itertools.islice(strips, count)))
-                for row, low, high, level, count in header["parts"]
+                NoisePart(tuple(rows), (float(low), float(high)), float(level), tuple(itertools.islice(strips, count)))
+                for rows, low, high, level, count in header["parts"]
             )
             return cls(model_of(header, arrays), tuple(header["names"]), box, parts, header["about"])
+
+
+@dataclass(frozen=True)
+class NoiseBound:
+    """Bounds of the noise of all rows, in their unit.
+
+    Parameters
+    ----------
+    rms : float
+        Root mean square of all rows together.
+    along : float
+        Root mean square along any axis.
+    """
+
+    rms: float
+    along: float
+
+    @property
+    def on_axis(self) -> float:
+        """Largest part of the power that can be along one axis, if the power is that of `rms`."""
+        return min(1.0, (self.along / self.rms) ** 2)
 
 
 @dataclass(frozen=True)
@@ -109,17 +138,16 @@ class CheckedNoise:
 
     Parameters
     ----------
-    rms : float
-        Root mean square of all rows together, in the unit of the rows.
-    relative : float
-        The same as relative error over `window`; NaN without a window.
+    absolute : NoiseBound
+    relative : NoiseBound or None
+        The same as relative error over `window`; None without a window.
     strips, windows : int
     stable_below : float
         As of :class:`lftkit.proofs.sampled_loop.CheckedLoop`; zero where stability was not looked at.
     """
 
-    rms: float
-    relative: float
+    absolute: NoiseBound
+    relative: NoiseBound | None
     strips: int
     windows: int
     stable_below: float
@@ -151,36 +179,53 @@ def check_noise_proof(
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError) as error:
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof of noise, got {error!r}") from None
-    relative = mean_square(model, proof.parts, window) if window else math.nan
     count = sum(len(part.strips) for part in proof.parts)
-    return CheckedNoise(
-        math.sqrt(mean_square(model, proof.parts, 0.0)) * INFLATE, math.sqrt(relative), count, windows, below
-    )
+    relative = noise_bound(model, proof.parts, window) if window else None
+    return CheckedNoise(noise_bound(model, proof.parts, 0.0), relative, count, windows, below)
 
 
 def require_parts(proof: NoiseProof) -> None:
-    """Each row has parts from zero to half of the sampling rate, one after the other, and no weight is in the model."""
+    """Parts of all rows from zero to half of the sampling rate, those of single rows in their bands; no weight."""
     nyquist, model = math.pi / proof.model.dt, proof.model
-    if model.window or model.added or model.commands:
+    if model.window or model.added or model.commands or len(set(model.rows)) != len(model.rows):
         raise ProofError("noise must be bounded at errors without a weight, got another model")
-    if len(set(model.rows)) != len(model.rows) or {part.row for part in proof.parts} != set(model.rows):
-        raise ProofError(f"every row must have parts, got rows {model.rows}")
-    for row in model.rows:
-        bands = sorted(part.band for part in proof.parts if part.row == row)
-        ends = [0.0, *(high for _, high in bands)]
-        if [low for low, _ in bands] != ends[:-1] or not ends[-1] >= nyquist:
-            raise ProofError(f"parts of row {row} must reach from 0 to {nyquist:.6g} rad/s without gaps, got others")
+    bands = sorted(part.band for part in proof.parts if part.rows == model.rows)
+    ends = [0.0, *(high for _, high in bands)]
+    if [low for low, _ in bands] != ends[:-1] or not ends[-1] >= nyquist:
+        raise ProofError(f"parts of all rows must reach from 0 to {nyquist:.6g} rad/s without gaps, got others")
+    single = [(part.rows, part.band) for part in proof.parts if part.rows != model.rows]
+    allowed = {((row,), band) for row in model.rows for band in bands}
+    if len(set(single)) != len(single) or not set(single) <= allowed:
+        raise ProofError("parts of single rows must be in the bands of those of all rows, once each, got others")
 
 
-def mean_square(model: LoopModel, parts: Sequence[NoisePart], window: float) -> float:
-    """Bound of the mean square by the levels of parts, as relative error where `window` is not zero."""
+def noise_bound(model: LoopModel, parts: Sequence[NoisePart], window: float) -> NoiseBound:
+    """Bounds by the levels of parts that were proven, as relative error where `window` is not zero."""
+    known = {(part.rows, part.band): part.level for part in parts}
+    whole = {part.band: part.level for part in parts if part.rows == model.rows}
+    trace = {
+        band: math.sqrt(sum(min(level, known.get(((row,), band), level)) ** 2 for row in model.rows))
+        for band, level in whole.items()
+    }
+    rms, along = (math.sqrt(mean_square(model, levels, window)) * INFLATE for levels in (trace, whole))
+    return NoiseBound(rms, min(along, rms))
+
+
+def mean_square(model: LoopModel, levels: Mapping[Interval, float], window: float) -> float:
+    """Bound of the mean square by the levels of bands, as relative error where `window` is not zero."""
     total = math.fsum(
-        part.level**2 * (part.band[1] - part.band[0]) * (_power(part.band[1] * window) if window else 1.0)
-        for part in parts
+        level**2 * (power_area(*band, window) if window else band[1] - band[0]) for band, level in levels.items()
     )
     return model.scale**2 * model.dt / math.pi * total * (1.0 + 1e-12)
 
 
-def _power(y: float) -> float:
+def power_area(low: float, high: float, window: float) -> float:
+    """Upper bound of the integral of the relative error's squared weight from `low` to `high` [rad/s]."""
+    step = (high - low) / PIECES
+    ends = [low + k * step for k in range(1, PIECES)] + [high]
+    return math.fsum(step * window_power(at * window) for at in ends) * (1.0 + 1e-12)
+
+
+def window_power(y: float) -> float:
     """Squared weight of the relative error at ``y = w window``; it grows with y."""
     return 1.0 - 144.0 / (y**4 + 12.0 * y**2 + 144.0)

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.sampled_loop.proof import LoopProof
-from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.strips import Interval, Strip
 from lftkit.proofs.verdict import ProofError
+
+if TYPE_CHECKING:
+    from lftkit.proofs.sampled_loop.responses import Responses
 
 COMPLEX = ("poles", "C", "B", "K_poles", "K_C", "K_B")
 REAL = ("D", "K_D", "weights")

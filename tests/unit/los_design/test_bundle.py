@@ -18,6 +18,7 @@ from los_testbed.cli.app import main
 from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.sampled_loop import LoopProof
+from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseProof
 from lftkit.proofs.verdict import ProofError
 from los_design.synthesis.store import load_designs
@@ -68,7 +69,7 @@ def proof(loop: ImplementedLoop) -> LoopProof:
 @pytest.fixture(scope="module")
 def written(loop: ImplementedLoop, proof: LoopProof, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
-    proof.to_file(folder / "proof.npz")
+    write_loop_proof(proof, folder / "proof.npz")
     write_bundle(folder / BUNDLE, loop.parameters, loop.pair, {(STAGE, FIGURE): folder / "proof.npz"})
     return folder / BUNDLE
 
@@ -102,7 +103,7 @@ def test_the_name_is_that_of_the_content(
     with open_bundle(written) as bundle, np.load(bundle.folder / member_of(STAGE, FIGURE)) as archive:
         np.savez(tmp_path / "plain.npz", **dict(archive))
         name = bundle.name
-    replace(proof, level=0.8).to_file(tmp_path / "lower.npz")
+    write_loop_proof(replace(proof, level=0.8), tmp_path / "lower.npz")
     for file, same in (("plain.npz", True), ("lower.npz", False)):
         write_bundle(tmp_path / file, loop.parameters, loop.pair, {(STAGE, FIGURE): tmp_path / file})
         with open_bundle(tmp_path / file) as bundle:
@@ -120,7 +121,7 @@ def test_a_proof_of_noise_goes_with_it_and_needs_all_its_parts(
         write_bundle(tmp_path / BUNDLE, loop.parameters, loop.pair, {**files, (STAGE, NOISE): tmp_path / "noise.npz"})
     with open_bundle(tmp_path / BUNDLE) as bundle:
         assert bundle.noise == (STAGE,) and bundle.figures == ((STAGE, FIGURE),) and bundle.name != own
-        with pytest.raises(ProofError, match="noise: every row must have parts"):
+        with pytest.raises(ProofError, match="noise: parts of all rows"):
             checked_noise(bundle, loop, map, {STAGE: math.inf})
     narrow = NoiseProof(noise_model(loop), proof.names, tuple((0.5 * a, b) for a, b in proof.box), ())
     with pytest.raises(ProofError, match="whole box"):
@@ -243,7 +244,12 @@ def file_of_the_machine(members: dict[str, bytes]) -> None:
     members[TELESCOPE] = json.dumps(content).encode()
 
 
-MUTATIONS = [relabelled, outside, without_k_pma, swapped, no_telescope, file_of_the_machine]
+def other_requirement(members: dict[str, bytes]) -> None:
+    """Its text is printed, and no digest has it."""
+    members[TELESCOPE] = members[TELESCOPE].replace(b"10 arcsec", b"1 arcsec")
+
+
+MUTATIONS = [relabelled, outside, without_k_pma, swapped, no_telescope, file_of_the_machine, other_requirement]
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.__name__)
@@ -274,13 +280,17 @@ def test_the_matrices_of_the_file_are_not_used(loop: ImplementedLoop, proof: Loo
     low, high = proof.box[0]
     with pytest.raises(ProofError, match="box of the parameters"):
         proof_of_loop(replace(proof, box=((0.5 * low, high), *proof.box[1:])), loop, FIGURE)
+    with pytest.raises(ProofError, match="box of the parameters"):
+        proof_of_loop(replace(proof, box=((np.nextafter(low, 0.0), high), *proof.box[1:])), loop, FIGURE)
+    with pytest.raises(ProofError, match="band of frequencies"):
+        proof_of_loop(replace(proof, band=(5e-324, proof.band[1])), loop, FIGURE)
 
 
 def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedLoop, tmp_path: Path) -> None:
     """And not all of them for 20 % stronger disturbances, at the frequency of the worst case."""
     from lftkit.proofs.sampled_loop.checker import check_strip
 
-    stored = LoopProof.from_file(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
+    stored = read_loop_proof(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
     rebuilt = proof_of_loop(stored, loop, "APE")
     strips = [strip for strip in rebuilt.strips if strip.nodes[0] <= 0.07507 <= strip.nodes[-1]]
     assert strips and all(isinstance(check_strip((rebuilt.model, strip, rebuilt.level)), int) for strip in strips)
@@ -294,7 +304,7 @@ def test_a_proof_of_weaker_disturbances_is_refused_by_the_model_made_anew_alone(
     """Weights and level times 0.8: with the file's own matrices the inequality is 0.64 times that of before."""
     from lftkit.proofs.sampled_loop.checker import check_strip
 
-    stored = LoopProof.from_file(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
+    stored = read_loop_proof(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
     weaker = replace(stored.model, weights=stored.model.weights * [0.8, 1.0, 1.0])
     strips = tuple(replace(strip, factor=0.64 * strip.factor) for strip in stored.strips)
     forged = replace(stored, model=weaker, level=0.8 * stored.level, strips=strips)

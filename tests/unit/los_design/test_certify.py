@@ -133,7 +133,7 @@ def test_a_part_of_the_noise_is_proven_near_what_members_have(loop: ImplementedL
     level = ABOVE * seen_gain(model, box, band)
     found = prove_part(ProofPart(model, box, band, level, math.inf, tmp_path / "part.npz"))
     assert found.finished and not found.uncovered and found.lower < level
-    part = NoisePart(0, band, level, found.strips)
+    part = NoisePart((0,), band, level, found.strips)
     proof = NoiseProof(whole, tuple(p.name for p in loop.system.parameters), box, (part,))
     assert check_loop_proof(proof.of_part(part), stability=False).windows > 0
     with pytest.raises(ProofError, match="parts"):

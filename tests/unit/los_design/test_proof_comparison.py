@@ -14,7 +14,7 @@ from support.stored_proofs import FOLDER, SUFFIX, unpack
 from lftkit.proofs.checking import proof_format
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
 from lftkit.proofs.sampled_loop.checker import windows_of
-from lftkit.proofs.sampled_loop.proof import FORMAT
+from lftkit.proofs.sampled_loop.files import FORMAT, read_loop_proof, write_loop_proof
 from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import compare_proof
@@ -50,8 +50,8 @@ def shipped() -> ImplementedLoop:
 
 
 def test_own_proof_is_recognised_after_a_file(shipped: ImplementedLoop, tmp_path: Path) -> None:
-    proof_of(shipped).to_file(tmp_path / "own.npz")
-    found = compare_proof(LoopProof.from_file(tmp_path / "own.npz"), shipped, FIGURE)
+    write_loop_proof(proof_of(shipped), tmp_path / "own.npz")
+    found = compare_proof(read_loop_proof(tmp_path / "own.npz"), shipped, FIGURE)
     assert found.same and found.difference == 0.0
     turned = reordered(proof_of(shipped).model)
     assert compare_proof(replace(proof_of(shipped), model=turned), shipped, FIGURE).difference < 1e-9
@@ -118,7 +118,7 @@ def test_command_refuses_the_proof_of_another_pair(
     k_fsm, k_pma = load_designs("implemented")
     replace(k_fsm, C=1.001 * k_fsm.C).to_file(tmp_path / "k_fsm.json")
     k_pma.to_file(tmp_path / "k_pma.json")
-    proof_of(shipped).to_file(tmp_path / "proof.npz")
+    write_loop_proof(proof_of(shipped), tmp_path / "proof.npz")
     (tmp_path / "proof.json").write_text("{}")
     for file, code in (("proof.npz", 1), ("proof.json", 2)):
         with pytest.raises(SystemExit) as ended:
@@ -132,6 +132,6 @@ def test_command_refuses_the_proof_of_another_pair(
 def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
     path = unpack(FOLDER / f"fsm+pma-APE{SUFFIX}", tmp_path / "APE.npz")
     assert proof_format(path) == FORMAT
-    proof = LoopProof.from_file(path)
+    proof = read_loop_proof(path)
     strip = max(proof.strips, key=lambda s: s.nodes[-1] / s.nodes[0] if s.nodes[0] else 0.0)
     assert windows_of(proof.model, strip, 0, proof.level)

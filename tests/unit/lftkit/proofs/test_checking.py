@@ -16,6 +16,7 @@ from lftkit.proofs import ProofError, check_proof, robust_performance, robust_st
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import FORMATS, proof_format
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
+from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.state_space import Proof
 
 LONG = 3600.0
@@ -73,7 +74,7 @@ def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
     proof = LoopProof(model, ("k0",), box, band, 6.0, tuple(found.strips))
     path = tmp_path / "loop"
     with path.open("wb"):
-        proof.to_file(path)
+        write_loop_proof(proof, path)
     for what in (proof, path):
         checked = check_proof(what)
         assert isinstance(checked, CheckedLoop) and checked.level == 6.0

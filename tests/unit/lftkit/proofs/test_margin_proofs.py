@@ -16,7 +16,8 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs import ProofError
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof
+from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
+from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof, noise_bound, require_parts
 
 DT = 0.01
 NYQUIST = math.pi / DT
@@ -115,8 +116,8 @@ def test_a_disk_margin_is_proven_and_kept_in_a_file(tmp_path: Path) -> None:
     members = np.linspace(*BOX[0], 7)[:, None]
     peak = max(float(member_gains(own, w, members).max()) for w in omega)
     proof = proven(own, 1.05 * peak)
-    proof.to_file(tmp_path / "margin.npz")
-    stored = LoopProof.from_file(tmp_path / "margin.npz")
+    write_loop_proof(proof, tmp_path / "margin.npz")
+    stored = read_loop_proof(tmp_path / "margin.npz")
     assert (stored.model.added, stored.model.returned) == ((0,), 0)
     assert check_loop_proof(stored).stable
     for changed in (
@@ -138,7 +139,7 @@ def noise_proof(sigma: float = 1.0, margin: float = 1.05) -> NoiseProof:
     for low, high in itertools.pairwise(cuts.tolist()):
         omega = np.linspace(max(low, 1e-3), high, 9)
         level = margin * max(float(member_gains(own, w, members).max()) for w in omega)
-        parts.append(NoisePart(0, (low, high), level, proven(own, level, (low, high)).strips))
+        parts.append(NoisePart((0,), (low, high), level, proven(own, level, (low, high)).strips))
     return NoiseProof(own, ("k",), BOX, tuple(parts))
 
 
@@ -157,8 +158,9 @@ def test_the_noise_of_every_member_is_below_the_bound(noise: NoiseProof, tmp_pat
         largest = max(largest, math.sqrt(float((C @ solve_discrete_lyapunov(A, N @ N.T) @ C.T)[0, 0])))
     noise.to_file(tmp_path / "noise.npz")
     checked = check_noise_proof(NoiseProof.from_file(tmp_path / "noise.npz"), window=0.02)
-    assert largest < checked.rms < 1.3 * largest and math.isinf(checked.stable_below)
-    assert 0.0 < checked.relative < checked.rms
+    assert largest < checked.absolute.rms < 1.3 * largest and math.isinf(checked.stable_below)
+    assert checked.relative is not None and 0.0 < checked.relative.rms < checked.absolute.rms
+    assert checked.absolute.along == checked.absolute.rms, "one row is one axis"
     assert check_noise_proof(noise, stability=False).stable_below == 0.0
 
 
@@ -174,13 +176,36 @@ def test_the_relative_error_has_the_weight_of_the_window(noise: NoiseProof) -> N
     total = sum(p.level**2 * trapezoid(weight(w := np.linspace(*p.band, 200)), w) for p in parts)
     exact = math.sqrt(DT / math.pi * total)
     bound = check_noise_proof(noise, stability=False, window=window).relative
-    assert exact < bound < 1.15 * exact
+    assert bound is not None and exact < bound.rms < 1.15 * exact
+
+
+def test_noise_along_any_axis_and_of_single_rows(noise: NoiseProof) -> None:
+    """Two rows: the bound of both together counts along any axis, and for rows without a bound of their own."""
+    both = dataclasses.replace(noise.model, rows=(0, 1))
+    together = tuple(dataclasses.replace(p, rows=(0, 1), level=1.2 * p.level) for p in noise.parts)
+    parts = tuple(dataclasses.replace(part, rows=(row,)) for row in (0, 1) for part in noise.parts)
+    alone = noise_bound(noise.model, noise.parts, 0.0)
+    for own, rms in ((), 1.2 * math.sqrt(2.0)), (parts, math.sqrt(2.0)):
+        require_parts(dataclasses.replace(noise, model=both, parts=own + together))
+        found = noise_bound(both, own + together, 0.0)
+        assert found.rms == pytest.approx(rms * alone.rms) and found.along == pytest.approx(1.2 * alone.rms)
+    assert found.on_axis == pytest.approx(0.72)
+    other = dataclasses.replace(parts[0], band=(0.0, 0.1))
+    for wrong, match in (
+        (parts, "all rows"),
+        (parts + together[1:], "all rows"),
+        ((*together, other), "single rows"),
+        ((*together, parts[0], parts[0]), "single rows"),
+        ((*together, dataclasses.replace(parts[0], rows=(2,))), "single rows"),
+    ):
+        with pytest.raises(ProofError, match=match):
+            require_parts(dataclasses.replace(noise, model=both, parts=wrong))
 
 
 def test_noise_with_a_part_left_out_or_lowered_is_refused(noise: NoiseProof) -> None:
     first, *others = noise.parts
     lower = dataclasses.replace(first, level=0.9 * first.level)
-    for parts in ((), tuple(others), (lower, *others), (*others, dataclasses.replace(first, row=1))):
+    for parts in ((), tuple(others), (lower, *others), (*others, dataclasses.replace(first, rows=(1,)))):
         with pytest.raises(ProofError):
             check_noise_proof(dataclasses.replace(noise, parts=parts), stability=False)
     for changes in ({"rows": (0, 0)}, {"window": 0.02}, {"commands": True}):

@@ -49,8 +49,8 @@ def check_proof(
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
     from lftkit.proofs.checking import proof_format
+    from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
     from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
-    from lftkit.proofs.sampled_loop.proof import FORMAT as LOOP
     from lftkit.proofs.verdict import ProofError
 
     count = processes(workers)
@@ -98,14 +98,14 @@ def _check_system(file: Path, json_: bool) -> None:
 
 def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
     """Check a proof of a sampled loop, and of which loop it is."""
-    from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
+    from lftkit.proofs.sampled_loop import check_loop_proof, read_loop_proof
     from lftkit.proofs.verdict import ProofError
     from lftkit.support.threads import one_thread
     from lftkit.support.workers import Workers
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
 
     whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
-    proof = LoopProof.from_file(file)
+    proof = read_loop_proof(file)
     stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
     compared = ProofComparison((f"stage, got {stage}",))
     if stage in MIRROR_STAGES:
@@ -168,8 +168,9 @@ def _sentences(checked: CheckedBundle) -> list[str]:
     lines += [f"{stage}: {_stability(below)}" for stage, below in checked.stable.items()]
     for stage, (absolute, relative) in checked.noise.items():
         lines.append(
-            f"proven: {stage}, noise of the sensors, rms of both axes: {absolute / RAD_PER_ARCSEC:.4g} arcsec, "
-            f"relative error {relative / RAD_PER_MAS:.4g} mas"
+            f"proven: {stage}, noise of the sensors, rms of both axes: {absolute.rms / RAD_PER_ARCSEC:.4g} arcsec, "
+            f"relative error {relative.rms / RAD_PER_MAS:.4g} mas; along any axis "
+            f"{absolute.along / RAD_PER_ARCSEC:.4g} arcsec and {relative.along / RAD_PER_MAS:.4g} mas"
         )
     lines += [f"from these bounds: {stage}, {row.text}" for stage, rows in checked.sums.items() for row in rows]
     missing = [stage for stage in checked.stable if stage not in checked.noise]

@@ -13,21 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import designs_in
-from los_testbed.cli.options.cluster_options import (
-    Cluster,
-    SchedulerOption,
-    TlsCaFile,
-    TlsCertificate,
-    TlsKey,
-    WorkersOption,
-)
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, numbers
 from los_testbed.variants import WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file, check_output
 from pointing_analysis.files.structured_text import load_json, read_text
@@ -67,12 +60,19 @@ figure is violated or not proven to its end.
 
 SUMMARY = "bounds.json"
 FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
+PARTS_OF_FAST = ("85 to 126", "126 to 128.5", "128.5 to 132", "132 to 138", "138 to 150", "150 to 200")
 AT_MIRROR = ("sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror", "noise")
-BY_NAME = {"fsm": AT_MIRROR, "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces")}
-"""Margins, and the noise of the sensors: proven where they are asked for by name."""
+NEAR_EDGE = tuple(f"fast, {part}" for part in PARTS_OF_FAST)
+BY_NAME = {
+    "fsm": (*AT_MIRROR, *NEAR_EDGE),
+    "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces", *NEAR_EDGE),
+}
+"""Margins, the noise of the sensors, parts of the fast tones' band: proven where they are asked for by name."""
 
 
+@with_cluster
 def certify(
+    *,
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the proofs.")],
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`. Default: the shipped pair.")] = None,
     level: Annotated[float, typer.Option(help="Part of the limit to be proven.")] = 1.0,
@@ -83,15 +83,12 @@ def certify(
     figure: Annotated[
         str | None,
         typer.Option(
-            help="APE, slow, fast, mirror or force (default: all), a margin as `sensitivity, mirror`, or noise."
+            help="APE, slow, fast, mirror or force (default: all), a margin as `sensitivity, mirror`, noise, or a part "
+            "of the fast tones' band as `fast, 85 to 126`."
         ),
     ] = None,
     wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
-    workers: WorkersOption = 0,
-    scheduler: SchedulerOption = "",
-    tls_ca_file: TlsCaFile = None,
-    tls_cert: TlsCertificate = None,
-    tls_key: TlsKey = None,
+    cluster: Cluster,
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
@@ -106,7 +103,6 @@ def certify(
     if stage not in (None, *MIRROR_STAGES):
         raise ValueError(f"--stage must be one of {', '.join(MIRROR_STAGES)}, got {stage}")
     chosen = _chosen(stage, figure)
-    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     check_output(output, "--output", folder=True)
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
@@ -224,7 +220,7 @@ def _keep(path: Path, found: list[FigureBounds]) -> None:
 
 def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     """Put all proofs of the folder that are of these loops into one file, with controllers and telescope."""
-    from lftkit.proofs.sampled_loop import LoopProof
+    from lftkit.proofs.sampled_loop import read_loop_proof
     from lftkit.proofs.sampled_loop.noise import NoiseProof
     from los_design.verification.bundle import write_bundle
     from los_design.verification.noise_certificate import NOISE
@@ -239,7 +235,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
         if figure == NOISE:
             same = same_noise(NoiseProof.from_file(file), loops[stage])
         else:
-            same = compare_proof(LoopProof.from_file(file), loops[stage], figure).same
+            same = compare_proof(read_loop_proof(file), loops[stage], figure).same
         if same:
             proofs[stage, figure] = file
     loop = next(iter(loops.values()))
@@ -250,9 +246,13 @@ def _show(found: list[FigureBounds], json_: bool) -> None:
     if json_:
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
         return
-    table = Table(title="Bounds over the whole box (1 is the limit)")
-    for column in ("stage", "figure", "lower", "upper", "at rad/s", "status", "stable", "strips", "CPU s"):
-        table.add_column(column, justify="left" if column in ("stage", "figure", "status", "stable") else "right")
+    heads: tuple[Column | str, ...] = (
+        *numbers("lower", "upper", "at rad/s"),
+        "status",
+        "stable",
+        *numbers("strips", "CPU s"),
+    )
+    table = Table("stage", "figure", *heads, title="Bounds over the whole box (1 is the limit)")
     for b in found:
         upper, stable = (f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
         work = (f"{b.strips}", f"{b.seconds:.0f}")
