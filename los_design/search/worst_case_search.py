@@ -69,6 +69,9 @@ TOGETHER = 10
 APART = 0.01, 0.25
 """Least differences of log frequency, or of a parameter of the unit cube, of two points of a band."""
 
+AT_AN_END = 0.7
+"""Part of the parameters that are at an end of their range in the points whose slow modes are looked at."""
+
 SPREAD = 0.01
 """Standard deviation of log frequency in that search."""
 
@@ -172,7 +175,7 @@ class Search:
         grid = grid[:-1] * (grid[1] / grid[0]) ** rng.uniform(size=options.frequencies)
         drawn = [(float(omega), _half_corners(rng, options.points, size)) for omega in grid]
         chunks = [(names, drawn[k : k + TOGETHER]) for k in range(0, len(drawn), TOGETHER)]
-        near = _half_corners(rng, max(2, options.points // 3), size)
+        near = _mixed_points(rng, max(2, options.points), size)
         near[0] = self.loop.point({})
         parts = workers.map(self._screened, chunks) + workers.map(self._at_modes, [(names, point) for point in near])
         return {name: [entry for part in parts for entry in part[name]] for name in names}
@@ -309,6 +312,12 @@ def _half_corners(rng: np.random.Generator, count: int, size: int) -> FloatArray
     points = rng.uniform(size=(count, size))
     points[: count // 2] = np.round(points[: count // 2])
     return points
+
+
+def _mixed_points(rng: np.random.Generator, count: int, size: int) -> FloatArray:
+    """Random points of the unit cube, most coordinates of each at an end: the worst members are at edges of the box."""
+    points = rng.uniform(size=(count, size))
+    return np.where(rng.uniform(size=points.shape) < AT_AN_END, np.round(points), points)
 
 
 def _best(table: Sequence[Found], count: int) -> list[Pair]:

@@ -14,6 +14,7 @@ from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
 
 from lftkit import SampledSystem, System
+from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification import peaks, stage_check, sweep, verification
 from los_design.verification.verification import (
@@ -33,7 +34,7 @@ from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.simulation.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level
-from titop_plant.telescope.parameters import parameter_corners
+from titop_plant.telescope.parameters import load_parameters, parameter_corners
 
 POINTS = [{"stiffness": 0.5}, {"stiffness": 1.7}, {}]
 ARCSEC = 4.84813681109536e-06
@@ -164,6 +165,17 @@ def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_val
     value, omega = found
     assert value == pytest.approx(0.99, abs=1e-6)
     assert omega == pytest.approx(1.03, rel=1e-4)
+
+
+def test_a_peak_that_is_below_another_one_on_the_grid_is_found() -> None:
+    """The worst slow tone: a mode with a damping ratio of 1 % between two frequencies of the grid, beside a value of
+    0.457 at 6 rad/s that is larger than those on the grid beside it."""
+    parameters, stored = load_parameters(), load_worst_points()["fsm+pma"]["slow"]
+    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    loop = ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma")
+    (found,) = stage_check.check_stages([loop], [stored.parameters], changes=False)
+    assert found.worst["slow"].gamma == pytest.approx(stored.gamma, rel=1e-5)
+    assert found.worst["slow"].omega == pytest.approx(stored.omega, rel=1e-3)
 
 
 class ManyPeaks(TwoBranches):
