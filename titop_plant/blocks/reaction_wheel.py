@@ -21,8 +21,9 @@ out ``wrench_<G>``      6     by the wheel on its parent
 out ``wheel_accel``     1     Omega' [rad/s2]
 ======================  ====  ==============================================================
 
-Source: the paper, "Modeling of micro-vibration sources". Neglected: bearing flexibility, products of
-the small structural rates.
+Source: the paper, "Modeling of micro-vibration sources". Neglected: products of the small structural rates. A wheel
+with a `WheelBearing` has a rotor on springs instead of the rigid mount, and ten states more
+(:mod:`titop_plant.blocks.wheel_bearing`); **its imbalance acts on the rotor.**
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.rotation import _unit
+from titop_plant.blocks.wheel_bearing import WheelBearing, wheel_on_bearings
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,14 @@ class ReactionWheel:
         kg.
     axial_inertia, radial_inertia : float
         J_w about the spin axis, J_r across it [kg m2]. A thin disc has J_w = 2 J_r.
+    bearing : WheelBearing, optional
+        Compliance of the bearings; None: rigid.
     """
 
     mass: float
     axial_inertia: float
     radial_inertia: float
+    bearing: WheelBearing | None = None
 
     def __post_init__(self) -> None:
         for name in ("mass", "axial_inertia", "radial_inertia"):
@@ -96,6 +101,8 @@ def reaction_wheel(data: ReactionWheel, speed: RealParameter, point: str = "G") 
     (True, 48.0)
     """
     Jw = data.axial_inertia
+    if data.bearing is not None:
+        return wheel_on_bearings(data.mass, Jw, data.radial_inertia, data.bearing, speed, point)
     inputs = [
         ports.accel(point),
         ports.rate(point),

@@ -9,6 +9,7 @@ port                    size  meaning
 ======================  ====  ==========================================================
 in ``accel_<A>``        6     acceleration twist of the drive's interface
 in ``sadm_torque``      1     disturbance torque **on the array** about the axis [Nm]
+in ``motor_torque``     1     torque of the motor on its rotor, with a `DriveRotor` only [Nm]
 out ``wrench_<A>``      6     by the array on the spacecraft
 out ``sadm_angle``      1     elastic angle of the gearbox [rad]
 ======================  ====  ==========================================================
@@ -28,7 +29,7 @@ from lftkit import RealParameter, System
 from lftkit.arrays import FloatArray
 from titop_plant.blocks.flexible_body import flexible_body
 from titop_plant.blocks.mounting import mounted
-from titop_plant.blocks.revolute_joint import on_revolute_joint
+from titop_plant.blocks.revolute_joint import DriveRotor, on_revolute_joint
 from titop_plant.blocks.rotation import turned
 from titop_plant.structures.modal_data import ModalData
 
@@ -47,6 +48,8 @@ class SolarArray:
         From the spacecraft's frame to the array's at theta = 0.
     gearbox_stiffness, gearbox_damping : float
         k [Nm/rad], d [Nm s/rad].
+    rotor : DriveRotor, optional
+        Of the motor, on which the gearbox ends; None: at the spacecraft.
     """
 
     modes: ModalData
@@ -54,6 +57,7 @@ class SolarArray:
     dcm: FloatArray
     gearbox_stiffness: float
     gearbox_damping: float
+    rotor: DriveRotor | None = None
 
 
 def solar_array(
@@ -84,5 +88,6 @@ def solar_array(
         damping=data.gearbox_damping,
         angle="sadm_angle",
         torque="sadm_torque",
+        rotor=data.rotor,
     )
     return driven if tau is None else turned(driven, point, np.asarray(data.axis), tau)

@@ -27,7 +27,7 @@ from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
 from titop_plant.telescope.layout import channels, default_speeds, speed_names, wheel_count
-from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
 from titop_plant.telescope.sensors import constant_error, noise_of_samples
 
 SPEED_ROUNDS = 4
@@ -40,7 +40,7 @@ DESIGN_TABLES = ("design_scenario", "weights", "sadm", "solar_array", "reaction_
 def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
     """The assembled telescope of a parameter file (kept for the next call, so its bits are those of one thread)."""
     with one_thread():
-        return build_telescope(load_parameters(path or REFERENCE), isolated=isolated)
+        return build_telescope(load_parameters(path), isolated=isolated)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class PlantFamily:
     @classmethod
     def of(cls, config: PlantConfig) -> PlantFamily:
         """The family that a configuration belongs to."""
-        parameters = load_parameters(config.parameters or REFERENCE)
+        parameters = load_parameters(config.parameters)
         loop = control_loop_plant(telescope(config.parameters, config.isolated), parameters)
         return cls(parameters, loop, config.parameters, config.isolated)
 
@@ -203,7 +203,7 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     path : str, optional
         Parameter file; default: the reference telescope.
     """
-    parameters = load_parameters(path or REFERENCE)
+    parameters = load_parameters(path)
     speeds = np.asarray(default_speeds(parameters), dtype=float)
     senses = np.sign(speeds)
     whole = telescope(path, True).system
@@ -249,7 +249,7 @@ def _circumstances(
 @lru_cache(maxsize=2)
 def _isolated_loop(path: str | None) -> System:
     with one_thread():
-        return control_loop_plant(telescope(path, True), load_parameters(path or REFERENCE))
+        return control_loop_plant(telescope(path, True), load_parameters(path))
 
 
 @lru_cache(maxsize=2)

@@ -21,9 +21,10 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import disturbances_of
-from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, disturbance_ports, present
-from titop_plant.telescope.parameters import REFERENCE, Parameters, load_parameters
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, disturbance_ports, present, without_bearings
+from titop_plant.telescope.parameters import Parameters, load_parameters
 
 ARCSEC = math.pi / 648000.0
 WHEELS, DRIVES = (WHEEL_IMBALANCE,), (SADM_TORQUE,)
@@ -90,6 +91,11 @@ class DisturbanceResponses:
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500, offsets=(0.0, 0.6, 1.2, 1.8, 2.4, 3.0))
         return Curve(omega, np.abs(frequency_response(data, omega)[:, 0, 0]) / ARCSEC)
 
+    def with_rigid_wheels(self) -> System:
+        """The same telescope on its isolator with wheels without bearings, inputs and outputs as `isolated`."""
+        whole = build_telescope(without_bearings(self.parameters)).system
+        return whole["los_controlled", disturbances_of(whole)]
+
     def band(
         self, system: System, inputs: Sequence[str], edges: FloatArray, members: int
     ) -> tuple[FloatArray, FloatArray]:
@@ -106,4 +112,4 @@ def disturbance_responses(parameters: str | None = None) -> DisturbanceResponses
         whole = telescope(parameters, isolated).system
         return whole["los_controlled", disturbances_of(whole)]
 
-    return DisturbanceResponses(load_parameters(parameters or REFERENCE), part(True), part(False))
+    return DisturbanceResponses(load_parameters(parameters), part(True), part(False))

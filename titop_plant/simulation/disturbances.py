@@ -18,7 +18,7 @@ Source: the paper (weights W_rws and W_sa); harmonic ratios of a measured small 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
-from titop_plant.telescope.layout import channels, reaction_wheels, torque_bounds, wheel_count
+from titop_plant.telescope.layout import channels, driven_arrays, reaction_wheels, torque_bounds, wheel_count
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.weights import rpe_weight
 
@@ -61,21 +61,6 @@ class Tones:
     amplitude: ComplexArray
     harmonic: FloatArray
     wheel: NDArray[np.int64]
-
-    def at_speed(self, speed: FloatArray, reference: FloatArray) -> Tones:
-        """The tones of the wheels at other speeds: frequency follows, amplitude with the square.
-
-        Parameters
-        ----------
-        speed, reference : ndarray, shape (wheels,)
-            New speeds, and those that the tones were made for [rad/s].
-        """
-        follows = self.wheel >= 0
-        index = np.maximum(self.wheel, 0)
-        base = np.where(reference == 0.0, 1.0, reference)
-        ratio = np.where(follows, (speed / base)[index], 1.0)
-        frequency = np.where(follows, self.harmonic * np.abs(speed)[index], self.frequency)
-        return replace(self, frequency=frequency, amplitude=self.amplitude * ratio**2)
 
 
 def no_tones(inputs: int = REFERENCE_CHANNELS) -> Tones:
@@ -144,12 +129,16 @@ def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.G
 
 
 def sadm_tones(parameters: Parameters, rng: np.random.Generator) -> Tones:
-    """Micro-stepping torque of all array drives: harmonics of the step frequency, their sum within the bound."""
+    """Micro-stepping torque of all array drives: harmonics of the step frequency, their sum within the bound.
+
+    A drive with a stepper motor has none: its torques are a source of their own.
+    """
     table, inputs, bounds = parameters["sadm"], channels(parameters), torque_bounds(parameters)
     ratios = np.array(table["step_harmonics"], dtype=float)
-    sizes = bounds * ratios[:, None] / ratios.sum()
+    plain = np.array([array.stepper is None for array in driven_arrays(parameters)], dtype=float)
+    sizes = bounds * plain * ratios[:, None] / ratios.sum()
     rows: list[tuple[float, ComplexArray, float, int]] = []
-    for h, size in enumerate(sizes if bounds.size else (), start=1):
+    for h, size in enumerate(sizes if plain.any() else (), start=1):
         amplitude = np.zeros(inputs, complex)
         amplitude[-bounds.size :] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, bounds.size))
         rows.append((h * table["step_frequency"], amplitude, 0.0, -1))

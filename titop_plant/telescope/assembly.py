@@ -54,6 +54,7 @@ from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
 from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import actuated_platform, isolator
 from titop_plant.blocks.reaction_wheel import wheel_assembly
+from titop_plant.blocks.revolute_joint import MOTOR
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import components as component
@@ -69,10 +70,16 @@ from titop_plant.telescope.layout import (
     wheel_axes,
     wheel_count,
 )
+from titop_plant.telescope.layout import (
+    motors as motors_of,
+)
+from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
 from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
+MOTOR_TORQUE = "motor_torque"
+"""Input of a telescope with `motors`: torque of each stepper motor on its rotor [Nm]."""
 EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
 LOS = Port("los", 2, "rad")
 OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
@@ -99,11 +106,14 @@ class Telescope:
         Total inertia by the inverse low-frequency gain, nominal [kg m2].
     bodies : tuple of ModalData
         Central body, payload, then each kind of solar array and of appendage.
+    mechanisms : tuple of MechanismMode
+        Modes of the rotors of wheels and drives, where the parameter file has them.
     """
 
     system: System
     inertia: FloatArray = field(repr=False)
     bodies: tuple[ModalData, ...]
+    mechanisms: tuple[MechanismMode, ...] = ()
 
 
 def build_telescope(
@@ -112,6 +122,7 @@ def build_telescope(
     isolated: bool = True,
     attitude_controlled: bool = True,
     loads: tuple[str, ...] = (),
+    motors: bool = False,
 ) -> Telescope:
     """Assemble the telescope.
 
@@ -127,6 +138,8 @@ def build_telescope(
         Nodes with an input ``load_<node>``, a wrench from outside in the axes of the node's body: ``I_w``, ``I_p``,
         ``A1``, ``A2`` and further points of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same
         without them.
+    motors : bool
+        With the input `MOTOR_TORQUE` where drives have stepper motors; the states are the same without it.
 
     Returns
     -------
@@ -134,14 +147,15 @@ def build_telescope(
     """
     given = load_parameters() if parameters is None else parameters
     body, payload = build_body(given, mounted_points(given)), build_payload(given)
-    driven = _driven_at_G(given, body, payload, isolated, loads)
+    outside = (*map(load_port, loads), *(motor_ports(given) if motors else ()))
+    driven = _driven_at_G(given, body, payload, isolated, loads, outside)
     free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
-    system = _free_flying(free, given, inertia, attitude_controlled, loads)
+    system = _free_flying(free, given, inertia, attitude_controlled, outside)
     order = list(uncertain_parameters(given))
     kinds = {id(one.table): one for one in (*solar_arrays(given), *appendages(given))}
     own = [component.body_modes(one) for one in kinds.values()]
-    return Telescope(system.sorted_channels(order), inertia, (body, payload, *own))
+    return Telescope(system.sorted_channels(order), inertia, (body, payload, *own), mechanism_modes(given))
 
 
 def line_of_sight(parameters: Parameters) -> System:
@@ -154,7 +168,12 @@ def line_of_sight(parameters: Parameters) -> System:
 
 
 def _driven_at_G(
-    parameters: Parameters, body: ModalData, payload: ModalData, isolated: bool, loads: tuple[str, ...]
+    parameters: Parameters,
+    body: ModalData,
+    payload: ModalData,
+    isolated: bool,
+    loads: tuple[str, ...],
+    outside: tuple[Port, ...],
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     arrays, others = solar_arrays(parameters), appendages(parameters)
@@ -162,7 +181,7 @@ def _driven_at_G(
     systems = {
         "body": _without_loads(flexible_body(body, motion=True), {child.name for child in body.children} - used),
         "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
-        **{one.name: component.array_block(parameters, one) for one in arrays},
+        **{one.name: _array(parameters, one, outside) for one in arrays},
         **{one.name: component.appendage_block(parameters, one) for one in others},
         "platform": _platform(parameters, isolated),
         "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(UNLOADED) - set(loads)),
@@ -172,6 +191,7 @@ def _driven_at_G(
             parameters["fsm"]["los_sensitivity"] * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
         ),
         **_drives(parameters),
+        **_motors(parameters, outside),
     }
     there = {SADM_ANGLE: driven_arrays(parameters), PMA_STROKE: parameters["pma"]["azimuths_deg"]}
     absent = [name for name, bodies in there.items() if not bodies]
@@ -189,14 +209,14 @@ def _driven_at_G(
     }
     return connect(
         systems,
-        _with_loads([*_wires(), *_mounted_wires((*arrays, *others))], loads),
+        _with_loads([*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(parameters, outside)], loads),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
             Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
             *disturbance_ports(parameters),
             FSM_COMMAND,
             PMA_FORCE,
-            *map(load_port, loads),
+            *outside,
         ],
         outputs={name: source for name, source in outputs.items() if name not in absent},
     )
@@ -237,6 +257,34 @@ def _drives(parameters: Parameters) -> dict[str, System]:
         "sadm_split": static_gain(each, [Port(SADM_TORQUE, len(names), "Nm")], torques),
         "sadm_join": static_gain(each, angles, [joined]),
     }
+
+
+def motor_ports(parameters: Parameters) -> tuple[Port, ...]:
+    """Torques of the stepper motors; none where no drive has one."""
+    count = len(motors_of(parameters))
+    return (Port(MOTOR_TORQUE, count, "Nm"),) if count else ()
+
+
+def _array(parameters: Parameters, array: MountedBody, outside: tuple[Port, ...]) -> System:
+    """Block of an array, with the torque of its motor where that is an input."""
+    block = component.array_block(parameters, array)
+    if any(port.name == MOTOR_TORQUE for port in outside):
+        return block
+    return block.select(inputs=[p.name for p in block.inputs if p.name != MOTOR])
+
+
+def _motors(parameters: Parameters, outside: tuple[Port, ...]) -> dict[str, System]:
+    """What parts the torques of the motors."""
+    torques = [Port(array.name, 1, "Nm") for array in motors_of(parameters)]
+    whole = [port for port in outside if port.name == MOTOR_TORQUE]
+    return {"motor_split": static_gain(np.eye(len(torques)), whole, torques)} if whole else {}
+
+
+def _motor_wires(parameters: Parameters, outside: tuple[Port, ...]) -> list[Connection]:
+    if not _motors(parameters, outside):
+        return []
+    parts = [(f"motor_split.{one.name}", f"{one.name}.{MOTOR}") for one in motors_of(parameters)]
+    return [(MOTOR_TORQUE, f"motor_split.{MOTOR_TORQUE}"), *parts]
 
 
 def _wires() -> list[Connection]:
@@ -309,7 +357,7 @@ def _torque_to_acceleration(free: System) -> System:
 
 
 def _free_flying(
-    free: System, parameters: Parameters, inertia: FloatArray, controlled: bool, loads: tuple[str, ...]
+    free: System, parameters: Parameters, inertia: FloatArray, controlled: bool, outside: tuple[Port, ...]
 ) -> System:
     """Free motion of G: the wrench of all bodies there balances the external one; close the attitude loop."""
     table = parameters["attitude_control"]
@@ -343,7 +391,7 @@ def _free_flying(
             Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
             FSM_COMMAND,
             PMA_FORCE,
-            *map(load_port, loads),
+            *outside,
         ],
         outputs={
             **{p.name: f"free.{p.name}" for p in free.outputs if p.name != "accel_G"},

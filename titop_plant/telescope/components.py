@@ -16,7 +16,9 @@ from titop_plant.blocks.isolator import Isolator, MountedActuator
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
+from titop_plant.blocks.revolute_joint import DriveRotor
 from titop_plant.blocks.solar_array import SolarArray, solar_array
+from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.ports import AXES
 from titop_plant.structures.modal_data import ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data
@@ -26,17 +28,13 @@ from titop_plant.structures.residual_mass import (
     check_residual_mass,
     repair_residual_mass,
 )
-from titop_plant.telescope.layout import ANGLE, ARRAYS, MountedBody, reaction_wheels, solar_arrays
+from titop_plant.telescope.layout import ANGLE, ARRAYS, MountedBody, reaction_wheels
+from titop_plant.telescope.mechanism_tables import made_stepper
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import Parameters, uncertain_parameters
 
 _ROUNDING = 1e-3
 """Part of the rigid mass that may be missing by rounding of the printed participation."""
-
-
-def array_modes(parameters: Parameters) -> ModalData:
-    """Modal data of the first solar array, see :func:`body_modes`."""
-    return body_modes(solar_arrays(parameters)[0])
 
 
 def body_modes(body: MountedBody) -> ModalData:
@@ -101,9 +99,18 @@ def array_block(parameters: Parameters, array: MountedBody) -> System:
         dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
     if not array.driven:
         return _clamped(body_modes(array), array.point, dcm, frequencies)
-    data = SolarArray(body_modes(array), axis, dcm, table["gearbox_stiffness"], table["gearbox_damping"])
+    rotor = drive_rotor(array)
+    data = SolarArray(body_modes(array), axis, dcm, table["gearbox_stiffness"], table["gearbox_damping"], rotor)
     tau = uncertain_parameters(parameters)[ANGLE] if array.turns else None
     return solar_array(data, array.point, tau, frequencies)
+
+
+def drive_rotor(array: MountedBody) -> DriveRotor | None:
+    """Rotor of the motor of an array's drive, where it has a stepper."""
+    if array.stepper is None:
+        return None
+    motor = made_stepper(array.stepper)
+    return DriveRotor(motor.rotor_inertia, motor.gear_ratio, motor.stiffness, motor.motor_damping)
 
 
 def appendage_block(parameters: Parameters, body: MountedBody) -> System:
@@ -120,7 +127,8 @@ def wheel_components(parameters: Parameters) -> list[MountedWheel]:
     speeds = uncertain_parameters(parameters)
     result = []
     for i, one in enumerate(reaction_wheels(parameters), start=1):
-        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia)
+        bearing = None if one.bearing is None else WheelBearing(**one.bearing)
+        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia, bearing)
         result.append(MountedWheel(wheel, one.axis, one.position, speeds[f"wheel_{i}.speed"]))
     return result
 

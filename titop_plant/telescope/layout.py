@@ -35,6 +35,18 @@ ARRAYS, WHEELS, APPENDAGES = "solar_array", "reaction_wheel", "appendage"
 ANGLE = f"{ARRAYS}.tau"
 """Parameter tan(theta / 4) of all arrays that turn: they follow the Sun together."""
 
+BEARING, BROADBAND, STEPPER = "bearing", "broadband", "stepper"
+"""Optional tables: in that of a wheel the first two, in that of a drive or an array the third."""
+
+DENSITIES = ("radial_force", "axial_force", "radial_torque", "axial_torque")
+"""Spectral densities of a wheel's broadband noise."""
+
+SOURCE_OF_STEPPER = (
+    *("rate", "micro_steps", "detent_torque", "current_offset", "gain_mismatch", "third_harmonic"),
+    *("quadrature_error", "gear_errors"),
+)
+"""Values of a stepper that make its torques and are not in the plant."""
+
 WHEEL_IMBALANCE, WHEEL_TORQUE, SADM_TORQUE = "wheel_imbalance", "wheel_torque", "sadm_torque"
 """Names of the input ports whose size depends on what is mounted."""
 
@@ -74,6 +86,11 @@ class MountedBody:
         return bool(self.table.get("driven", True)) and "drive_axis" in self.table
 
     @property
+    def stepper(self) -> Mapping[str, Any] | None:
+        """Values of the motor of its drive, where the file has them."""
+        return self.table.get(STEPPER) if self.driven else None
+
+    @property
     def turns(self) -> bool:
         """Whether its angle is the parameter `ANGLE`."""
         low, high = self.table.get("theta_range", (0.0, 0.0))
@@ -95,6 +112,8 @@ class WheelOnBoard:
         Its centre, from ``I_w`` [m].
     maximum_speed, default_speed : float
         rad/s.
+    bearing, broadband : mapping, optional
+        See :mod:`titop_plant.telescope.mechanism_tables`.
     """
 
     name: str
@@ -105,6 +124,8 @@ class WheelOnBoard:
     position: FloatArray = field(repr=False)
     maximum_speed: float
     default_speed: float
+    bearing: Mapping[str, float] | None = field(default=None, repr=False)
+    broadband: Mapping[str, list[float]] | None = field(default=None, repr=False)
 
 
 def solar_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
@@ -117,7 +138,7 @@ def solar_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
     [('array_1', 'A1', 'solar_array'), ('array_2', 'A2', 'solar_array')]
     """
     given = parameters[ARRAYS]
-    drive = {key: parameters["sadm"][key] for key in DRIVE}
+    drive = {key: parameters["sadm"][key] for key in (*DRIVE, STEPPER) if key in parameters["sadm"]}
     if not isinstance(given, Mapping):
         return tuple(_mounted(table, drive) for table in given)
     points = [key.removeprefix("dcm_") for key in given if key.startswith("dcm_")]
@@ -142,6 +163,11 @@ def _mounted(table: Mapping[str, Any], drive: Mapping[str, Any]) -> MountedBody:
 def driven_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
     """Solar arrays with a drive: one signal of ``sadm_torque`` each."""
     return tuple(array for array in solar_arrays(parameters) if array.driven)
+
+
+def motors(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+    """Driven arrays with a stepper motor."""
+    return tuple(array for array in driven_arrays(parameters) if array.stepper is not None)
 
 
 def arrays_turn(parameters: Mapping[str, Any]) -> bool:
@@ -177,7 +203,8 @@ def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: Arra
     """A wheel of the kind that a table describes."""
     mass, axial, radial = (float(table[key]) for key in ("mass", "axial_inertia", "radial_inertia"))
     place = np.array(position, dtype=float)
-    return WheelOnBoard(name, mass, axial, radial, axis, place, float(table["maximum_speed"]), float(speed))
+    top, more = float(table["maximum_speed"]), (table.get(BEARING), table.get(BROADBAND))
+    return WheelOnBoard(name, mass, axial, radial, axis, place, top, float(speed), *more)
 
 
 def _direction(axis: Sequence[float]) -> FloatArray:
@@ -273,6 +300,50 @@ def channels(parameters: Mapping[str, Any]) -> int:
     22
     """
     return IMBALANCE_CHANNELS * wheel_count(parameters) + len(driven_arrays(parameters))
+
+
+def source_tables(parameters: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Tables of broadband noise and of steppers that make disturbances, each with the name of its wheel or array.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> source_tables(load_parameters())
+    []
+    """
+    noisy = [(wheel.name, wheel.broadband) for wheel in reaction_wheels(parameters)]
+    stepping = [(array.name, array.stepper) for array in motors(parameters)]
+    return [(name, table) for name, table in (*noisy, *stepping) if table is not None]
+
+
+def on_bearings(parameters: Mapping[str, Any]) -> bool:
+    """Whether a wheel has a compliant bearing."""
+    return any(wheel.bearing is not None for wheel in reaction_wheels(parameters))
+
+
+def without_bearings(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters with rigid wheels."""
+    given = parameters[WHEELS]
+    tables = [given] if isinstance(given, Mapping) else given
+    rigid = [{key: value for key, value in table.items() if key != BEARING} for table in tables]
+    return {**parameters, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
+
+
+def without_sources(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters without what only makes disturbances: broadband noise of wheels, torques of steppers."""
+
+    def stripped(table: Any) -> Any:
+        if isinstance(table, (list, tuple)):
+            return [stripped(entry) for entry in table]
+        if not isinstance(table, Mapping) or not {BROADBAND, STEPPER} & set(table):
+            return table
+        kept = {key: value for key, value in table.items() if key != BROADBAND}
+        if STEPPER in kept:
+            kept[STEPPER] = {key: value for key, value in kept[STEPPER].items() if key not in SOURCE_OF_STEPPER}
+        return kept
+
+    names = (ARRAYS, WHEELS, "sadm")
+    return {key: stripped(value) if key in names else value for key, value in parameters.items()}
 
 
 def present(names: Sequence[str], available: Sequence[Port]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from titop_plant.telescope.layout import (
     solar_arrays,
     wheel_axes,
 )
+from titop_plant.telescope.mechanism_tables import OF_LISTS, check_mechanisms
 from titop_plant.telescope.parameter_check import ParameterFile
 
 Table = dict[str, Any]
@@ -33,7 +34,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NUMBERED = re.compile(r"(wheel|array|drive)_\d+")
 RESERVED = frozenset(
     {"G", "bus", "body", "wheels", "isolator", "platform", "payload", "fsm", "optics", "steering", "sadm_split"}
-    | {"sadm_join", "M1", "M2", "DET", "detector"}
+    | {"sadm_join", "motor_split", "M1", "M2", "DET", "detector"}
 )
 """Names of other bodies and places."""
 
@@ -129,10 +130,12 @@ def checked_layout(
 
 def _check_keys(kind: str, i: int, table: Table, file: ParameterFile) -> None:
     """Refuse unknown keys and values of another kind than those of `KEYS`."""
-    known, name = KEYS[kind], f"{kind}[{i}]"
+    known, name, tables = KEYS[kind], f"{kind}[{i}]", OF_LISTS.get(kind, ())
     for key, value in table.items():
+        if key in tables:
+            continue
         if key not in known:
-            raise file.error(f"{name}.{key}", f"expected one of: {', '.join(known)}")
+            raise file.error(f"{name}.{key}", f"expected one of: {', '.join((*known, *tables))}")
         like = known[key]
         if isinstance(like, bool):
             if not isinstance(value, bool):
@@ -165,6 +168,7 @@ def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: 
             drive = {key: reference[ARRAYS][key] for key in ("drive_axis", "theta_range")}
             full = {**drive, **full}
             _check_angle(name, full, file)
+            check_mechanisms(name, full, file)
         if full.get("modal_data") and "modal_data" in table:
             full["modal_data"] = str(Path(file.path).parent / full["modal_data"])
             _check_modal_file(name, full, file)
@@ -235,6 +239,7 @@ def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFi
         if "default_speed" not in table:
             raise file.error(f"{WHEELS}[{i}]", "has no 'default_speed'")
         found.append({**kind, "position": [0.0, 0.0, 0.0], **table})
+        check_mechanisms(f"{WHEELS}[{i}]", found[-1], file)
     return found
 
 

@@ -26,6 +26,7 @@ from titop_plant.telescope.layout import (
     appendages,
     reaction_wheels,
     solar_arrays,
+    without_sources,
 )
 from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.requirements import (
@@ -54,21 +55,22 @@ FIRST_PROBABILITY = 0.997
 """Part of the windows, and of the instants, that kept their limit in designs whose names do not say it."""
 
 
-def load_parameters(path: str | Path = REFERENCE) -> Parameters:
+def load_parameters(path: str | Path | None = None) -> Parameters:
     """Read a parameter file.
 
     Parameters
     ----------
-    path : str or Path
-        TOML file of the form of ``reference.toml``; tables that are missing are taken from it, so that a
-        user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and ``[[requirement]]``,
-        change those of the same name and are added to the others; ``replace = ["equipment"]`` in ``[payload]``, or
-        ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of
-        tables without names are replaced. A relative ``body.modal_data``, ``payload.modal_data`` or ``optics.pupil`` is
-        looked for beside it. Low-pass and noise of a camera that is no vector are those of its table, see
-        :mod:`titop_plant.telescope.guide_camera`. Tables ``[[solar_array]]``, ``[[reaction_wheel]]`` and
-        ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`. Tables ``[[disturbance]]`` are
-        kept as they are, each with the folder of the file.
+    path : str or Path, optional
+        TOML file of the form of ``reference.toml``, which stands where none is given; tables that are missing are taken
+        from it, so that a user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and
+        ``[[requirement]]``, change those of the same name and are added to the others; ``replace = ["equipment"]`` in
+        ``[payload]``, or ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of tables
+        without names are replaced. A relative ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or
+        ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
+        its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
+        motors of drives are tables of :mod:`titop_plant.telescope.mechanism_tables`. Tables ``[[solar_array]]``,
+        ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`.
+        Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
 
     Raises
     ------
@@ -77,9 +79,11 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
         sign than the reference's; requirements that :func:`titop_plant.telescope.requirements.with_limits` refuses.
         The message names the file, the line and the key.
     """
+    path = path or REFERENCE
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return MappingProxyType(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
+    from titop_plant.telescope.mechanism_tables import take_mechanisms, with_mechanisms
     from titop_plant.telescope.mounted_tables import checked_layout, take_mounted  # loads scipy
 
     own, text = _read(Path(path))
@@ -87,9 +91,16 @@ def load_parameters(path: str | Path = REFERENCE) -> Parameters:
     limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
+    mechanisms = take_mechanisms(own)
     merged = with_limits(file.merged(reference, own), own, limits, file)
+    merged |= with_mechanisms(merged, mechanisms, file)
     if merged["optics"]["pupil"]:
         merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
+    if merged["camera"]["noise_curve"]:
+        merged["camera"] = {
+            **merged["camera"],
+            "noise_curve": str(Path(path).parent / merged["camera"]["noise_curve"]),
+        }
     merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
     for name in OWN_BODIES:
@@ -167,7 +178,7 @@ def parameters_hash(parameters: Parameters) -> str:
     and the noise under ``sensors`` count where they follow from it, nor do sources of disturbance: no design depends on
     them.
     """
-    known = without_images(parameters)
+    known = without_sources(without_images(parameters))
     content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES)}
     requirements = telescope_requirements(parameters)
     parts = {

@@ -12,6 +12,7 @@ from lftkit import RealParameter
 from lftkit.arrays import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
 from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.mechanism_modes import MechanismMode
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class PlantSummary:
     total_inertia : ndarray, shape (3, 3)
         About G by the inverse low-frequency gain [kg m2].
     bodies : tuple of BodySummary
+    mechanisms : tuple of MechanismMode
+        Modes of the rotors of wheels and drives; none in the reference telescope.
     """
 
     order: int
@@ -70,9 +73,11 @@ class PlantSummary:
     largest_real_part: float
     total_inertia: FloatArray
     bodies: tuple[BodySummary, ...]
+    mechanisms: tuple[MechanismMode, ...] = ()
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain types for JSON; ``total_inertia`` is the diagonal, which the attitude law uses."""
+        rotors = {mode.name: [mode.at_rest, mode.at_speed] for mode in self.mechanisms}
         return {
             "order": self.order,
             "occurrences": self.occurrences,
@@ -88,6 +93,7 @@ class PlantSummary:
                 for p in self.parameters
             },
             "bodies": {b.name: {"mass": b.mass, "modes": b.modes, "frequencies": b.frequencies} for b in self.bodies},
+            **({"mechanisms": rotors} if rotors else {}),
         }
 
 
@@ -111,6 +117,7 @@ def summarise(telescope: Telescope) -> PlantSummary:
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),
         total_inertia=telescope.inertia,
+        mechanisms=telescope.mechanisms,
         bodies=tuple(
             BodySummary(
                 data.name,

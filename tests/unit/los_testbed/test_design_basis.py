@@ -13,12 +13,7 @@ import pytest
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.factories import (
-    RunParts,
-    build_controller,
-    build_estimator,
-    check_controllers,
-)
+from los_testbed.factories import RunParts, build_controller, build_estimator
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -80,7 +75,7 @@ def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") ->
 def test_the_stored_designs_are_made_for_the_reference_telescope() -> None:
     for variant in VARIANTS:
         assert design_warnings(load_designs(variant), design_basis(REFERENCE), closed=True) == ()
-    assert check_controllers(RunConfig()) == ()
+    assert RunParts(RunConfig()).check() == ()
 
 
 def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
@@ -117,14 +112,14 @@ def test_the_optics_of_images_are_in_no_design(tmp_path: Path) -> None:
 @pytest.mark.parametrize("loop", STAGES)
 def test_another_sensitivity_is_refused_where_it_closes_a_loop(tmp_path: Path, loop: str) -> None:
     config = RunConfig(parameters=str(sensitive(tmp_path / "user.toml")), loop=loop)
-    builders = (build_estimator, build_controller, check_controllers)
+    builders = (build_estimator, build_controller, lambda config: RunParts(config).check())
     if loop in ("fsm", "fsm+pma"):
         for build in builders:
             with pytest.raises(ValueError, match=r"K_FSM, implemented: fsm\.los_sensitivity .* must be 0\.2, got 0\.1"):
                 build(config)
     else:
         assert all(build(config) for build in builders)
-        (line,) = check_controllers(config)
+        (line,) = RunParts(config).check()
         assert "los_sensitivity 0.1" in line and "los_sensitivity 0.2" in line
 
 
@@ -135,7 +130,7 @@ def test_a_force_controller_for_another_sensitivity_is_refused_too(tmp_path: Pat
     config = RunConfig(k_pma=str(tmp_path / "k_pma.json"))
     with pytest.raises(ValueError, match=r"K_PMA, implemented: fsm\.los_sensitivity"):
         build_controller(config)
-    assert check_controllers(replace(config, loop="fsm")) == (), "its loop is open"
+    assert RunParts(replace(config, loop="fsm")).check() == (), "its loop is open"
 
 
 def test_the_mirror_law_takes_its_gain_from_the_observer(tmp_path: Path) -> None:
@@ -144,7 +139,7 @@ def test_the_mirror_law_takes_its_gain_from_the_observer(tmp_path: Path) -> None
     silent = RunConfig(loop="fsm", **files)
     assert build_controller(silent).los_sensitivity == 0.1
     assert build_controller(replace(silent, parameters=user)).los_sensitivity == 0.2
-    assert check_controllers(replace(silent, parameters=user)) == ()
+    assert RunParts(replace(silent, parameters=user)).check() == ()
     own = replace(SampledSystem.from_file(files["k_fsm"]), design_basis={"los_sensitivity": 0.2})
     own.to_file(tmp_path / "own.json")
     said = replace(silent, k_fsm=str(tmp_path / "own.json"))
@@ -170,7 +165,7 @@ def test_the_limits_are_the_telescopes_unless_the_run_has_its_own(tmp_path: Path
 
 
 def test_another_limit_of_the_run_is_one_line_for_each_controller() -> None:
-    first, second = check_controllers(RunConfig(fsm_authority=4e-3))
+    first, second = RunParts(RunConfig(fsm_authority=4e-3)).check()
     assert first == "K_FSM, implemented was made for fsm_authority 0.0053, not for fsm_authority 0.004"
     assert second.startswith("K_PMA, implemented was made for fsm_authority 0.0053")
 
@@ -260,7 +255,7 @@ def test_a_file_that_says_it_wrongly(tmp_path: Path, basis: Any, message: str) -
     path = Path(write_controllers(tmp_path)["k_fsm"])
     path.write_text(json.dumps({**json.loads(path.read_text()), "design_basis": basis}))
     with pytest.raises(ValueError, match=message) as caught:
-        check_controllers(RunConfig(k_fsm=str(path)))
+        RunParts(RunConfig(k_fsm=str(path))).check()
     assert "\n" not in str(caught.value)
 
 

@@ -73,7 +73,25 @@ UNLIKE: dict[str, Any] = {
 }
 INTERNAL = ("sadm_torque", "fsm_command")
 """Forces between two bodies: their effect on the rest is a difference of large numbers."""
-LAYOUTS = {"none": NONE, "unlike": UNLIKE}
+BEARING = {
+    "rotor_mass": 0.8,
+    "rotor_radial_inertia": 0.045,
+    "radial_stiffness": 1.5e6,
+    "radial_damping": 30.0,
+    "axial_stiffness": 1.0e6,
+    "axial_damping": 20.0,
+    "rocking_stiffness": 6.0e3,
+    "rocking_damping": 0.3,
+}
+BEARINGS: dict[str, Any] = {
+    "solar_array": [{"name": "plate", "point": "A2", "driven": False, **PANEL}],
+    "reaction_wheel": {
+        "azimuths_deg": [0.0, 100.0, 230.0],
+        "default_speed": [212.0, -187.0, 236.0],
+        "bearing": BEARING,
+    },
+}
+LAYOUTS = {"none": NONE, "unlike": UNLIKE, "bearings": BEARINGS}
 
 
 def toml(value: Any) -> str:
@@ -111,6 +129,11 @@ def wheels_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.W
             out.append({"axis": axis, "position": 0.2 * flat})
         given = out
     full = [{**common, "position": [0.0] * 3, **table} for table in given]
+    rotor = None
+    if "bearing" in layout["reaction_wheel"]:
+        kinds, of = ("radial", "radial", "axial", "rocking", "rocking"), layout["reaction_wheel"]["bearing"]
+        springs, dampers = ([of[f"{kind}_{what}"] for kind in kinds] for what in ("stiffness", "damping"))
+        rotor = (of["rotor_mass"], of["rotor_radial_inertia"], springs, dampers)
     return [
         oracle.Wheel(
             t["mass"],
@@ -119,6 +142,7 @@ def wheels_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.W
             t["axis"],
             t["position"],
             values.get(f"wheel_{i}.speed", 0.0),
+            rotor,
         )
         for i, t in enumerate(full, start=1)
     ]
@@ -182,7 +206,8 @@ def test_order_and_occurrences(case: Any) -> None:
     modes = sum(body.n_modes for body in case.telescope.bodies[:2]) + sum(len(t["frequencies"]) for t in tables)
     drives = sum(table.get("driven", True) for table in layout["solar_array"])
     actuators = 0 if "pma" in layout else 6
-    assert system.order == 2 * (modes + drives + 6 + 2 + actuators + 3)
+    rotors = 5 * 3 if layout is BEARINGS else 0
+    assert system.order == 2 * (modes + drives + 6 + 2 + actuators + 3 + rotors)
     found = system.occurrences()
     assert list(found) == list(uncertain_parameters(case.parameters))
     kinds = {"speed": 2, "omega_1": 2, "omega_2": 2, "tau": 16}
@@ -235,6 +260,10 @@ def undamped(parameters: Any) -> dict[str, Any]:
         content[name]["damping"] = 0.0
     content["isolator"]["damping"] = [0.0] * 6
     content["sadm"]["gearbox_damping"] = 0.0
+    if isinstance(content["reaction_wheel"], dict) and "bearing" in content["reaction_wheel"]:
+        content["reaction_wheel"]["bearing"] |= dict.fromkeys(
+            ("radial_damping", "axial_damping", "rocking_damping"), 0.0
+        )
     for table in (*content["solar_array"], *content.get("appendage", ())):
         table["damping"] = 0.0
     return content

@@ -18,7 +18,8 @@ from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.components import array_modes, optics_component
+from titop_plant.telescope.components import body_modes, optics_component
+from titop_plant.telescope.layout import solar_arrays
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import (
     REFERENCE,
@@ -134,7 +135,7 @@ def test_no_body_has_a_negative_residual_mass(parameters) -> None:
 
 def test_the_repair_of_the_printed_array_is_within_rounding(parameters) -> None:
     printed = np.array(parameters["solar_array"]["participation"])
-    used = array_modes(parameters).participation[:2]
+    used = body_modes(solar_arrays(parameters)[0]).participation[:2]
     np.testing.assert_allclose(used, printed, rtol=2e-4, atol=1e-6)
 
 

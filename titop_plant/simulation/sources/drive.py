@@ -23,7 +23,7 @@ from titop_plant.simulation.sources.places import loaded_nodes, source_ports
 from titop_plant.simulation.sources.signals import Signal
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import REFERENCE, load_parameters
+from titop_plant.telescope.parameters import load_parameters
 
 NODES = 6
 GAUSS: FloatArray = 0.5 * (np.polynomial.legendre.leggauss(NODES)[0] + 1.0)
@@ -41,8 +41,8 @@ class PlacedSource:
     ----------
     name, kind, place : str
         For rows of reports.
-    matrix : ndarray, shape (size, 6)
-        Of :func:`titop_plant.simulation.sources.places.place_matrix`.
+    matrix : ndarray, shape (size, 6 p)
+        Of :func:`titop_plant.simulation.sources.places.place_matrix`, of several places p side by side.
     signal : Signal
     remarks : tuple of str
         What was done to its values, one sentence each.
@@ -58,8 +58,8 @@ class PlacedSource:
 
 @lru_cache(maxsize=2)
 def _loaded(path: str | None, isolated: bool) -> Telescope:
-    parameters = load_parameters(path or REFERENCE)
-    return build_telescope(parameters, isolated=isolated, loads=loaded_nodes(parameters))
+    parameters = load_parameters(path)
+    return build_telescope(parameters, isolated=isolated, loads=loaded_nodes(parameters), motors=True)
 
 
 def source_matrix(
@@ -79,7 +79,7 @@ def source_matrix(
     Returns
     -------
     ndarray, shape (n + 24, 6 s (`NODES` + 1))
-        Columns: source, then instant, then axis.
+        Columns: place of a source, s in all, then instant, then axis.
     """
     whole = with_sensors(_loaded(family.path, family.isolated).system, family.parameters)
     chosen = whole.select(
@@ -89,9 +89,9 @@ def source_matrix(
     B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
     pushes = _integrals(data.A, B, dt)
     n, m = B.shape
-    table = np.zeros((n + D.shape[0], len(sources), NODES + 1, 6))
-    table[n:, :, 0] = D.reshape(D.shape[0], len(sources), 6)
-    table[:n, :, 1:] = pushes.reshape(NODES, n, len(sources), 6).transpose(1, 2, 0, 3)
+    table = np.zeros((n + D.shape[0], m // 6, NODES + 1, 6))
+    table[n:, :, 0] = D.reshape(D.shape[0], m // 6, 6)
+    table[:n, :, 1:] = pushes.reshape(NODES, n, m // 6, 6).transpose(1, 2, 0, 3)
     return table.reshape(n + D.shape[0], m * (NODES + 1))
 
 
@@ -129,9 +129,12 @@ class Sources:
 
     def step(self, out: FloatArray) -> None:
         """Write the values of this tick, shape (6 s (`NODES` + 1),) [N, Nm]."""
-        values = out.reshape(len(self.sources), NODES + 1, 6)
-        for row, one in zip(values, self.sources):
-            row[:] = one.signal.tick(self._tick, INSTANTS)
+        values, first = out.reshape(-1, NODES + 1, 6), 0
+        for one in self.sources:
+            last = first + one.matrix.shape[1] // 6
+            tick = one.signal.tick(self._tick, INSTANTS)
+            values[first:last] = tick.reshape(NODES + 1, last - first, 6).transpose(1, 0, 2)
+            first = last
         since = (self._tick + INSTANTS) * self.dt
         if since[0] < FADE:
             values *= np.square(np.sin(0.5 * np.pi * np.minimum(since / FADE, 1.0)))[:, None]

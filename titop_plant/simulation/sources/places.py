@@ -13,6 +13,7 @@ an appendage, a point              the node of the bus under an antenna, or any 
 ``drive_1`` ..                     the torque about the axis of an array drive, the source's last axis
 =================================  ==================================================================================
 
+With a compliant bearing forces and lateral torques at a wheel act on its rotor.
 Arrays, wheels and appendages of a user's file go by their own names too. **A positive force acts on the structure along
 the positive axis.**
 """
@@ -26,7 +27,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.structures.reference import body_points
-from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port
+from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port, motor_ports
 from titop_plant.telescope.layout import (
     SADM_TORQUE,
     WHEEL_IMBALANCE,
@@ -93,7 +94,8 @@ def source_ports(parameters: Parameters) -> tuple[Port, ...]:
     """Inputs of the structure that sources drive."""
     imbalance, *torques = disturbance_ports(parameters)
     wheels = Port(WHEEL_TORQUE, wheel_count(parameters), "Nm")
-    return (imbalance, wheels, *torques, EXTERNAL_WRENCH, *map(load_port, loaded_nodes(parameters)))
+    loads = map(load_port, loaded_nodes(parameters))
+    return (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(parameters))
 
 
 def place_matrix(

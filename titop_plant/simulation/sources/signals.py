@@ -88,6 +88,27 @@ def phase_walk(linewidth: float, ticks: int, dt: float, rng: np.random.Generator
 
 
 @dataclass(frozen=True)
+class JointSignal:
+    """Signals of a source that acts at several places, side by side: six axes of each.
+
+    Parameters
+    ----------
+    parts : tuple of Signal
+    """
+
+    parts: tuple[Signal, ...]
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies of all tones."""
+        return np.asarray(np.unique(np.concatenate([part.lines for part in self.parts])))
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick, (q, 6 parts)."""
+        return np.hstack([part.tick(k, instants) for part in self.parts])
+
+
+@dataclass(frozen=True)
 class PulseSignal:
     """Rectangular pulses; a tick has the mean of its part of the pulse, so that the impulse is right.
 

@@ -145,7 +145,7 @@ def entries_of(items: Sequence[str]) -> list[Entry]:
 
 def sources_of(config: RunConfig, parameters: Parameters) -> list[Entry]:
     """Tables of all sources of a run: those of its files, then those of its telescope; none without disturbance."""
-    if not config.disturbance or config.plant:
+    if not config.disturbance or config.other_plant:
         return []
     own = [Entry(table, Path(table[FOLDER]), str(config.parameters)) for table in parameters.get("disturbance", ())]
     own = [replace(one, table={k: v for k, v in one.table.items() if k != FOLDER}) for one in own]
@@ -177,9 +177,11 @@ def _kind_of(table: Table) -> str:
     return "series"
 
 
-def digest(entries: Sequence[Entry]) -> str:
-    """SHA-256 of the tables and of the files that they name."""
+def digest(entries: Sequence[Entry], mechanisms: Sequence[tuple[str, Mapping[str, Any]]] = ()) -> str:
+    """SHA-256 of the tables, of the files that they name, and of those of the telescope's wheels and drives."""
     total = hashlib.sha256()
+    for name, table in mechanisms:
+        total.update(repr((name, sorted(table.items()))).encode())
     for entry in entries:
         total.update(repr(sorted(entry.table.items())).encode())
         if isinstance(entry.table.get("file"), str):

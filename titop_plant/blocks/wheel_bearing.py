@@ -1,0 +1,205 @@
+"""Reaction wheel whose rotor turns on springs and dampers inside of its housing: radial, axial and rocking modes.
+
+The rotor, mass m_r, radial inertia J_t and axial inertia J_w, is displaced from the housing by rho and tilted by alpha
+about x and y, both small. It is symmetric, with its centre of mass in the middle between the bearings. At the centre
+of mass G, in the frame of the housing, which does not spin::
+
+    m_r (a + rho'')                               = -k_r rho - d_r rho'             + w_f     (k_a, d_a along z)
+    J_t (omega_x' + alpha_x'') + J_w Omega (omega_y + alpha_y') = -k_t alpha_x - d_t alpha_x' + w_tx
+    J_t (omega_y' + alpha_y'') - J_w Omega (omega_x + alpha_x') = -k_t alpha_y - d_t alpha_y' + w_ty
+    wrench_G = [ k_r rho + d_r rho' ; k_t alpha + d_t alpha' ; u ] - [ (m - m_r) a ; (J_r - J_t) omega' ; 0 ]
+
+**The imbalance w acts on the rotor.** With the housing held, the whirl modes are, backward (-) and forward (+)::
+
+    omega = +-Omega J_w / (2 J_t) + sqrt( (Omega J_w / (2 J_t))^2 + k_t / J_t )
+
+Two states for each direction that has a stiffness: 4 radial, 4 rocking, 2 axial. A direction without one is rigid. The
+gyroscopic torque needs the two lateral rates of the rotor, so the speed occurs twice as in the rigid wheel. As the
+stiffness grows the block becomes the rigid wheel.
+
+Source: Masterson (1999), "Development and validation of empirical and analytical reaction wheel disturbance models",
+MIT, whose analytical model is a rotor on radial and rocking springs. Neglected: damping that turns with the rotor,
+stiffness that depends on speed or load, the motor's torque on a tilted axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lftkit import Port, RealParameter, System
+from lftkit.arrays import FloatArray
+from titop_plant import ports
+
+DIRECTIONS = ("radial", "radial", "axial", "rocking", "rocking")
+"""Kind of each direction of the rotor in the housing: translation x, y, z and rotation x, y."""
+
+TRANSLATIONS = 3
+LATERAL = (3, 4)
+"""Places of the rotations x, y among the directions."""
+
+
+@dataclass(frozen=True)
+class WheelBearing:
+    """Rotor of a wheel and the bearings that carry it in its housing.
+
+    Parameters
+    ----------
+    rotor_mass : float
+        m_r, part of the wheel's mass [kg].
+    rotor_radial_inertia : float
+        J_t, part of the wheel's radial inertia [kg m2].
+    radial_stiffness, axial_stiffness : float, optional
+        k_r, k_a [N/m]; None: rigid.
+    rocking_stiffness : float, optional
+        k_t [Nm/rad]; None: rigid.
+    radial_damping, axial_damping : float
+        d_r, d_a [N s/m].
+    rocking_damping : float
+        d_t [Nm s/rad].
+
+    Raises
+    ------
+    ValueError
+        A mass, inertia or stiffness that is not positive, a damping that is negative or without a stiffness, no
+        stiffness at all.
+    """
+
+    rotor_mass: float
+    rotor_radial_inertia: float
+    radial_stiffness: float | None = None
+    axial_stiffness: float | None = None
+    rocking_stiffness: float | None = None
+    radial_damping: float = 0.0
+    axial_damping: float = 0.0
+    rocking_damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive = ("rotor_mass", "rotor_radial_inertia")
+        given = [f"{kind}_stiffness" for kind in dict.fromkeys(DIRECTIONS)]
+        for name in (*positive, *(name for name in given if getattr(self, name) is not None)):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if all(getattr(self, name) is None for name in given):
+            raise ValueError(f"bearing must have one of {', '.join(given)}, got none")
+        for kind in dict.fromkeys(DIRECTIONS):
+            damping, stiffness = getattr(self, f"{kind}_damping"), getattr(self, f"{kind}_stiffness")
+            if not damping >= 0.0:
+                raise ValueError(f"{kind}_damping must not be negative, got {damping}")
+            if damping and stiffness is None:
+                raise ValueError(f"{kind}_damping must be absent without {kind}_stiffness, got {damping}")
+
+    @property
+    def flexible(self) -> tuple[int, ...]:
+        """Places of the directions that have a stiffness."""
+        return tuple(i for i, kind in enumerate(DIRECTIONS) if getattr(self, f"{kind}_stiffness") is not None)
+
+    def of_directions(self, name: str) -> FloatArray:
+        """Stiffness or damping of the directions `flexible`."""
+        return np.array([float(getattr(self, f"{DIRECTIONS[i]}_{name}")) for i in self.flexible])
+
+    def rotor_inertia(self) -> FloatArray:
+        """Mass and inertia of the rotor in each direction, shape (5,)."""
+        return np.array([self.rotor_mass] * TRANSLATIONS + [self.rotor_radial_inertia] * len(LATERAL))
+
+
+def wheel_on_bearings(
+    mass: float,
+    axial_inertia: float,
+    radial_inertia: float,
+    bearing: WheelBearing,
+    speed: RealParameter,
+    point: str = "G",
+) -> System:
+    """TITOP block of a wheel with a rotor on its bearings; ports as in :mod:`titop_plant.blocks.reaction_wheel`.
+
+    Parameters
+    ----------
+    mass : float
+        m of the whole wheel [kg].
+    axial_inertia, radial_inertia : float
+        J_w of the rotor, J_r of the whole wheel [kg m2].
+    bearing : WheelBearing
+    speed : RealParameter
+        Omega [rad/s].
+    point : str
+
+    Returns
+    -------
+    System
+        Ten states where all directions are flexible; the speed occurs twice.
+
+    Raises
+    ------
+    ValueError
+        A rotor that is more than the whole wheel.
+
+    Examples
+    --------
+    At rest both rocking modes are at sqrt(k_t / J_t) = 500 rad/s; at speed one is lower, one higher, and their product
+    stays:
+
+    >>> bearing = WheelBearing(1.0, 0.04, rocking_stiffness=1e4)
+    >>> wheel = wheel_on_bearings(1.2, 0.08, 0.05, bearing, RealParameter("speed", 0, -1000, 1000))
+    >>> modes = np.abs(np.linalg.eigvals(wheel.at({"speed": 300.0}).A))
+    >>> np.unique(modes.round(1)).tolist(), round(float(np.sqrt(modes.prod())))
+    ([283.1, 883.1], 250000)
+    """
+    _check_part("rotor_mass", bearing.rotor_mass, mass)
+    _check_part("rotor_radial_inertia", bearing.rotor_radial_inertia, radial_inertia)
+    inputs = [
+        ports.accel(point),
+        ports.rate(point),
+        Port("wheel_torque", 1, "Nm"),
+        Port("imbalance", 5, ports.IMBALANCE_UNIT),
+    ]
+    outputs = [ports.wrench(point), Port("wheel_accel", 1, "rad/s2")]
+    whole = np.array([mass] * TRANSLATIONS + [radial_inertia] * len(LATERAL))
+    A, B, C, D = _matrices(whole, axial_inertia, bearing)
+    gyro, seen = np.vstack([B[:, :2], D[:, :2]]), np.hstack([C[:2], D[:2, 2:]])
+    turning = speed.nominal * gyro @ seen  # the torque of the nominal speed; that of a deviation comes through Delta
+    n = len(A)
+    A, C = A + turning[:n, :n], C + turning[n:, :n]
+    B[:, 2:] += turning[:n, n:]
+    D[:, 2:] += turning[n:, n:]
+    return System(A, B, C, D, tuple(inputs), tuple(outputs), channels=(speed.name,) * 2, elements=(speed,))
+
+
+def _check_part(name: str, part: float, whole: float) -> None:
+    if part > whole:
+        raise ValueError(f"{name} must be at most that of the wheel, {whole:g}, got {part:g}")
+
+
+def _matrices(
+    whole: FloatArray, axial_inertia: float, bearing: WheelBearing
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Matrices at rest with the gyroscopic torque as the first two inputs, and what it is Omega times as outputs.
+
+    `whole` (5,) are mass and inertia of the whole wheel in each direction. States: displacements, then their rates.
+    """
+    free = np.array(bearing.flexible)
+    n, rotor = free.size, bearing.rotor_inertia()
+    K, Dm, mu = np.diag(bearing.of_directions("stiffness")), np.diag(bearing.of_directions("damping")), rotor[free]
+    ACCEL, RATE, TORQUE, LOAD = slice(2, 8), slice(8, 11), 11, slice(12, 17)
+    on_rotor = np.zeros((5, 17))  # gyroscopic torque and imbalance
+    on_rotor[3:, :2], on_rotor[:, LOAD] = np.eye(2), np.eye(5)
+    follow = np.zeros((n, 17))
+    follow[:, ACCEL] = np.eye(6)[free]
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / mu[:, None], -Dm / mu[:, None]]])
+    B = np.vstack([np.zeros((n, 17)), on_rotor[free] / mu[:, None] - follow])
+    # Outputs: two of Omega, wrench 6, acceleration of the rotor about its axis.
+    C, D = np.zeros((9, 2 * n)), np.zeros((9, 17))
+    D[0, RATE], D[1, RATE] = [0.0, -axial_inertia, 0.0], [axial_inertia, 0.0, 0.0]
+    for row, at, sign in ((0, LATERAL[1], -1.0), (1, LATERAL[0], 1.0)):
+        if at in free:
+            C[row, n + int(np.flatnonzero(free == at)[0])] = sign * axial_inertia
+    C[2 + free] = np.hstack([K, Dm])
+    rigid = np.setdiff1d(np.arange(5), free)
+    D[2 + rigid] = on_rotor[rigid]
+    carried = whole.copy()
+    carried[free] -= mu  # the rotor's part is carried by the springs
+    D[2:7, 2:7] -= np.diag(carried)
+    D[7, TORQUE] = 1.0
+    D[8, TORQUE], D[8, 7] = -1.0 / axial_inertia, -1.0
+    return A, B, C, D

@@ -1,0 +1,178 @@
+"""Sources that a telescope's own tables describe: broadband noise of its wheels, torques of its array drives.
+
+**Wheel broadband.** Gaussian noise of the given one-sided densities on the mount of each wheel, in the wheel's frame;
+the wheels and the axes are independent, x and y have the radial density.
+
+**Array drive.** Each torque of a stepper has its phase at each angle theta of the array, ``imag(a exp(i c theta))`` for
+c cycles in one turn: those of the motor act on its rotor, and an error delta of the gears twists the gearbox, k delta
+on the array and - k delta / n on the rotor. theta is that of the run's profile where it turns the arrays, else
+``rate t``: the frequency follows the rate, and the telescope stays at its angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.systems.ports import port_slices, total_size
+from titop_plant.blocks.reaction_wheel import spin_frame
+from titop_plant.blocks.stepper import Stepper
+from titop_plant.interface import DT
+from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.sources.drive import PlacedSource
+from titop_plant.simulation.sources.places import place_matrix, source_ports
+from titop_plant.simulation.sources.signals import NO_LINES, JointSignal, Signal, noise_of_density
+from titop_plant.telescope.assembly import MOTOR_TORQUE
+from titop_plant.telescope.layout import DENSITIES, SADM_TORQUE, WheelOnBoard, driven_arrays, motors, reaction_wheels
+from titop_plant.telescope.mechanism_tables import made_stepper
+from titop_plant.telescope.parameters import Parameters
+
+WHEEL_BROADBAND, ARRAY_DRIVE = "wheel broadband", "array drive"
+"""Names of the sources."""
+
+AXES_OF_DENSITIES = (0, 0, 1, 2, 2, 3)
+"""Which of the densities is that of each axis, forces x, y, z and torques x, y, z."""
+
+HIGHEST = 512
+"""Harmonics of the electrical frequency that a stepper may have."""
+
+ON_ROTOR, ON_ARRAY = 4, 5
+"""Axes of a drive's signal: torque on the shaft of the motor, torque on the array."""
+
+
+@dataclass(frozen=True)
+class AngleSignal:
+    """Torques that are periodic in the angle of a shaft.
+
+    Parameters
+    ----------
+    cycles : ndarray, shape (q,)
+        For one turn of the array.
+    amplitude : ndarray, shape (q, 6), complex
+        The value is the imaginary part of ``amplitude exp(i cycles angle)`` [Nm].
+    angle : callable
+        Angle of the array [rad] at times (n,) [s].
+    dt : float
+        Tick [s].
+    rate : float
+        Of the array where it is constant [rad/s]; 0 where it is not.
+    """
+
+    cycles: FloatArray
+    amplitude: ComplexArray
+    angle: Callable[[FloatArray], FloatArray]
+    dt: float
+    rate: float = 0.0
+
+    @property
+    def lines(self) -> FloatArray:
+        """Frequencies at a constant rate."""
+        return np.abs(self.cycles * self.rate) if self.rate else NO_LINES
+
+    def tick(self, k: int, instants: FloatArray) -> FloatArray:
+        """Values of a tick."""
+        phase = np.multiply.outer(self.angle((k + instants) * self.dt), self.cycles)
+        return np.asarray((np.exp(1j * phase) @ self.amplitude).imag)
+
+
+def mechanism_sources(
+    parameters: Parameters, profile: Profile, duration: float, seed: int, dt: float = DT
+) -> tuple[PlacedSource, ...]:
+    """Sources of the telescope's own tables, those that it has.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of the telescope.
+    profile : Profile
+        Motion of the run.
+    duration : float
+        Of the run [s].
+    seed : int
+        Of the run.
+    dt : float
+        Tick [s].
+    """
+    noisy = [(i, wheel) for i, wheel in enumerate(reaction_wheels(parameters)) if wheel.broadband is not None]
+    found = []
+    if noisy:
+        parts = [_broadband(wheel, duration, dt, _rng(seed, 1, i)) for i, wheel in noisy]
+        matrices = [mount_matrix(wheel, parameters) for _, wheel in noisy]
+        found.append(_joined(WHEEL_BROADBAND, "psd", "wheels", matrices, parts))
+    if names := [array.name for array in motors(parameters)]:
+        drives = [_drive(parameters, i, profile, dt, _rng(seed, 2, i)) for i in range(len(names))]
+        found.append(_joined(ARRAY_DRIVE, "stepper", ", ".join(names), *zip(*drives)))
+    return tuple(found)
+
+
+def mount_matrix(wheel: WheelOnBoard, parameters: Parameters) -> FloatArray:
+    """Forces and torques on the mount of a wheel, in the wheel's frame, to the inputs of the structure."""
+    frame = spin_frame(wheel.axis)
+    return place_matrix("wheels", parameters, frame.T, frame @ wheel.position)
+
+
+def _rng(seed: int, kind: int, index: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(97, kind, index)))
+
+
+def _joined(name: str, kind: str, place: str, matrices: Sequence[FloatArray], parts: Sequence[Signal]) -> PlacedSource:
+    return PlacedSource(name, kind, place, np.hstack(matrices), JointSignal(tuple(parts)))
+
+
+def _broadband(wheel: WheelOnBoard, duration: float, dt: float, rng: np.random.Generator) -> Signal:
+    table = wheel.broadband or {}
+    frequency = np.array(table["frequency"], dtype=float)
+    given = np.array([table.get(name, np.zeros(frequency.size)) for name in DENSITIES], dtype=float)
+    return noise_of_density(frequency, given[list(AXES_OF_DENSITIES)].T, duration, dt, rng)
+
+
+def _drive(
+    parameters: Parameters, index: int, profile: Profile, dt: float, rng: np.random.Generator
+) -> tuple[FloatArray, Signal]:
+    """Where the torques of a stepper act, and the torques."""
+    array, ports = motors(parameters)[index], source_ports(parameters)
+    columns, drive = port_slices(ports), [one.name for one in driven_arrays(parameters)].index(array.name)
+    matrix = np.zeros((total_size(ports), 6))
+    matrix[columns[MOTOR_TORQUE].start + index, ON_ROTOR] = 1.0
+    matrix[columns[SADM_TORQUE].start + drive, ON_ARRAY] = 1.0
+    motor, turns = made_stepper(array.stepper or {}), bool(np.ptp(profile.theta))
+    cycles, amplitude = drive_harmonics(motor, array.table["gearbox_stiffness"], rng)
+    fastest = profile.steepest()[0] if turns else abs(motor.rate)
+    heard = cycles * fastest < 2.0 * math.pi / dt
+    kept = cycles[heard], amplitude[heard]
+    if turns:
+        return matrix, AngleSignal(*kept, profile.angle, dt)
+    return matrix, AngleSignal(*kept, partial(np.multiply, motor.rate), dt, motor.rate)
+
+
+def drive_harmonics(motor: Stepper, gearbox: float, rng: np.random.Generator) -> tuple[FloatArray, ComplexArray]:
+    """Torques of a drive over the angle of its array.
+
+    Parameters
+    ----------
+    motor : Stepper
+    gearbox : float
+        Stiffness k of the gearbox [Nm/rad].
+    rng : numpy.random.Generator
+        Electrical angle of the motor, and of each error of the gears, at the angle 0.
+
+    Returns
+    -------
+    cycles : ndarray, shape (q,)
+        For one turn of the array.
+    amplitude : ndarray, shape (q, 6), complex
+        Nm, on the axes `ON_ROTOR` and `ON_ARRAY`.
+    """
+    order, torque = motor.torque_harmonics(HIGHEST)
+    turned = rng.uniform(0.0, 2.0 * np.pi, 1 + len(motor.gear_errors))
+    amplitude = np.zeros((order.size + len(motor.gear_errors), 6), complex)
+    amplitude[: order.size, ON_ROTOR] = torque * np.exp(1j * order * turned[0])
+    errors = np.array(motor.gear_errors, dtype=float).reshape(-1, 2)
+    twist = gearbox * errors[:, 1] * np.exp(1j * turned[1:])
+    amplitude[order.size :, ON_ARRAY], amplitude[order.size :, ON_ROTOR] = twist, -twist / motor.gear_ratio
+    return np.concatenate([order * motor.cycles, errors[:, 0]]), amplitude
