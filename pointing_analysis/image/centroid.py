@@ -80,8 +80,8 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
     near = data[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
     if float(near.max()) > SHARPEST * brightest + DETECTION * sigma:
         return _missing(NOT_A_STAR)
-    rows, columns = np.indices(data.shape)
-    far = np.hypot(rows - row, columns - column) * camera.optics.pixel > APART * camera.optics.resolution
+    rows, columns = (np.arange(size) - at for size, at in zip(data.shape, (row, column)))
+    far = np.hypot(rows[:, None], columns) * camera.optics.pixel > APART * camera.optics.resolution
     if far.any() and float(boxes[far].max()) > DETECTION * 3.0 * sigma + SECOND * brightest:
         return _missing(TWO_STARS)
     start = _moments(data, int(row), int(column), MOMENT_THRESHOLD * sigma, camera)
@@ -90,7 +90,8 @@ def centroid(frame: FloatArray, camera: StarCamera) -> Centroid:
 
 def _boxes(data: FloatArray) -> FloatArray:
     """Sums of 3 x 3 pixels about each pixel, fewer at the edge."""
-    padded = np.pad(data, 1)
+    padded = np.zeros((data.shape[0] + 2, data.shape[1] + 2))
+    padded[1:-1, 1:-1] = data
     three = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray(three[:, :-2] + three[:, 1:-1] + three[:, 2:])
 
@@ -110,21 +111,44 @@ def _moments(data: FloatArray, row: int, column: int, threshold: float, camera: 
 
 def _most_likely(data: FloatArray, start: FloatArray, brightest: float, camera: StarCamera) -> Centroid:
     """Maximum of the likelihood over place and flux by Fisher scoring."""
-    pixel, edge = camera.optics.pixel, float(camera.line[-1])
-    place, flux = start.copy(), brightest
+    pixel, floor, edge = camera.optics.pixel, camera.camera.floor_variance, float(camera.line[-1]) / camera.optics.pixel
+    x, y, flux = float(start[0]) / pixel, float(start[1]) / pixel, brightest
+    flat = data.ravel()
     for _ in range(STEPS):
-        derivatives, variance, mean = _model(place, flux, camera)
-        weighted = derivatives / variance
-        score, information = weighted @ (data.ravel() - mean), weighted @ derivatives.T
-        scale = np.array([pixel, pixel, flux])  # of a step: the matrix of its parts is well conditioned
-        step = scale * linalg.solve(information * np.outer(scale, scale), scale * score, assume_a="pos")
-        move = np.clip(step[:2], -pixel, pixel)
-        place, flux = place + move, max(flux + float(step[2]), 0.1 * flux)
-        if np.abs(place).max() > edge:
+        image, by_x, by_y = camera.still(np.array([pixel * x, pixel * y]))
+        derivatives = np.concatenate((by_x, by_y, image), axis=None).reshape(3, -1)
+        mean = flux * derivatives[2]
+        weighted = derivatives / (np.maximum(mean, 0.0) + floor)
+        step = _step((weighted @ derivatives.T).tolist(), (weighted @ (flat - mean)).tolist(), pixel, flux)
+        if step is None:
+            return _missing(NOT_A_STAR)
+        move = [min(max(part, -1.0), 1.0) for part in step[:2]]
+        x, y, flux = x + move[0], y + move[1], max(flux + flux * step[2], 0.1 * flux)
+        if max(abs(x), abs(y)) > edge:
             return _missing(NO_STAR)
-        if np.abs(move).max() < TOLERANCE * pixel:
-            return Centroid(place)
+        if max(map(abs, move)) < TOLERANCE:
+            return Centroid(np.array([pixel * x, pixel * y]))
     return _missing(NOT_A_STAR)
+
+
+def _step(
+    information: list[list[float]], score: list[float], pixel: float, flux: float
+) -> tuple[float, float, float] | None:
+    """Step of Fisher scoring [pixel, pixel, part of the flux] by the cofactors; None where there is none.
+
+    Both are those of the image of energy 1 and of its derivatives by x, y [1/rad].
+    """
+    size = (pixel, pixel, 1.0)
+    (a, b, c), (_, d, e), (_, _, f) = (
+        tuple(size[i] * size[j] * value for j, value in enumerate(row)) for i, row in enumerate(information)
+    )
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * A + b * B + c * C
+    if not (a > 0.0 and a * d > b * b and determinant > 0.0):
+        return None
+    u, v, w = (part * value / (determinant * flux) for part, value in zip(size, score))
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    return A * u + B * v + C * w, B * u + D * v + E * w, C * u + E * v + F * w
 
 
 def _model(place: FloatArray, flux: float, camera: StarCamera) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+from los_testbed.bags.cdr import stamp_of
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.runner import Runner
+from los_testbed.topics import IMAGE_NAME
 from ros_runs import PLANT, config_for
 from support.unjudged import judged
 
@@ -111,3 +114,26 @@ def test_nobody_listens(recorded, tmp_path):
     assert code == 2
     assert "a node must subscribe to" in errors
     assert errors.count("\n") == 1
+
+
+def test_frames_of_the_camera_come_to_a_recorder(tmp_path):
+    """The bag of a run with images drives live nodes and a recorder, whose bag has the same frames, byte by byte."""
+    file = tmp_path / "image.toml"
+    file.write_text('[sensors]\ncamera = "image"\n', "utf-8")
+    config = config_for(tmp_path, mode="realtime", duration=1.0, seed=5, parameters=str(file))
+    original = tmp_path / "original"
+    run_in_process(config, original)
+    with nodes(config, tmp_path, "estimator", "controller", "recorder"):
+        code, found, errors = call(config, tmp_path, original, "--to-ros", f"--domain={config.domain}", "--json")
+    assert code == 0, errors
+    recorded = Run.open(config.output)
+    ours, theirs = ({stamp_of(m): m for m in run.messages(IMAGE_NAME)} for run in (recorded, Run.open(original)))
+    assert len(theirs) == 50 and found["ticks"] == 1000
+    assert ours and all(theirs[stamp] == message for stamp, message in ours.items())
+    assert recorded.parameters["camera"]["magnitude"] == 14.0
+    angles, sent = recorded["camera/los"], Run.open(original)["camera/los"]
+    _, i, j = np.intersect1d(angles.stamp, sent.stamp, return_indices=True)
+    assert len(i) and np.array_equal(angles.values[i], sent.values[j], equal_nan=True)
+    lost = recorded.parameters["statistics"]["recorder"]["samples_lost"]
+    if judged(lost == "0", "that a recorder has all frames", "samples were lost"):
+        assert set(ours) == set(theirs)

@@ -13,8 +13,9 @@ The angles of a frame are the mean of the line of sight over the exposure T and 
     e^(-s d) (1 - e^(-s T)) / (s T)  =  1 - a s + (d^2 / 2 + d T / 2 + T^2 / 6) s^2 - ...,   a = d + T / 2
     c0 / (s^2 + c1 s + c0),  c0 = 1 / b,  c1 = a / b,  b = a^2 - (d^2 / 2 + d T / 2 + T^2 / 6)
 
-The low-pass agrees in all terms up to s^2. The noise is the bound of Cramer and Rao, which the centroid by maximum
-likelihood reaches (``docs/guide_camera.md``).
+The low-pass agrees in all terms up to s^2. The noise is that of a measured curve over the magnitude
+(:mod:`pointing_analysis.image.noise_curve`): the file that ``noise_curve`` names; else ``camera_noise.json``, where it
+has one of this detector, and for other detectors the bound of Cramer and Rao (``docs/guide_camera.md``).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from titop_plant.interface import DT, RATE
+from titop_plant.interface import DT, FRAME_TICKS, RATE
 from titop_plant.telescope.parameter_check import ParameterFile
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
 VECTOR, MAGNITUDE, IMAGE = CAMERAS = ("vector", "magnitude", "image")
 TABLE, KIND = "camera", "camera"
 """Name of the table; key of the table ``sensors`` that says what the camera is."""
+NOISE_CURVE = "noise_curve"
+"""Key of the table for the file of measured noise."""
+STORED_CURVES = Path(__file__).with_name("camera_noise.json")
+"""Measured noise of the reference telescope's detector."""
 FOLLOWING = ("camera_filter", "camera_noise")
 """Keys of ``sensors`` that follow from the table unless the camera is a vector."""
 IMAGE_OPTICS = (
@@ -102,7 +107,41 @@ def star_camera(parameters: Mapping[str, Any], where: str) -> StarCamera:
     table = {key: parameters["optics"][key] for key in IMAGE_OPTICS}
     pupil = optics.read_pupil_file(Path(table["pupil"])) if table["pupil"] else b""
     found = optics.from_mapping(table, where, pupil)
-    return StarCamera(found, guide_camera.from_mapping(parameters[TABLE], where))
+    camera = {key: value for key, value in parameters[TABLE].items() if key != NOISE_CURVE}
+    return StarCamera(found, guide_camera.from_mapping(camera, where))
+
+
+def star_noise(camera: StarCamera, file: str, where: str) -> float:
+    """Noise of an angle of a frame [rad], from a measured curve where there is one.
+
+    Parameters
+    ----------
+    camera : StarCamera
+    file : str
+        Of the measured noise; empty: the stored one, and the bound of Cramer and Rao where it does not have this
+        detector or magnitude.
+    where : str
+        Name of the parameter file, for the messages.
+
+    Raises
+    ------
+    ValueError
+        A named file that cannot be read, or that has no such detector or magnitude.
+    """
+    from pointing_analysis.image.centroid import noise_equivalent_angle
+    from pointing_analysis.image.noise_curve import curve_for, load_curves
+
+    curve, magnitude = curve_for(camera, load_curves(Path(file or STORED_CURVES))), camera.camera.magnitude
+    if curve is not None and curve.covers(magnitude):
+        return curve.at(camera)
+    if not file:
+        return noise_equivalent_angle(camera)
+    if curve is None:
+        raise ValueError(f"{where}: {TABLE}.{NOISE_CURVE} must have a curve of this detector, got none in {file}")
+    low, high = curve.magnitude[0], curve.magnitude[-1]
+    raise ValueError(
+        f"{where}: {TABLE}.magnitude must be from {low:g} to {high:g} with {NOISE_CURVE} {file}, got {magnitude:g}"
+    )
 
 
 def with_guide_camera(parameters: dict[str, Any], own: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
@@ -136,12 +175,40 @@ def with_guide_camera(parameters: dict[str, Any], own: Mapping[str, Any], file: 
     for key in FOLLOWING:
         if key in own.get("sensors", {}):
             raise file.error(f"sensors.{key}", f"must be left out where sensors.{KIND} is {kind}, got a value")
-    from pointing_analysis.image.centroid import noise_equivalent_angle
-
     table = parameters[TABLE]
     low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))
-    noise = noise_equivalent_angle(camera)
+    noise = star_noise(camera, table[NOISE_CURVE], file.path)
     return {**parameters, "sensors": {**parameters["sensors"], "camera_filter": low_pass, "camera_noise": noise}}
+
+
+def for_frames(parameters: Mapping[str, Any], frame_ticks: int) -> Mapping[str, Any]:
+    """The parameters for a design, whose frames are those of 50 Hz, with the low-pass and noise of another frame rate.
+
+    A frame that is held longer is older by half of the difference, which the low-pass then has, and its noise per tick
+    is larger by the root of the ticks. Frames that are held for a shorter time keep the low-pass: they are better.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Of a camera that is no vector.
+    frame_ticks : int
+        Ticks of a frame.
+
+    Examples
+    --------
+    >>> table = {"exposure": 0.04, "readout_delay": 0.002}
+    >>> made = for_frames({"camera": table, "sensors": {"camera_noise": 1e-8}}, 80)["sensors"]
+    >>> c0, c1, _ = made["camera_filter"]
+    >>> round(c1 / c0, 9), made["camera_noise"]
+    (0.052, 2e-08)
+    """
+    if frame_ticks == FRAME_TICKS:
+        return parameters
+    table, sensors = parameters[TABLE], parameters["sensors"]
+    longer = max(0.0, 0.5 * (frame_ticks - FRAME_TICKS) * DT)
+    low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"] + longer))
+    noise = sensors["camera_noise"] * math.sqrt(frame_ticks / FRAME_TICKS)
+    return {**parameters, "sensors": {**sensors, "camera_filter": low_pass, "camera_noise": noise}}
 
 
 def check_exposure(parameters: Mapping[str, Any], frame_ticks: int) -> None:

@@ -102,6 +102,42 @@ def test_a_reset_gives_the_same_bits() -> None:
     assert made.counts == {"frames": "20", "frames_before_start": "2"}
 
 
+class Counted(ImagePlant):
+    """Says what is done of the frames, and in which tick."""
+
+    def _go_on(self) -> bool:
+        done = super()._go_on()
+        if done:
+            self.done.append(self.stepping)
+        return done
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        self.stepping = True
+        super().step(command, measurement, truth)
+        self.stepping = False
+
+    def _restart(self) -> None:
+        self.done: list[bool] = []
+        super()._restart()
+
+
+@pytest.mark.parametrize("delay", [0.001, 0.002, 0.03])
+def test_work_between_ticks_gives_the_same_bits_and_leaves_none_to_them(delay: float) -> None:
+    """A frame and its centroid take longer than the telescope: in real time they must not be in a tick."""
+    camera = StarCamera(OPTICS, replace(STAR, magnitude=13.0, readout_delay=delay))
+    alone, between = (Counted(Drift(), camera, 1, noise=True) for _ in range(2))
+    between.plant.dropped = alone.plant.dropped = {100, 140}  # type: ignore[attr-defined]
+    expected, found = angles(alone, 1000), np.zeros((1000, 2))
+    y, truth = np.zeros(MEASUREMENTS), np.zeros(TRUTH)
+    for k in range(1000):
+        between.step(np.zeros(COMMANDS), y, truth)
+        found[k] = y[CAMERA]
+        between.work()
+    assert np.array_equal(expected, found, equal_nan=True) and np.isfinite(found).any()
+    assert np.array_equal(alone.image, between.image) and alone.counts == between.counts
+    assert all(alone.done) and not any(between.done) and len(between.done) >= len(alone.done) > 90
+
+
 def test_frames_without_angles_are_counted_by_reason() -> None:
     made = plant(replace(STAR, magnitude=25.0), noise=True)
     made.plant.dropped = {100, 140}  # type: ignore[attr-defined]

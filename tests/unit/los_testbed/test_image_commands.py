@@ -166,6 +166,11 @@ def test_exports(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
             "as PUPLSCAL or PIXELSCL in its header, got none",
         ),
         (["analyse"], OPTICS + 'pupil = "los.csv"\n', "pupil must be a FITS file, got one that cannot be read"),
+        (
+            ["analyse", "--requirements", "long.toml"],
+            OPTICS,
+            "los.csv: exposure must be at most the",
+        ),
         (["image", "figures", "--output", "new"], None, "no optics are known of this recording"),
         (
             ["image", "export", "--output", "k.fits", "--exposure", "5"],
@@ -197,6 +202,8 @@ def test_mistakes(
     message: str,
 ) -> None:
     monkeypatch.chdir(folder)
+    text = "prob(MTF(30 s, Nyquist) > 0.9) >= 0.997 at 95 % confidence"
+    Path("long.toml").write_text(f'requirement = [{{ text = "{text}" }}]\n')
     options = []
     if optics is not None:
         if "fits" in optics:

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
+from typing import Any
 
 import pytest
 from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
 from los_testbed.run.star_trade import markdown, parameter_text
+from los_testbed.variants import DESIGN_FILES, of_designs
 
+from lftkit import SampledSystem
+from los_design import redesign
+from los_design.redesign import DesignSummary
+from los_design.verification.verification import ImplementedCheck
+from pointing_analysis.files.structured_text import load_toml, read_text
+from titop_plant.telescope.guide_camera import for_frames
 from titop_plant.telescope.parameters import load_parameters
 
 
@@ -31,6 +45,15 @@ def test_a_parameter_file_keeps_what_the_user_wrote(tmp_path: Path) -> None:
     assert str(tmp_path / "beam.toml") in parameter_text({"a": {"b": "beam.toml"}}, tmp_path, 1.0, 0.02)
 
 
+def test_what_a_user_s_file_holds_is_the_same_in_that_of_a_star(tmp_path: Path) -> None:
+    """Keys with a dot, dates and tables in lists as well."""
+    own = {"a": {"wheel_1.speed": 3.0, "since": date(2026, 11, 23)}, "disturbance": [{"name": "x", "b": {"c": 1}}]}
+    file = tmp_path / "star.toml"
+    file.write_text(parameter_text(own, tmp_path, 12.5, 0.04), "utf-8")
+    found = load_toml(read_text(file), file)
+    assert {name: found[name] for name in own} == own
+
+
 def test_a_table_counts_frames_that_the_star_did_not_give() -> None:
     row = {
         "magnitude": 15.5,
@@ -43,13 +66,92 @@ def test_a_table_counts_frames_that_the_star_did_not_give() -> None:
         "rpe_mas": 29.8,
         "mtf_nyquist": 0.5,
         "strehl": None,
+        "design": "kept",
+        "not_met": [],
     }
-    assert markdown([row]).splitlines()[-1] == "| 15.5 | 50 | 7.66 | 44 of 200 | 1.5 | 29.8 | 0.5 | - |"
+    first = "| 15.5 | 50 | 7.66 | 44 of 200 | 1.5 | 29.8 | 0.5 | - |"
+    assert markdown([row]).splitlines()[-1] == f"{first} kept |"
+    assert markdown([{**row, "design": "rounds", "not_met": ["RPE"]}]).endswith(f"{first} rounds, 1 not met |\n")
+
+
+SHORT = ["--rates", "50", "--duration", "1", "--scenario", "imbalance"]
+
+
+class Designs:
+    """In place of a design of minutes: the stored controllers, after so many calls that the time limit ended."""
+
+    def __init__(self, ended: int) -> None:
+        self.ended, self.calls = ended, list[tuple[Path, float, float]]()
+
+    def __call__(self, parameters: Mapping[str, Any], folder: Path, **options: Any) -> DesignSummary:
+        self.calls.append((folder, options["wall_limit"], parameters["sensors"]["camera_noise"]))
+        status = "out_of_time" if len(self.calls) <= self.ended else "converged"
+        for name, path in RunParts(RunConfig()).model_files.items():
+            system = SampledSystem.from_file(path)
+            made = replace(system, provenance={**system.provenance, "status": status})
+            made.to_file(folder / DESIGN_FILES[name])
+        return DesignSummary(
+            folder, ImplementedCheck({}, {}, {}, 0.0, {}, parameters), ["fsm RPE 1.2000, must be at most 1"]
+        )
+
+
+def test_a_trade_designs_for_each_star_and_goes_on_where_it_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, designs = tmp_path / "trade", Designs(ended=1)
+    monkeypatch.setattr(redesign, "design_all", designs)
+    command = ["image", "trade", *SHORT, "--magnitudes", "10,13", "--output", str(folder), "--json"]
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert ended.value.code == 1
+    told = capsys.readouterr()
+    assert json.loads(told.out.splitlines()[-1]) == {"trade": [], "finished": False}
+    assert "ended by the time limit after 0 of 2: run it again to go on" in told.err
+    main(command)
+    first = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert first["finished"] and [row["design"] for row in first["trade"]] == ["converged", "converged"]
+    assert all(row["not_met"] == ["fsm RPE 1.2000, must be at most 1"] for row in first["trade"])
+    places = [place.name for place, _, _ in designs.calls]
+    assert places == ["magnitude-10-rate-50", "magnitude-10-rate-50", "magnitude-13-rate-50"]
+    noise = [sigma for _, _, sigma in designs.calls]
+    assert noise[0] == noise[1] < noise[2]
+    assert all(0.0 < limit <= 7200.0 for _, limit, _ in designs.calls)
+    assert of_designs(str(folder / places[0]))["parameters"].endswith("telescope.toml")
+    main(command)  # nothing is left to do
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == first and len(designs.calls) == 3
+    with pytest.raises(SystemExit) as refused:
+        main([*command, "--seed", "7"])
+    error = capsys.readouterr().err
+    assert refused.value.code == 2 and "--output must be a new folder or one of the same trade" in error
+
+
+def test_a_slower_frame_rate_is_in_the_design(tmp_path: Path) -> None:
+    """Twice the ticks of a frame: 10 ms older on the mean, root 2 of the noise of a tick."""
+    file = tmp_path / "slow.toml"
+    file.write_text(parameter_text({}, tmp_path, 13.0, 0.04), "utf-8")
+    run = load_parameters(file)
+    assert for_frames(run, 20) is run
+    ours, theirs = run["sensors"], for_frames(run, 40)["sensors"]
+    age = [s["camera_filter"][1] / s["camera_filter"][0] for s in (ours, theirs)]
+    assert age[1] - age[0] == pytest.approx(0.010, rel=1e-9)
+    assert theirs["camera_noise"] == pytest.approx(math.sqrt(2.0) * ours["camera_noise"])
+    assert for_frames(run, 10)["sensors"]["camera_filter"] == ours["camera_filter"]
+
+
+@pytest.mark.slow
+def test_a_design_of_its_own_for_a_star(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two minutes: controllers that name the telescope with this star, and the loop with them."""
+    folder = tmp_path / "trade"
+    main(["image", "trade", *SHORT, "--magnitudes", "13", "--workers", "1", "--output", str(folder), "--json"])
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["trade"]
+    assert row["design"] != "kept" and row["not_met"] == [] and row["rpe_mas"] > 0.0
+    config = RunConfig.from_mapping(of_designs(str(folder / "magnitude-13-rate-50")))
+    assert RunParts(config).check() == ()
 
 
 def test_one_command_makes_table_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "trade"
-    arguments = ["--magnitudes", "10,25", "--rates", "50", "--duration", "1", "--scenario", "imbalance", "--json"]
+    arguments = [*SHORT, "--magnitudes", "10,25", "--keep-controllers", "--json"]
     main(["image", "trade", *arguments, "--output", str(folder)])
     rows = json.loads(capsys.readouterr().out.splitlines()[-1])["trade"]
     bright, none = rows

@@ -5,6 +5,10 @@ and the exposure E: the frame is made of the line of sight at these E + 1 ticks,
 tick k - d; its centroid takes the place of the measurement of the camera at tick k. **The window follows the star in
 whole pixels**: its middle is the pixel of the last angles. After `SEARCH_AFTER` frames in a row without angles the star
 is searched in the whole field, which puts the window at the pixel of its true mean place.
+
+Frame and centroid take longer than a tick of the telescope. **`step` leaves them until the angles are due**; who has
+time between two ticks does one of them with `work`. What they give depends on what `step` kept for them alone, so it is
+the same whenever they are done.
 """
 
 from __future__ import annotations
@@ -51,14 +55,16 @@ class Telescope(Protocol):
 
 @dataclass
 class _Frame:
-    """A frame that is read out, the middle of its window [rad], the tick at which its angles are there, and these.
+    """An exposure: the tick at which its angles are there, the middle of its window, the path about it [rad].
 
-    The place is found a tick after the read-out, if there is one before the angles are due: no tick has all the work.
+    Counts and place are None until they are made; `noisy` is whether the counts have noise.
     """
 
     due: int
     middle: FloatArray
-    counts: FloatArray
+    path: FloatArray
+    noisy: bool
+    counts: FloatArray | None = None
     found: Centroid | None = None
 
 
@@ -120,22 +126,39 @@ class ImagePlant:
         self._path[-1] = truth
         if (self.tick + self._delay) % self.frame_ticks == 0 and self.tick >= self._exposure:
             self._expose()
-        if self._read and self.tick == self._read[-1].due - max(self._delay - 1, 0):
-            self._read[-1].found = self._find(self._read[-1].counts, self.camera)
         if self.tick % self.frame_ticks == 0:
             measurement[CAMERA] = self._angles(bool(np.isnan(measurement[CAMERA]).any()))
         self.tick += 1
 
+    def work(self) -> None:
+        """Do a part of the work on frames that are not finished; all of it where the angles are due at the next tick.
+
+        Between two ticks, in the thread that steps.
+        """
+        more = self._go_on()
+        while more and self._read[0].due <= self.tick and self._read[0].found is None:
+            more = self._go_on()
+
+    def _go_on(self) -> bool:
+        """Make the next frame or find the star in it: whether there was something to do."""
+        for frame in self._read:  # random numbers are taken in the order of the frames
+            if frame.counts is None:
+                expected = self.camera.expected(frame.path)
+                frame.counts = self.camera.read_out(expected, self._rng if frame.noisy else None)
+                return True
+            if frame.found is None:
+                frame.found = self._find(frame.counts, self.camera)
+                return True
+        return False
+
     def _expose(self) -> None:
-        """Read out the exposure that ends at this tick."""
+        """Keep the exposure that ends at this tick."""
         pixel, mean = self.camera.optics.pixel, self._path.mean(axis=0)
         if not np.isfinite(mean).all():
             return
         if self._without >= SEARCH_AFTER:
             self._middle = pixel * np.rint(mean / pixel)
-        expected = self.camera.expected(self._path - self._middle)
-        counts = self.camera.read_out(expected, self._rng if self._noisy else None)
-        self._read.append(_Frame(self.tick + self._delay, self._middle, counts))
+        self._read.append(_Frame(self.tick + self._delay, self._middle, self._path - self._middle, self._noisy))
 
     def _angles(self, dropped: bool) -> FloatArray:
         """Angles of the frame that is there at this tick [rad], NaN where it has none."""
@@ -143,10 +166,13 @@ class ImagePlant:
         self.frames += 1
         if not self._read or self._read[0].due != self.tick:
             return self._none(BEFORE_START)
-        frame = self._read.popleft()
-        found = frame.found
-        assert found is not None  # at the latest at this tick
-        self.image[:] = frame.counts
+        frame = self._read[0]
+        while frame.found is None:
+            self._go_on()
+        counts, found = frame.counts, frame.found
+        assert counts is not None and found is not None
+        self._read.popleft()
+        self.image[:] = counts
         if dropped:
             return self._none(DROPPED)
         if found.reason:

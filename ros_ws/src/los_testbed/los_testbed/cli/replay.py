@@ -15,7 +15,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
 from los_testbed.config import RunConfig
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, numbers, say
 
 if TYPE_CHECKING:
     from pointing_analysis.read.run import Run
@@ -154,9 +154,7 @@ def _show(
     say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
-    table = Table(title="Recorded and replayed", title_justify="left")
-    for head in ("metric", "recorded", "replayed"):
-        table.add_column(head, justify="left" if head == "metric" else "right")
+    table = Table("metric", *numbers("recorded", "replayed"), title="Recorded and replayed", title_justify="left")
     for text, key, unit in ROWS:
         values = [f"{found[side][key]:.4g} {unit}" if key in found[side] else "-" for side in ("recorded", "replayed")]
         if set(values) != {"-"}:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
-from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
+from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of, with_stamp
 from los_testbed.config import NAMESPACE
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
 from los_testbed.loop.tick_clock import wait_until
@@ -23,8 +23,9 @@ from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.processes.domains import domain_lock
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
+from los_testbed.topics import FSM_COMMAND, IMAGE_NAME, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
+from pointing_analysis.read.messages.message_types import IMAGE
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import Replayed
 from titop_plant.interface import TICK_NS
@@ -75,7 +76,7 @@ def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, 
     Parameters
     ----------
     run : Run
-        With the sensor topics; the truth is sent too where the bag has it.
+        With the sensor topics; truth and images are sent too where the bag has them.
     domain : int, optional
         ROS domain; default: that of the environment.
     timeout : float
@@ -116,6 +117,8 @@ class _Player:
         self.stamps: NDArray[np.int64] = np.unique(np.concatenate([run[t.name].stamp for t in topics]))
         self._outputs = [self._output(topic, run) for topic in topics]
         node = context.node
+        self._images = {stamp_of(data): data for data in run.messages(IMAGE_NAME)}
+        self._image_output = RawPublisher(node, IMAGE_NAME, IMAGE) if self._images else None
         self._inputs = {t.name: RawSubscription(node, t.name, t.type_name, ANSWER_DEPTH) for t in ANSWERS}
         self._taken: dict[str, list[bytes]] = {topic.name: [] for topic in ANSWERS}
 
@@ -143,6 +146,8 @@ class _Player:
             for publisher, codec, rows, values in self._outputs:
                 if rows[k] >= 0:
                     publisher.publish(codec.encode(stamp, values[rows[k]]))
+            if self._image_output is not None and stamp in self._images:
+                self._image_output.publish(self._images[stamp])
             self._drain()
             done += 1
             if k % 200 == 0:
@@ -161,6 +166,9 @@ class _Player:
         while not self.context.stop:
             for publisher, codec, _, values in self._outputs:
                 publisher.publish(codec.encode(HOLD_STAMP, np.zeros(values.shape[1])))
+            if self._image_output is not None:
+                first = next(iter(self._images.values()))
+                self._image_output.publish(with_stamp(first, HOLD_STAMP))
             time.sleep(HOLD_PERIOD_S)
             self._others.refuse_running()
             for name, subscription in self._inputs.items():

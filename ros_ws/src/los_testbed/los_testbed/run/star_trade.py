@@ -1,21 +1,37 @@
-"""Which guide stars suffice: magnitude and frame rate of the camera against RPE and MTF, from runs in one process."""
+"""Which guide stars suffice: magnitude and frame rate of the camera against RPE and MTF, from runs in one process.
+
+For each star and rate the controllers are designed, unless they are kept. A folder holds a folder for each of them,
+with parameter file, designs, bag and ``row.json``, which is there when all is done; what is there is not repeated.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
-from pointing_analysis.files.structured_text import load_toml, read_text
+from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
+from pointing_analysis.files.atomic_output import check_output, write_text
+from pointing_analysis.files.structured_text import load_json, load_toml, read_text
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.telescope.guide_camera import check_exposure
+from titop_plant.telescope.guide_camera import check_exposure, for_frames
 from titop_plant.telescope.parameters import load_parameters
+
+if TYPE_CHECKING:
+    from lftkit.support.workers import Workers
+
+SETTINGS, ROW = "settings.json", "row.json"
+"""Files of a trade, and of a star in it: what was asked for; what came out."""
+EFFORT = "short"
+"""Of the designs (:mod:`los_design.redesign`)."""
 
 
 @dataclass(frozen=True)
@@ -41,46 +57,152 @@ class TradePoint:
         return f"magnitude-{self.magnitude:g}-rate-{self.rate:g}"
 
 
-def points(
-    base: RunConfig, folder: Path, magnitudes: Sequence[float], rates: Sequence[float]
-) -> tuple[TradePoint, ...]:
-    """Write the parameter file of each star and rate into `folder`; a mistake in them is found here.
+@dataclass(frozen=True)
+class Trade:
+    """Guide stars and frame rates to be compared.
 
     Parameters
     ----------
-    base : RunConfig
-        Of all runs; its parameter file is kept but for kind, magnitude and exposure of the camera.
     folder : Path
-        New.
-    magnitudes, rates : sequence of float
-        Rates in frames per second.
-
-    Raises
-    ------
-    ValueError
-        A camera that cannot be used, one line.
+    points : tuple of TradePoint
+    redesign : bool
+        Whether controllers are designed for each of them.
     """
+
+    folder: Path
+    points: tuple[TradePoint, ...]
+    redesign: bool
+
+    @classmethod
+    def begin(
+        cls, base: RunConfig, folder: Path, magnitudes: Sequence[float], rates: Sequence[float], redesign: bool
+    ) -> Trade:
+        """Write the parameter file of each star and rate into `folder`; a mistake in them is found here.
+
+        Parameters
+        ----------
+        base : RunConfig
+            Of all runs; its parameter file is kept but for kind, magnitude and exposure of the camera.
+        folder : Path
+            New, or that of the same trade, which then goes on.
+        magnitudes, rates : sequence of float
+            Rates in frames per second.
+        redesign : bool
+
+        Raises
+        ------
+        ValueError
+            A camera that cannot be used, a folder of something else; one line.
+        """
+        if not all(rate > 0.0 for rate in rates):
+            raise ValueError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
+        asked = _asked(base, magnitudes, rates, redesign)
+        check_output(folder, "--output", folder=True)
+        known = folder / SETTINGS
+        if folder.exists() and any(folder.iterdir()):
+            if not known.exists() or load_json(read_text(known), known) != asked:
+                raise ValueError(f"--output must be a new folder or one of the same trade, got {folder}")
+            return cls(folder, _points(base, folder, magnitudes, rates), redesign)
+        try:
+            found = _points(base, folder, magnitudes, rates)
+        except ValueError:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        write_text(known, json.dumps(asked, indent=1) + "\n")
+        return cls(folder, found, redesign)
+
+    def row(
+        self, point: TradePoint, seconds: float, report: Callable[[str], None], workers: Workers | None = None
+    ) -> dict[str, Any] | None:
+        """Design, run and evaluate a point, or read what was found before: a row of the table.
+
+        Parameters
+        ----------
+        point : TradePoint
+        seconds : float
+            Wall time that is left for the design [s].
+        report : callable
+            Receives a line for each step of a design.
+        workers : Workers, optional
+            Of the design.
+
+        Returns
+        -------
+        dict or None
+            As of :func:`measure`, with ``design`` ("kept", or how the descent ended) and ``not_met``, the requirements
+            that the designs miss. None where the time is over: another call goes on.
+        """
+        folder, config = self.folder / point.name, point.config
+        known, bag, design = folder / ROW, folder / "bag", {"design": "kept", "not_met": list[str]()}
+        if known.exists():
+            return dict(load_json(read_text(known), known))
+        if seconds <= 0.0:
+            return None
+        if self.redesign:
+            ended, not_met = _design(point, folder, seconds, report, workers)
+            if ended == "out_of_time":
+                return None
+            design = {"design": ended, "not_met": not_met}
+            k_fsm, k_pma = (str(folder / DESIGN_FILES[name]) for name in ("k_fsm", "k_pma"))
+            config = replace(config, k_fsm=k_fsm, k_pma=k_pma)
+        if bag.exists():  # of a run that was interrupted
+            shutil.rmtree(bag)
+        report(f"{point.name}: {config.duration:g} s of the loop")
+        row = {**measure(replace(point, config=config), bag), **design}
+        write_text(known, json.dumps(row, indent=1) + "\n")
+        return row
+
+
+def _asked(base: RunConfig, magnitudes: Sequence[float], rates: Sequence[float], redesign: bool) -> dict[str, Any]:
+    """What a trade depends on, as it is read from JSON."""
+    files = [Path(base.parameters)] if base.parameters else []
+    if not redesign:
+        files += RunParts(base).model_files.values()
+    found = {
+        "magnitudes": list(magnitudes),
+        "rates": list(rates),
+        "redesign": redesign,
+        "run": dataclasses.asdict(base),
+        "sha256": [hashlib.sha256(file.read_bytes()).hexdigest() for file in files],
+    }
+    return dict(json.loads(json.dumps(found, default=str)))
+
+
+def _points(
+    base: RunConfig, folder: Path, magnitudes: Sequence[float], rates: Sequence[float]
+) -> tuple[TradePoint, ...]:
+    """The points with their parameter files; ValueError: a camera that cannot be used."""
     own: dict[str, Any] = {}
     if base.parameters:
         own = load_toml(read_text(Path(base.parameters)), base.parameters)
     beside = Path(base.parameters).parent if base.parameters else Path()
-    if not all(rate > 0.0 for rate in rates):
-        raise ValueError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
-    folder.mkdir(parents=True)
     found = []
-    try:
-        for rate in rates:
-            for magnitude in magnitudes:
-                point = TradePoint(magnitude, rate, base)
-                file = folder / f"{point.name}.toml"
-                file.write_text(parameter_text(own, beside, magnitude, 1.0 / rate), "utf-8")
-                config = replace(base, parameters=str(file), camera_rate=rate)
-                check_exposure(load_parameters(file), config.frame_ticks)
-                found.append(replace(point, config=config))
-    except ValueError:
-        shutil.rmtree(folder)
-        raise
+    for rate in rates:
+        for magnitude in magnitudes:
+            point = TradePoint(magnitude, rate, base)
+            file = folder / point.name / TELESCOPE_FILE
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(parameter_text(own, beside, magnitude, 1.0 / rate), "utf-8")
+            config = replace(base, parameters=str(file), camera_rate=rate)
+            check_exposure(load_parameters(file), config.frame_ticks)
+            found.append(replace(point, config=config))
     return tuple(found)
+
+
+def _design(
+    point: TradePoint, folder: Path, seconds: float, report: Callable[[str], None], workers: Workers | None
+) -> tuple[str, list[str]]:
+    """Design both controllers into a folder, or go on with it: how that ended, and the requirements not met."""
+    from lftkit import SampledSystem
+    from los_design import redesign
+
+    def told(text: str) -> None:
+        report(f"{point.name}: {text}")
+
+    parameters = for_frames(load_parameters(str(point.config.parameters)), point.config.frame_ticks)
+    found = redesign.design_all(parameters, folder, effort=EFFORT, report=told, wall_limit=seconds, workers=workers)
+    ended = SampledSystem.from_file(folder / DESIGN_FILES["k_fsm"]).provenance["status"]
+    return str(ended), list(found.not_met)
 
 
 def parameter_text(own: Mapping[str, Any], folder: Path, magnitude: float, exposure: float) -> str:
@@ -98,41 +220,45 @@ def parameter_text(own: Mapping[str, Any], folder: Path, magnitude: float, expos
     Examples
     --------
     >>> print(parameter_text({"sensors": {"washout": 0.2}}, Path(), 12.0, 0.02), end="")
-    sensors = {washout = 0.2, camera = "image"}
-    camera = {magnitude = 12.0, exposure = 0.02}
+    [sensors]
+    washout = 0.2
+    camera = "image"
+    <BLANKLINE>
+    [camera]
+    magnitude = 12.0
+    exposure = 0.02
     """
+    import tomli_w
+
     star = {"magnitude": float(magnitude), "exposure": round(exposure, 9)}
     sensors, camera = {**own.get("sensors", {}), "camera": "image"}, {**own.get("camera", {}), **star}
-    changed = {**own, "sensors": sensors, "camera": camera}
-    return "".join(f"{key} = {_toml(value, folder)}\n" for key, value in changed.items())
+    return tomli_w.dumps(_with_whole_paths({**own, "sensors": sensors, "camera": camera}, folder))
 
 
-def _toml(value: Any, folder: Path) -> str:
-    """A value as TOML, in one line; the name of a file in the folder becomes its whole path."""
+def _with_whole_paths(value: Any, folder: Path) -> Any:
+    """A value of a parameter file; the name of a file in the folder becomes its whole path."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_toml(entry, folder)}" for key, entry in value.items()) + "}"
+        return {key: _with_whole_paths(entry, folder) for key, entry in value.items()}
     if isinstance(value, list):
-        return "[" + ", ".join(_toml(entry, folder) for entry in value) + "]"
+        return [_with_whole_paths(entry, folder) for entry in value]
     if isinstance(value, str) and value and (folder / value).is_file():
-        return json.dumps(str((folder / value).resolve()))
-    return json.dumps(value)
+        return str((folder / value).resolve())
+    return value
 
 
-def measure(point: TradePoint, folder: Path, progress: Callable[[int], None] = lambda ticks: None) -> dict[str, Any]:
-    """Run a point and evaluate it: a row of the table.
+def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
+    """Run a point and evaluate it.
 
     Parameters
     ----------
     point : TradePoint
-    folder : Path
-        Of the bag.
-    progress : callable
-        Called with the ticks done.
+    bag : Path
+        New.
 
     Returns
     -------
     dict
-        ``magnitude``, ``rate_hz``, ``noise_mas`` (bound of a frame's noise), ``frames`` and ``without_angles``, the
+        ``magnitude``, ``rate_hz``, ``noise_mas`` (of a frame, in the model), ``frames`` and ``without_angles``, the
         latter by reason, ``ape_arcsec``, ``rpe_mas`` and ``mtf_nyquist``, of which 99.7 % of the instants or exposures
         are better, ``strehl``; None for the values of a run that diverged, which ``failure`` says.
     """
@@ -141,9 +267,8 @@ def measure(point: TradePoint, folder: Path, progress: Callable[[int], None] = l
 
     noise = float(RunParts(point.config).parameters["sensors"]["camera_noise"]) / RAD_PER_MAS
     row: dict[str, Any] = {"magnitude": point.magnitude, "rate_hz": point.rate, "noise_mas": round(noise, 4)}
-    bag = folder / point.name
     try:
-        counts, failure = run_in_process(point.config, bag, progress=progress)["plant"], ""
+        counts, failure = run_in_process(point.config, bag)["plant"], ""
     except LoopDivergedError as error:
         counts, failure = {}, str(error)
     missing = {key.removeprefix("frames_"): int(n) for key, n in counts.items() if key.startswith("frames_")}
@@ -163,7 +288,7 @@ def measure(point: TradePoint, folder: Path, progress: Callable[[int], None] = l
 
 HEAD = (
     "| magnitude | frames/s | noise of a frame [mas] | frames without angles | APE [arcsec] | RPE(20 ms) [mas] "
-    "| MTF | Strehl |"
+    "| MTF | Strehl | design |"
 )
 
 
@@ -173,13 +298,15 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     def shown(value: Any, digits: int = 3) -> str:
         return "-" if value is None else f"{value:.{digits}g}"
 
-    lines = [HEAD, "|" + "---|" * 8]
+    lines = [HEAD, "|" + "---|" * 9]
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")
         share = "diverged" if row["failure"] else f"{lost} of {row['frames']}"
         values = (shown(row[key]) for key in ("ape_arcsec", "rpe_mas", "mtf_nyquist", "strehl"))
         first = f"| {row['magnitude']:g} | {row['rate_hz']:g} | {row['noise_mas']:.3g} | {share} | "
-        lines.append(first + " | ".join(values) + " |")
+        missed = f"{len(row['not_met'])} not met" if row["not_met"] else "all met"
+        design = row["design"] if row["design"] == "kept" else f"{row['design']}, {missed}"
+        lines.append(first + " | ".join(values) + f" | {design} |")
     return "\n".join(lines) + "\n"
 
 

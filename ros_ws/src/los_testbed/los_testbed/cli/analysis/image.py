@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from los_testbed.cli.analysis.camera_noise import NOISE_EXAMPLES, noise
 from los_testbed.cli.analysis.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
+from los_testbed.cli.analysis.star_trade import TRADE_EXAMPLES, trade
 from los_testbed.cli.options.options import (
     MAX_CHUNK_MB,
-    Designs,
-    ForceLawFile,
     Json,
     MaxChunk,
-    NewFolder,
-    ObserverFile,
-    Telescope,
     Transient,
-    option,
-    with_files,
 )
 from los_testbed.cli.output import number, print_json, seconds
 from los_testbed.run.summary.screen import Screen, say
@@ -57,20 +50,6 @@ a table. `.csv` is always the path. FITS needs `pip install 'los-testbed[image]'
     los-testbed image export bags/night --output path.csv
 
     los-testbed image export measured.csv --los x,y --unit mas --output path.fits --path
-"""
-
-TRADE_EXAMPLES = """Which guide stars suffice: magnitude and frame rate against APE, RPE and MTF.
-
-The camera takes images (`camera = "image"`), with the exposure as long as the time between frames. One run in one
-process for each star and rate, with the same seed. Writes trade.md, trade.json, trade.png and the bags.
-
-**Examples**
-
-    los-testbed image trade --duration 20
-
-    los-testbed image trade --magnitudes 12,14,15.5 --rates 50,25 --scenario imbalance
-
-    los-testbed image trade --parameters my_telescope.toml --designs designs/mine
 """
 
 image_app = typer.Typer(
@@ -165,60 +144,5 @@ def export(
         print_json({"output": str(output), **found.values})
 
 
-@image_app.command(help=TRADE_EXAMPLES)
-def trade(
-    magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = "10,12,14,15,15.5",
-    rates: Annotated[str, typer.Option(help="Frames per second, with commas.")] = "50,25",
-    duration: Annotated[float | None, option("duration")] = None,
-    scenario: Annotated[str | None, option("scenario")] = None,
-    loop: Annotated[str | None, option("loop")] = None,
-    seed: Annotated[int | None, option("seed")] = None,
-    k_fsm: ObserverFile = None,
-    k_pma: ForceLawFile = None,
-    designs: Designs = None,
-    parameters: Telescope = None,
-    output: NewFolder = None,
-    json_: Json = False,
-) -> None:
-    """See TRADE_EXAMPLES."""
-    import json
-
-    from lftkit.support.progress import Progress
-    from los_testbed.bags.writer import check_new_bag
-    from los_testbed.config import RunConfig
-    from los_testbed.factories import check_controllers
-    from los_testbed.run import star_trade
-    from pointing_analysis.files.atomic_output import write_text
-
-    given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}
-    stated = {name: value for name, value in given.items() if value is not None}
-    files = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    base = RunConfig.from_mapping({"mode": "inprocess", **files, **stated})
-    stars, each = _numbers("--magnitudes", magnitudes), _numbers("--rates", rates)
-    folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-trade"
-    check_new_bag(folder)
-    check_controllers(base)
-    points = star_trade.points(base, folder, stars, each)
-    with Progress("trade") as bar:
-
-        def told(done: int, what: str, ticks: int) -> None:
-            bar.report(done * base.ticks + ticks, len(points) * base.ticks, what=f"{what} [ticks]")
-
-        rows = [star_trade.measure(point, folder, partial(told, i, point.name)) for i, point in enumerate(points)]
-    table, console = star_trade.markdown(rows), Screen(stderr=json_)
-    say(console, table)
-    write_text(folder / "trade.md", table)
-    write_text(folder / "trade.json", json.dumps(rows, indent=1) + "\n")
-    star_trade.draw(rows, folder / "trade.png")
-    for name in ("trade.md", "trade.json", "trade.png"):
-        say(console, str(folder / name))
-    if json_:
-        print_json({"trade": rows})
-
-
-def _numbers(name: str, text: str) -> tuple[float, ...]:
-    """Numbers with commas between them."""
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"{name} must be numbers with commas between them, got {text!r}") from None
+image_app.command("noise", help=NOISE_EXAMPLES)(noise)
+image_app.command("trade", help=TRADE_EXAMPLES)(trade)

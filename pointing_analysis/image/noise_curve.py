@@ -1,0 +1,199 @@
+"""Measured noise of a guide camera over the magnitude of its star, from many frames, as a file.
+
+A file (JSON) holds where it is from (``command``, ``commit``, ``seed``, ``frames``) and ``curves``, each with its
+``detector``: all that the noise depends on beside the magnitude. Between the measured magnitudes the ratio of noise and
+bound of Cramer and Rao is interpolated linearly, and the bound is that of the magnitude itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pointing_analysis.arrays import FloatArray
+from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_json, read_text
+from pointing_analysis.image.centroid import centroid, noise_equivalent_angle
+from pointing_analysis.image.guide_camera import GuideCamera
+from pointing_analysis.image.star_camera import StarCamera
+from pointing_analysis.units import RAD_PER_MAS
+
+NOT_OF_THE_NOISE = ("magnitude", "readout_delay")
+"""Values of a camera that a curve is not tied to."""
+KEPT = 0.5
+"""Part of the frames that must have angles: of fainter stars there is no noise to be had."""
+COLUMNS = ("magnitude", "noise_mas", "bound_mas", "without_angles")
+
+
+def detector_of(camera: StarCamera) -> dict[str, Any]:
+    """What the noise of a camera depends on beside the magnitude; equal for cameras of equal noise.
+
+    Examples
+    --------
+    >>> from pointing_analysis.image.optics import Optics
+    >>> optics = Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3)
+    >>> one, two, three = (StarCamera(optics, GuideCamera(m, dark=d)) for m, d in ((12.0, 10.0), (14.0, 10.0), (14, 0)))
+    >>> detector_of(one) == detector_of(two), detector_of(two) == detector_of(three)
+    (True, False)
+    """
+    optics, star = camera.optics, camera.camera
+    pupil = hashlib.sha256(optics.pupil_file).hexdigest() if optics.pupil_file else ""
+    lens = {"wavelength": optics.wavelength, "pixel": optics.pixel, "diameter": optics.diameter}
+    lens |= {"obscuration": optics.obscuration, "vanes": optics.vanes, "vane_width": optics.vane_width}
+    names = (entry.name for entry in fields(GuideCamera) if entry.name not in NOT_OF_THE_NOISE)
+    values = {name: getattr(star, name) for name in names}
+    return {**lens, "pupil_sha256": pupil, **values, "second_offset": list(star.second_offset)}
+
+
+@dataclass(frozen=True)
+class NoisePoint:
+    """Angles of many frames of one star.
+
+    Parameters
+    ----------
+    magnitude : float
+    noise : float
+        Rms of their error over both axes [rad], of the frames with angles; NaN where none has some.
+    bound : float
+        Of Cramer and Rao [rad].
+    without : float
+        Part of the frames without angles.
+    """
+
+    magnitude: float
+    noise: float
+    bound: float
+    without: float
+
+
+def measure(camera: StarCamera, frames: int, seed: int) -> NoisePoint:
+    """Centroids of a star at rest in as many frames as asked for, anywhere within the pixel in the middle.
+
+    Parameters
+    ----------
+    camera : StarCamera
+    frames, seed : int
+        The random numbers of a magnitude do not depend on which others are measured.
+
+    Examples
+    --------
+    >>> from pointing_analysis.image.optics import Optics
+    >>> point = measure(StarCamera(Optics(550e-9, 38 * RAD_PER_MAS, 1.5, 0.3), GuideCamera(12.0)), 100, seed=1)
+    >>> 0.85 < point.noise / point.bound < 1.15, point.without
+    (True, 0.0)
+    """
+    star = camera.camera
+    key = round(1e6 * (star.magnitude + 100.0)), round(1e9 * star.exposure)
+    rng, errors = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)), []
+    for _ in range(frames):
+        place = camera.optics.pixel * rng.uniform(-0.5, 0.5, 2)
+        found = centroid(camera.read_out(camera.expected(np.tile(place, (2, 1))), rng), camera)
+        if not found.reason:
+            errors.append(found.place - place)
+    noise = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
+    return NoisePoint(star.magnitude, noise, noise_equivalent_angle(camera), 1.0 - len(errors) / frames)
+
+
+def at_magnitude(camera: StarCamera, magnitude: float) -> StarCamera:
+    """The camera with another guide star."""
+    return StarCamera(camera.optics, replace(camera.camera, magnitude=magnitude))
+
+
+@dataclass(frozen=True)
+class NoiseCurve:
+    """Noise of a detector over the magnitude.
+
+    Parameters
+    ----------
+    detector : mapping
+        Of :func:`detector_of`.
+    magnitude, noise, bound, without : ndarray, shape (n,)
+        The first increasing; [rad]; see :class:`NoisePoint`.
+    """
+
+    detector: Mapping[str, Any]
+    magnitude: FloatArray
+    noise: FloatArray
+    bound: FloatArray
+    without: FloatArray
+
+    @classmethod
+    def of(cls, camera: StarCamera, points: Sequence[NoisePoint]) -> NoiseCurve:
+        """From measured points; those of stars that too many frames do not see are left out.
+
+        Raises
+        ------
+        ValueError
+            Fewer than two are left.
+        """
+        kept = sorted((p for p in points if p.without <= 1.0 - KEPT), key=lambda p: p.magnitude)
+        if len(kept) < 2:
+            raise ValueError(f"magnitudes must have two stars that half of the frames see, got {len(kept)}")
+        columns = (np.array([getattr(p, name) for p in kept]) for name in ("magnitude", "noise", "bound", "without"))
+        return cls(detector_of(camera), *columns)
+
+    def covers(self, magnitude: float) -> bool:
+        """Whether the magnitude is between measured ones."""
+        return bool(self.magnitude[0] <= magnitude <= self.magnitude[-1])
+
+    def at(self, camera: StarCamera) -> float:
+        """Noise of an angle of a frame [rad] for the guide star of a camera with this detector."""
+        ratio = np.interp(camera.camera.magnitude, self.magnitude, self.noise / self.bound)
+        return float(ratio) * noise_equivalent_angle(camera)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For a file."""
+        scaled = (self.magnitude, self.noise / RAD_PER_MAS, self.bound / RAD_PER_MAS, self.without)
+        table = {name: [float(f"{x:.7g}") for x in values] for name, values in zip(COLUMNS, scaled)}
+        return {"detector": dict(self.detector), **table}
+
+
+def to_text(curves: Sequence[NoiseCurve], provenance: Mapping[str, Any]) -> str:
+    """Content of a file."""
+    return json.dumps({**provenance, "curves": [curve.to_mapping() for curve in curves]}, indent=1) + "\n"
+
+
+def load_curves(path: Path) -> tuple[NoiseCurve, ...]:
+    """Read a file.
+
+    Raises
+    ------
+    ValueError
+        It cannot be read or holds no curves, one line.
+    """
+    try:
+        content = load_json(read_text(path), path)
+        return tuple(_curve(entry) for entry in content["curves"])
+    except StructuredTextError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} must hold curves of `los-testbed image noise`, got {_what(error)}") from None
+
+
+def _what(error: Exception) -> str:
+    return f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+
+
+def _curve(entry: Mapping[str, Any]) -> NoiseCurve:
+    """A curve of a file; KeyError, TypeError or ValueError: it is none."""
+    columns = [entry[name] for name in COLUMNS]
+    if not all(isinstance(column, list) and all(map(is_number, column)) for column in columns):
+        raise ValueError(f"something else than numbers in {', '.join(COLUMNS)}")
+    if len({len(column) for column in columns}) != 1 or len(columns[0]) < 2:
+        raise ValueError("columns of different length, or fewer than two magnitudes")
+    magnitude, noise, bound, without = (np.array(column, dtype=float) for column in columns)
+    if any(b <= a for a, b in pairwise(magnitude)) or not (noise > 0.0).all() or not (bound > 0.0).all():
+        raise ValueError("magnitudes that do not increase, or a noise that is not positive")
+    return NoiseCurve(dict(entry["detector"]), magnitude, noise * RAD_PER_MAS, bound * RAD_PER_MAS, without)
+
+
+def curve_for(camera: StarCamera, curves: Sequence[NoiseCurve]) -> NoiseCurve | None:
+    """The curve of the detector of a camera; None where there is none."""
+    detector = detector_of(camera)
+    return next((curve for curve in curves if curve.detector == detector), None)

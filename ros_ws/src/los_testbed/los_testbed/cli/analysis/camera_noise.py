@@ -1,0 +1,130 @@
+"""Command ``los-testbed image noise``: the noise of a guide camera over the magnitude, from many frames."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from los_testbed.cli.options.options import Json, Telescope
+from los_testbed.cli.output import number, numbers, print_json
+from los_testbed.run.summary.screen import Screen, say
+
+if TYPE_CHECKING:
+    from pointing_analysis.image.noise_curve import NoisePoint
+    from pointing_analysis.image.star_camera import StarCamera
+
+NOISE_EXAMPLES = """Measure the noise of the guide camera over the magnitude of its star.
+
+Makes many frames of a star at rest, anywhere within a pixel, and finds the star in each. The file holds the curve with
+the detector it is of; a parameter file names it by `camera.noise_curve`, and the camera of the loop then has the noise
+of its star's magnitude. Stars that half of the frames do not see are left out.
+
+**Examples**
+
+    los-testbed image noise --output noise.json
+
+    los-testbed image noise --parameters my_telescope.toml --magnitudes 10,12,14 --frames 2000 --output noise.json
+
+    los-testbed image noise --exposures 0.02,0.04 --seed 2 --output noise.json      # a curve for each exposure
+"""
+
+MAGNITUDES = ",".join(f"{0.5 * k:g}" for k in range(14, 33))
+HEAD = "| exposure [ms] | magnitude | noise [mas] | bound of Cramer and Rao [mas] | frames without angles |"
+
+
+def noise(
+    output: Annotated[Path, typer.Option(help="File to write, JSON.")],
+    magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = MAGNITUDES,
+    exposures: Annotated[str | None, typer.Option(help="[s], with commas; default: that of the telescope.")] = None,
+    frames: Annotated[int, typer.Option(help="Of each star.")] = 10_000,
+    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 1,
+    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; no curve is written beyond it.")] = 3600.0,
+    parameters: Telescope = None,
+    json_: Json = False,
+) -> None:
+    """See NOISE_EXAMPLES."""
+    from los_design.synthesis.provenance import commit
+    from pointing_analysis.files.atomic_output import check_output, write_text
+    from pointing_analysis.image.noise_curve import NoiseCurve, to_text
+
+    number("--frames", frames, 10, 10_000_000)
+    number("--seed", seed, 0, 2**31 - 1)
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    check_output(output, "--output")
+    chosen = None if exposures is None else numbers("--exposures", exposures)
+    cameras = _cameras(parameters, sorted(set(numbers("--magnitudes", magnitudes))), chosen)
+    measured = _measured(cameras, frames, seed, time_limit)
+    curves = [NoiseCurve.of(row[0], points) for row, points in zip(cameras, measured)]
+    told = ("" if parameters is None else f" --parameters {parameters.name}") + (
+        "" if exposures is None else f" --exposures {exposures}"
+    )
+    provenance = {
+        "command": f"los-testbed image noise --magnitudes {magnitudes}{told} --frames {frames} --seed {seed}",
+        "commit": commit(),
+        "seed": seed,
+        "frames": frames,
+    }
+    write_text(output, to_text(curves, provenance))
+    console = Screen(stderr=json_)
+    say(console, _table(cameras, measured))
+    say(console, str(output))
+    if json_:
+        print_json({"output": str(output), **provenance, "curves": [curve.to_mapping() for curve in curves]})
+
+
+def _cameras(
+    parameters: Path | None, magnitudes: list[float], exposures: tuple[float, ...] | None
+) -> list[list[StarCamera]]:
+    """A row for each exposure, with a camera for each magnitude.
+
+    Raises
+    ------
+    ValueError
+        A file, a magnitude or an exposure that cannot be used; one magnitude alone.
+    """
+    from titop_plant.telescope.guide_camera import TABLE, star_camera
+    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+
+    if len(magnitudes) < 2:
+        raise ValueError(f"--magnitudes must be two or more, got {len(magnitudes)}")
+    file = parameters or REFERENCE
+    known = load_parameters(file)
+    table = known[TABLE]
+    return [
+        [star_camera({**known, TABLE: {**table, "magnitude": m, "exposure": t}}, str(file)) for m in magnitudes]
+        for t in exposures or (table["exposure"],)
+    ]
+
+
+def _measured(cameras: list[list[StarCamera]], frames: int, seed: int, time_limit: float) -> list[list[NoisePoint]]:
+    from lftkit.support.progress import Progress
+    from lftkit.support.threads import one_thread
+    from pointing_analysis.image.noise_curve import measure
+
+    end, done, total = time.monotonic() + time_limit, 0, sum(map(len, cameras))
+    found: list[list[NoisePoint]] = []
+    with one_thread(), Progress("noise [stars]") as bar:
+        for row in cameras:
+            found.append([])
+            for camera in row:
+                if time.monotonic() > end:
+                    raise ValueError(f"--time-limit must be enough for {total} stars, got {time_limit:g} s for {done}")
+                found[-1].append(measure(camera, frames, seed))
+                done += 1
+                bar.report(done, total)
+    return found
+
+
+def _table(cameras: list[list[StarCamera]], measured: list[list[NoisePoint]]) -> str:
+    from pointing_analysis.units import RAD_PER_MAS
+
+    lines = [HEAD, "|" + "---|" * 5]
+    for row, points in zip(cameras, measured):
+        for camera, p in zip(row, points):
+            noise, bound = (f"{x / RAD_PER_MAS:.3g}" for x in (p.noise, p.bound))
+            exposure = 1e3 * camera.camera.exposure
+            lines.append(f"| {exposure:g} | {p.magnitude:g} | {noise} | {bound} | {100.0 * p.without:.3g} % |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,118 @@
+"""Command ``los-testbed image trade``: guide star and frame rate against pointing, with redesigned controllers."""
+
+from __future__ import annotations
+
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from los_testbed.cli.options.cluster_options import Cluster, WorkersOption
+from los_testbed.cli.options.options import (
+    Designs,
+    ForceLawFile,
+    Json,
+    NewFolder,
+    ObserverFile,
+    Telescope,
+    option,
+    with_files,
+)
+from los_testbed.cli.output import number, numbers, print_json
+from los_testbed.run.summary.screen import Screen, say
+
+if TYPE_CHECKING:
+    from los_testbed.run.star_trade import Trade
+
+TRADE_EXAMPLES = """Which guide stars suffice: magnitude and frame rate against APE, RPE and MTF.
+
+The camera takes images (`camera = "image"`), with the exposure as long as the time between frames. For each star and
+rate both controllers are designed, as `design all --effort short` does it, and one run is made in one process with the
+same seed. `--keep-controllers`, or files of controllers, leave the designs out. Writes trade.md, trade.json, trade.png,
+and a folder with parameter file, designs and bag of each. Run the same command again to go on after an interrupt or
+the time limit; the exit code is 1 if that ended it.
+
+**Examples**
+
+    los-testbed image trade --duration 20 --output trade
+
+    los-testbed image trade --magnitudes 12,14,15.5 --rates 50,25 --scenario imbalance --time-limit 1800 --output trade
+
+    los-testbed image trade --keep-controllers
+
+    los-testbed image trade --parameters my_telescope.toml --designs designs/mine
+"""
+
+UNFINISHED = 1
+"""Exit code where the wall limit ended the trade."""
+
+
+def trade(
+    magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = "10,12,14,15,15.5",
+    rates: Annotated[str, typer.Option(help="Frames per second, with commas.")] = "50,25",
+    duration: Annotated[float | None, option("duration")] = None,
+    scenario: Annotated[str | None, option("scenario")] = None,
+    loop: Annotated[str | None, option("loop")] = None,
+    seed: Annotated[int | None, option("seed")] = None,
+    keep: Annotated[bool, typer.Option("--keep-controllers", help="Design nothing: the stored controllers.")] = False,
+    k_fsm: ObserverFile = None,
+    k_pma: ForceLawFile = None,
+    designs: Designs = None,
+    parameters: Telescope = None,
+    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 7200.0,
+    workers: WorkersOption = 0,
+    output: NewFolder = None,
+    json_: Json = False,
+) -> None:
+    """See TRADE_EXAMPLES."""
+    import json
+
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import RunParts
+    from los_testbed.run import star_trade
+    from pointing_analysis.files.atomic_output import write_text
+
+    number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    cluster = Cluster.of(workers, "", None, None, None)
+    given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}
+    stated = {name: value for name, value in given.items() if value is not None}
+    files = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
+    base = RunConfig.from_mapping({"mode": "inprocess", **files, **stated})
+    stars, each = numbers("--magnitudes", magnitudes), numbers("--rates", rates)
+    folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-trade"
+    RunParts(base).check()
+    redesign = not (keep or base.k_fsm or base.k_pma)
+    found = star_trade.Trade.begin(base, folder, stars, each, redesign)
+    rows, finished = _rows(found, cluster, time_limit)
+    console = Screen(stderr=json_)
+    if rows:
+        table = star_trade.markdown(rows)
+        say(console, table)
+        write_text(folder / "trade.md", table)
+        write_text(folder / "trade.json", json.dumps(rows, indent=1) + "\n")
+        star_trade.draw(rows, folder / "trade.png")
+        for name in ("trade.md", "trade.json", "trade.png"):
+            say(console, str(folder / name))
+    if json_:
+        print_json({"trade": rows, "finished": finished})
+    if not finished:
+        say(console, f"ended by the time limit after {len(rows)} of {len(found.points)}: run it again to go on", "note")
+        raise typer.Exit(UNFINISHED)
+
+
+def _rows(trade: Trade, cluster: Cluster, time_limit: float) -> tuple[list[dict[str, Any]], bool]:
+    """Rows of the table, and whether all are there."""
+    from lftkit.support.progress import Progress
+
+    end = time.monotonic() + time_limit
+    rows: list[dict[str, Any]] = []
+    with cluster.workers() as pool, Progress("trade [stars]") as bar:
+        for done, point in enumerate(trade.points):
+            bar.report(done, len(trade.points), what=point.name)
+            row = trade.row(point, end - time.monotonic(), bar.print, pool)
+            if row is None:
+                return rows, False
+            rows.append(row)
+    return rows, True
