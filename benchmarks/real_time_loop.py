@@ -161,7 +161,7 @@ def figures(results: Results, cpu: dict[str, float]) -> dict[str, Any]:
     def quantiles(name: str) -> dict[str, float]:
         return {key: float(plant[f"{name}_{key}_us"]) for key in ("median", "p99", "p999", "max")}
 
-    ticks, missed, skipped = (int(plant[name]) for name in ("ticks", "missed_ticks", "skipped_periods"))
+    ticks, missed, skipped = (int(plant.get(name, "0")) for name in ("ticks", "missed_ticks", "skipped_periods"))
     return {
         "ticks": ticks,
         "missed_ticks": missed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pointing_analysis.read.mapped_arrays import by_parts, common_rows, empty, p
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.topic import on_grid, read_only
+from pointing_analysis.read.unsent import unsent
 from pointing_analysis.units import RAD_PER_ARCSEC as RAD_PER_ARCSEC
 from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 
@@ -21,6 +22,7 @@ from pointing_analysis.units import RAD_PER_MAS as RAD_PER_MAS
 SETTLING = 5.0
 LARGEST = 1e60
 """[rad] Sums of fourth powers of larger values are not finite; they are no angles."""
+CAMERA = "camera/los"
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 
 
@@ -35,6 +37,8 @@ class ErrorSeries:
     start : time of the first row after the first sample of the run [s]: the transient that was dropped
     missing : samples missing
     open_end : whether the recording was cut off and nothing says how many samples are missing at its end
+    never_sent : whether all that are missing were never sent (`pointing_analysis.read.unsent`), so that windows with
+        one are left out of a verdict and do not count against it
     """
 
     values: FloatArray
@@ -42,6 +46,7 @@ class ErrorSeries:
     start: float
     missing: int
     open_end: bool = False
+    never_sent: bool = False
 
     @property
     def time(self) -> FloatArray:
@@ -95,8 +100,15 @@ def _drop(values: FloatArray, dt: float, transient: float, path: object, open_en
     return ErrorSeries(read_only(rest), dt, first * dt, missing, open_end)
 
 
+def on_camera(run: Recording) -> bool:
+    """Whether a recording of a device has no true line of sight, so that the camera's has to stand for it."""
+    if not run.parameters.get("device") or CAMERA not in run:
+        return False
+    return "truth/los" not in run or not len(run["truth/los"])
+
+
 def performance_error(run: Recording, transient: float | None = None) -> ErrorSeries:
-    """True controlled line of sight minus its target, which is zero.
+    """True controlled line of sight minus its target, which is zero; that of the camera where :func:`on_camera`.
 
     **Sign: error = actual minus target.**
 
@@ -110,10 +122,15 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
     BagError
         No truth topic, only transient, or a time axis that is not uniform.
     """
+    if on_camera(run):
+        values, dt = on_grid(run[CAMERA])
+        return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")
     values, dt = on_grid(run["truth/los"])
-    return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run["truth/los"].open_end)
+    truth = run["truth/los"]
+    series = _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, truth.open_end)
+    return replace(series, never_sent=0 < truth.integrity.missing <= unsent(run, "truth/los"))
 
 
 def knowledge_error(run: Recording, transient: float | None = None) -> ErrorSeries:

@@ -29,6 +29,7 @@ from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.series import SAMPLING
+from pointing_analysis.read.unsent import unsent
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
@@ -301,11 +302,12 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if len(topic) and topic.period > 0:
             after = round(topic.lost_after * topic.period * 1e9)
             stamps[name] = (topic.grid_start, int(topic.stamp[-1]) + after, topic.period)
-        lost[name] = state.missing + ends + (state.nan if name not in cameras else 0)
+        missing = state.missing - min(state.missing, unsent(run, name))
+        lost[name] = missing + ends + (state.nan if name not in cameras else 0)
         if topic.open_end:
             problems.append(f"{shown}: the recording was cut off, how many samples are missing at its end is not known")
         for count, what in (
-            (state.missing, f"samples missing in {len(state.gaps)} gaps"),
+            (missing, f"samples missing in {len(state.gaps)} gaps"),
             (ends, "samples missing before the first one and after the last one"),
             (state.duplicates, "stamps twice"),
             (state.conflicts, "stamps with two different values (two publishers?)"),

@@ -174,12 +174,12 @@ def index_samples(
         if optics is None:
             raise ValueError(NONE_KNOWN)
         found, gone = image_samples(series, requirement, optics)
-        return found, math.inf, math.inf if series.open_end else float(gone)
+        return found, math.inf, math.inf if series.open_end else 0.0 if series.never_sent else float(gone)
     values, cap = _index(series.values, series.dt, requirement)
     there = present(values)
     if series.open_end:
         return there, cap, math.inf
-    if not series.missing:
+    if not series.missing or series.never_sent:
         return there, cap, 0.0
     whole, _ = _index(by_parts(np.zeros_like, series.values), series.dt, requirement)
     return there, cap, float(len(whole) - len(there))

@@ -123,9 +123,8 @@ def test_what_is_left_of_a_run_may_be_too_short_to_be_evaluated(tmp_path, monkey
     """That is said; a mistake of the user it is not, since the work is done."""
     done = run_command.execute
 
-    def execute(config, nodes):
-        bag, _ = done(config, nodes)
-        return bag, Results(bag=bag, **left)
+    def execute(parts, nodes):
+        return Results(bag=done(parts, nodes).bag, **left)
 
     monkeypatch.setattr(run_command, "execute", execute)
     options = ["--mode=inprocess", "--duration=0.5", "--start=rest", "--no-report", f"--output={tmp_path / 'bag'}"]

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
+from los_testbed.loop.slow_sensor import SlowSensor, frames_in_words
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 
 from pointing_analysis.read.messages.message_types import VECTOR3
@@ -244,3 +245,87 @@ def test_a_negative_stamp_is_refused():
     before_the_epoch = sample(5 * MS, 1.0)[:4] + (-1).to_bytes(4, "little", signed=True) + sample(5 * MS, 1.0)[8:]
     assert synchronizer.put(0, before_the_epoch) is None
     assert sum(synchronizer.rejected.values()) == 1 and not synchronizer.waiting
+
+
+def own_time(old="correct", latency_ms=0, every=20):
+    """Synchronizer of a run in real time whose camera (part 1) sees 0.1 of the gauge (part 2)."""
+    camera = SlowSensor("camera", slice(2, 4), every * MS, latency_ms * MS, old, slice(4, 6), 0.1)
+    codec = Codec(VECTOR3, 2, "f")
+    parts = [TickPart(codec, slice(0, 2)), TickPart(codec, slice(2, 4), every, True), TickPart(codec, slice(4, 6))]
+    return StampSynchronizer(parts, 6, {1: camera}), camera
+
+
+def tick(synchronizer, number, gauge=0.0, offset=0):
+    synchronizer.put(0, sample(number * MS + offset, 1.0))
+    return synchronizer.put(2, sample(number * MS + offset, gauge))
+
+
+def test_no_tick_waits_for_a_slow_sensor_and_its_frame_is_used_when_it_comes():
+    synchronizer, camera = own_time(latency_ms=7)
+    for k in range(40, 47):
+        assert np.isnan(tick(synchronizer, k)[2:4]).all()
+    assert synchronizer.put(1, sample(40 * MS, 5.0)) is None
+    assert tick(synchronizer, 47)[2:4].tolist() == [5.0, -5.0]
+    assert np.isnan(tick(synchronizer, 48)[2:4]).all(), "a frame is one sample"
+    statistics = camera.statistics()
+    assert (statistics["frames_camera_old"], statistics["frames_camera_age_max_ms"]) == ("1", "7")
+    assert "frames_camera_late" not in statistics, "its latency is known"
+
+
+@pytest.mark.parametrize(("old", "seen"), [("use", 5.0), ("correct", 5.0 + 0.1 * (3.0 - 1.0)), ("drop", np.nan)])
+def test_what_is_done_with_an_old_frame_is_a_choice(old, seen):
+    synchronizer, camera = own_time(old)
+    assert tick(synchronizer, 40, gauge=1.0) is not None
+    tick(synchronizer, 41, gauge=2.0)
+    synchronizer.put(1, sample(40 * MS, 5.0))
+    assert tick(synchronizer, 42, gauge=3.0)[2] == pytest.approx(seen, nan_ok=True)
+    assert camera.counts["late"] == 1
+
+
+def test_irregular_frames_are_counted_by_name_and_said_in_words():
+    synchronizer, camera = own_time()
+    for k in range(20, 501):
+        if k in (20, 40, 80, 107, 460):  # 60 is absent, 107 comes 7 ms after its phase, then nothing until 460
+            synchronizer.put(1, sample(k * MS, float(k)))
+        if k == 110:
+            synchronizer.put(1, sample(150 * MS, 1.0))
+        if k == 470:
+            synchronizer.put(1, sample(440 * MS, 1.0))
+        tick(synchronizer, k)
+        if k == 440:
+            assert synchronizer.silent() == [(1, 290 * MS)]
+    assert {name: camera.counts[name] for name in ("early", "off_phase", "out_of_order")} == {
+        "early": 1,
+        "off_phase": 2,
+        "out_of_order": 1,
+    }
+    (line,) = frames_in_words(camera.statistics())
+    assert line == (
+        "camera: 19 frames absent, 1 frames early, 2 frames off phase, 1 frames out of order, silent for 0.31 s"
+    )
+
+
+def test_a_frame_whose_tick_lacks_other_samples_is_used_at_the_next_tick():
+    synchronizer, _ = own_time()
+    tick(synchronizer, 39)
+    synchronizer.put(1, sample(40 * MS, 5.0))
+    synchronizer.put(0, sample(40 * MS, 1.0))  # the gauge is lost
+    assert tick(synchronizer, 41)[2:4].tolist() == [5.0, -5.0]
+
+
+@pytest.mark.parametrize("offset", [-300_000, 300_000, 499_000])
+def test_stamps_of_acquisition_beside_the_grid_count_for_their_tick(offset):
+    synchronizer, _ = own_time()
+    rng = np.random.default_rng(1)
+    for k in range(40, 90):
+        assert tick(synchronizer, k, offset=offset + (k > 40) * int(rng.integers(-90_000, 90_000))) is not None
+        assert synchronizer.stamp == k * MS
+    assert synchronizer.gaps == 0 and synchronizer.off_grid[0] == 50 and not synchronizer.rejected
+
+
+def test_a_silent_sensor_is_named():
+    synchronizer, _ = own_time()
+    tick(synchronizer, 40)
+    for k in range(41, 440):
+        synchronizer.put(0, sample(k * MS, 1.0))
+    assert synchronizer.silent() == [(2, 399 * MS)]

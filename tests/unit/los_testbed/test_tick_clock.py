@@ -81,6 +81,20 @@ def test_whole_periods_lost_are_counted_and_later_ones_are_not_shortened(steady,
     assert second - first >= 2 * MS * (1 + skipped)
 
 
+def test_periods_given_up_leave_the_grid_where_it_is(steady):
+    clock, start = TickClock(2 * MS), steady.now + 1 * MS
+    clock.begin(start)
+    clock.wait()
+    assert clock.present() == 0
+    steady.now = start + 9 * MS  # period 4 is under way; the deadline of period 1 was next
+    assert clock.present() == 4
+    clock.resume_at(5)
+    assert clock.skipped == 4
+    assert 0 <= clock.wait() <= 1000
+    assert start + 10 * MS <= steady.now <= start + 10 * MS + 2000
+    assert clock.present() == 5
+
+
 def test_the_real_clock_never_ends_a_wait_early():
     import time
 

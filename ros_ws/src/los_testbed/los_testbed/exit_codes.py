@@ -16,6 +16,7 @@ class ExitCode(IntEnum):
     RESTARTED = 3
     MISSED_TICKS = 4
     CONTRADICTION = 5
+    DEVICE = 6
     INTERRUPTED = 130
 
 
@@ -27,6 +28,7 @@ MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.RESTARTED: "finished, but a node died and was restarted, or a topic had a second publisher",
         ExitCode.MISSED_TICKS: "finished, but more ticks were missed than `--max-missed` permits",
         ExitCode.CONTRADICTION: "finished, but a bag contradicts its own digests",
+        ExitCode.DEVICE: "a device failed or fell silent: mirror and forces were brought to zero",
         ExitCode.INTERRUPTED: "interrupted by SIGINT, SIGTERM or SIGHUP",
     }
 )
@@ -36,6 +38,7 @@ COMMANDS: Mapping[ExitCode, str] = MappingProxyType(
     {
         ExitCode.RESTARTED: "`run`",
         ExitCode.MISSED_TICKS: "`run`",
+        ExitCode.DEVICE: "`run`",
         ExitCode.CONTRADICTION: "`analyse`, `report`, `replay`, `bag`",
     }
 )

@@ -22,6 +22,7 @@ from los_testbed.config import RunConfig, is_code, is_library
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
         "plant": "los_testbed.plants",
+        "device": "los_testbed.devices",
         "disturbance_source": "los_testbed.disturbances",
         "k_fsm": "los_testbed.k_fsm",
         "k_pma": "los_testbed.k_pma",

@@ -139,5 +139,9 @@ REPORT_DEADLINE_S = 3.0
 LATE_REPORTS, LIVELINESS_LOST = "late_reports_", "liveliness_lost_"
 """Names of these counts in the statistics of the recorder, with the node behind."""
 
+UNSENT_TICKS = "ticks"
+"""What is behind :data:`~pointing_analysis.read.unsent.UNSENT` in the plant's count of lost periods between samples; of
+a topic that does not come at every tick its name is."""
+
 PROGRESS_TOPIC = "recorder/progress"
 """Header whose stamp is the newest tick the recorder has of every topic (0: ready, nothing yet)."""

@@ -75,6 +75,19 @@ def stamp_of(data: bytes | bytearray) -> int:
     return int(seconds) * NS_PER_S + int(rest)
 
 
+def with_stamp(data: bytes, stamp: int) -> bytes:
+    """A message that begins with a header, with another stamp [ns].
+
+    Examples
+    --------
+    >>> stamp_of(with_stamp(bytes(12), 1_002_000_000))
+    1002000000
+    """
+    changed = bytearray(data)
+    STAMP.pack_into(changed, STAMP_OFFSET, *divmod(stamp, NS_PER_S))
+    return bytes(changed)
+
+
 def codec_for(topic: TopicDefinition) -> Codec:
     """Codec of a row of the table of topics."""
     return Codec(topic.type_name, topic.size, topic.frame_id)

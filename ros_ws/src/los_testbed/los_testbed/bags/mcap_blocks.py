@@ -257,10 +257,6 @@ class McapBlockWriter:
         self._file.write(MAGIC)
         self._file.close()
 
-    def abandon(self) -> None:
-        """Close the file as it is."""
-        self._file.close()
-
     def _write_summary(self) -> None:
         statistics = Statistics(
             attachment_count=len(self._attachments),

@@ -27,7 +27,7 @@ from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.guide_camera import IMAGE_OPTICS, TABLE
+from titop_plant.telescope.guide_camera import IMAGE_OPTICS, NOISE_CURVE, TABLE
 from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
 from titop_plant.telescope.sensors import noise_of_samples
 
@@ -93,7 +93,10 @@ def optics_of(parts: RunParts) -> dict[str, str]:
 
 def _camera(parts: RunParts) -> dict[str, str]:
     """Table of a camera that takes images, under ``camera``; nothing of others."""
-    return {} if parts.star_camera is None else {TABLE: json.dumps(dict(parts.parameters[TABLE]))}
+    if parts.star_camera is None:
+        return {}
+    table = parts.parameters[TABLE]
+    return {TABLE: json.dumps({**table, NOISE_CURVE: Path(table[NOISE_CURVE]).name})}
 
 
 def _sources(parts: RunParts) -> dict[str, str]:
@@ -118,7 +121,7 @@ def proof_of(parts: RunParts) -> dict[str, str]:
     from los_design.verification.subject import Subject
 
     found = None
-    if not (parts.code or config.plant) and config.frame_ticks == RunConfig().frame_ticks:
+    if not (parts.code or config.other_plant) and config.frame_ticks == RunConfig().frame_ticks:
         folders = {path.parent for path in parts.files.values()}
         folder = folders.pop() if len(folders) == 1 else None
         found = statement_of(

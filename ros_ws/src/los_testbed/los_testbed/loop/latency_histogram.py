@@ -17,8 +17,8 @@ class LatencyHistogram:
     >>> durations = LatencyHistogram()
     >>> for microseconds in (100, 200, 300):
     ...     durations.add(microseconds * 1000)
-    >>> durations.quantile_us(0.5), durations.maximum_us
-    (200.0, 300.0)
+    >>> durations.quantiles_us((0.5, 0.9)), durations.maximum_us
+    ([200.0, 300.0], 300.0)
     """
 
     CELLS = 20_000
@@ -69,12 +69,8 @@ class LatencyHistogram:
         """Mean [us]; NaN without data."""
         return self.total_ns / self.count / 1000 if self.count else float("nan")
 
-    def quantile_us(self, probability: float) -> float:
-        """Smallest cell that at least this share of the durations does not exceed [us]; NaN without data."""
-        return self.quantiles_us((probability,))[0]
-
     def quantiles_us(self, probabilities: Sequence[float]) -> list[float]:
-        """Quantiles as :meth:`quantile_us`, in one pass over the cells up to the longest duration."""
+        """For each probability the smallest cell that this share of the durations does not exceed [us], or NaN."""
         if not self.count:
             return [float("nan")] * len(probabilities)
         last = min(self.maximum_ns // 1000, self.CELLS - 1)

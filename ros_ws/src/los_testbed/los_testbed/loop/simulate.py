@@ -228,16 +228,25 @@ def run_in_process(
         Plant, observer or controller raised an exception; the bag holds the run up to there and says so, and there is
         none if it failed at the first tick.
     """
-    name = {}
-    if plant is not None:  # what is steady is known of the telescope only
-        check_plant(plant)
-        config = at_rest(config)
-        name = {"plant": config.plant or f"{type(plant).__module__}:{type(plant).__qualname__}"}
-    parts = RunParts(config)
-    estimator, controller = parts.estimator(), parts.controller()
-    start = parts.start if plant is None else AT_REST
     if plant is None:
-        plant = parts.plant()
+        return record(RunParts(config), bag_path, progress)
+    check_plant(plant)
+    return record(RunParts(at_rest(config)), bag_path, progress, plant)  # what is steady is known of the telescope only
+
+
+def record(
+    parts: RunParts,
+    bag_path: Path,
+    progress: Callable[[int], None] = lambda ticks: None,
+    own: Plant | None = None,
+) -> dict[str, dict[str, str]]:
+    """Simulate and record what a run is made of, as :func:`run_in_process`; `own` stands for the plant of `parts`."""
+    estimator, controller = parts.estimator(), parts.controller()
+    if own is None:
+        plant, start, name = parts.plant(), parts.start, {}
+    else:
+        plant, start = own, AT_REST
+        name = {"plant": parts.config.plant or f"{type(own).__module__}:{type(own).__qualname__}"}
     estimator.reset()
     controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
@@ -257,7 +266,7 @@ def run_in_process(
 
     try:
         with one_thread():
-            simulate(plant, estimator, controller, config.ticks, write, start.command)
+            simulate(plant, estimator, controller, parts.config.ticks, write, start.command)
     except BaseException as error:
         statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
         raise

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, stamp_of
+from los_testbed.loop.slow_sensor import SlowSensor
 from los_testbed.loop.source_guard import OURS
 from titop_plant.interface import TICK_NS
 
 HOLD_STAMP = 0
 """Stamp of the plant's messages before the run begins: no time has passed."""
+
+
+SILENCE_NS = 50_000_000
+"""A part that comes at every tick is silent when it is this far behind the others."""
 
 
 class TickPart:
@@ -50,6 +55,9 @@ class StampSynchronizer:
         Topics to join.
     size : int
         Length of the joined vector; what is not due is NaN.
+    slow : mapping of int to SlowSensor, optional
+        In real time: parts that are used when they come, which no tick waits for. Stamps of the others may then be off
+        the grid, by a fixed part and less than half a tick of jitter: they count for the nearest tick.
 
     Examples
     --------
@@ -64,8 +72,13 @@ class StampSynchronizer:
 
     SLOTS = 64
 
-    def __init__(self, parts: Sequence[TickPart], size: int) -> None:
+    def __init__(self, parts: Sequence[TickPart], size: int, slow: Mapping[int, SlowSensor] | None = None) -> None:
         self.parts = tuple(parts)
+        self.slow = dict(slow or {})
+        self.off_grid: Counter[int] = Counter()
+        self.latest = [HOLD_STAMP] * len(self.parts)
+        self._snaps = slow is not None
+        self._phases: dict[int, int] = {}
         self.rejected: Counter[str] = Counter()
         self.gaps = 0
         self.stamp = HOLD_STAMP
@@ -80,6 +93,7 @@ class StampSynchronizer:
         self._views = [[row[part.columns] for part in self.parts] for row in self._rows]
         self._always = sum(1 << i for i, part in enumerate(self.parts) if part.period_ns == TICK_NS)
         self._at_times = [(1 << i, part.period_ns) for i, part in enumerate(self.parts) if part.period_ns != TICK_NS]
+        self._own_time = sum(1 << i for i in self.slow)
 
     @property
     def waiting(self) -> bool:
@@ -96,18 +110,24 @@ class StampSynchronizer:
         """
         part = self.parts[index]
         try:
-            stamp = stamp_of(data) if len(data) >= 12 else -1
+            sent = stamp = stamp_of(data) if len(data) >= 12 else -1
+            if self._snaps and stamp > 0 and not source:
+                stamp = self._nearest(index, stamp)
             slot = (stamp // TICK_NS) % self.SLOTS if stamp else self.SLOTS
             if stamp < 0 or stamp % TICK_NS:
                 self.rejected["off_grid" if stamp >= 0 else "size"] += 1
                 return None
             if self.last and stamp > self.horizon:
                 self.rejected["future"] += 1
+                if index in self.slow and not source:
+                    self.slow[index].counts["early"] += 1
                 return None
             if source and stamp == HOLD_STAMP:  # repeated until they are answered
                 return None
             if source:
                 self.rejected[source] += 1
+                return None
+            if stamp != HOLD_STAMP and index in self.slow and not self._is_present(index, sent, stamp, data):
                 return None
             if stamp != HOLD_STAMP and (stamp <= self.last or self._stamps[slot] > stamp):
                 self.rejected["late"] += 1
@@ -125,8 +145,11 @@ class StampSynchronizer:
         if energy - energy != 0.0 and not (part.nan_allowed and not np.isinf(values).any()):
             self.rejected["not_finite"] += 1
             return None
-        if stamp > self._newest:
+        if stamp > self._newest and index not in self.slow:
             self._newest = stamp
+        self.latest[index] = stamp
+        if index in self.slow and stamp:
+            self.slow[index].keep(stamp, values)
         seen = self._seen[slot] = self._seen[slot] | 1 << index
         if seen & self._always != self._always or not self._complete(seen, stamp):
             return None
@@ -134,6 +157,9 @@ class StampSynchronizer:
         if stamp == HOLD_STAMP:  # the plant holds: what came before belongs to another run
             self._stamps = [-1] * len(self._stamps)
             self._newest = HOLD_STAMP
+            self._phases.clear()
+        for sensor in self.slow.values() if stamp else ():
+            sensor.place(self._rows[slot], stamp, self._row_of(sensor.waiting))
         self.gap = (stamp - self.last) // TICK_NS - 1 if self.last and stamp else 0
         self.gaps += self.gap
         self.stamp = stamp
@@ -142,4 +168,51 @@ class StampSynchronizer:
 
     def _complete(self, seen: int, stamp: int) -> bool:
         """Whether the parts that do not come at every tick have come, too; all are due at a hold tick."""
-        return all(seen & bit or (stamp != HOLD_STAMP and stamp % period) for bit, period in self._at_times)
+        return all(
+            seen & bit or (stamp != HOLD_STAMP and (bit & self._own_time or stamp % period))
+            for bit, period in self._at_times
+        )
+
+    def begin_again(self) -> None:
+        """Another run begins, with counts of its own."""
+        self.gaps = 0
+        self.rejected.clear()
+        self.off_grid.clear()
+        for sensor in self.slow.values():
+            sensor.begin_again()
+
+    def silent(self) -> list[tuple[int, int]]:
+        """Parts of which nothing has come while others have, and for how long [ns]."""
+        quiet = [
+            (index, self.slow[index].silent_ns() if index in self.slow else self._newest - latest)
+            for index, latest in enumerate(self.latest)
+        ]
+        every = {index for index, part in enumerate(self.parts) if part.period_ns == TICK_NS}
+        return [(i, t) for i, t in quiet if (i in self.slow and t > 0) or (i in every and t > SILENCE_NS)]
+
+    def _nearest(self, index: int, stamp: int) -> int:
+        """Tick of a stamp. How far the grid of a part is from that of the ticks, its first stamp says."""
+        phase = self._phases.get(index)
+        if phase is None:
+            phase = self._phases[index] = (stamp + TICK_NS // 2) % TICK_NS - TICK_NS // 2
+        self.off_grid[index] += stamp % TICK_NS != 0
+        return (stamp - phase + TICK_NS // 2) // TICK_NS * TICK_NS
+
+    def _is_present(self, index: int, sent: int, tick: int, data: bytes) -> bool:
+        """Whether a frame of a slow sensor is of a tick that is not over; an old one is kept for the next tick."""
+        part, sensor = self.parts[index], self.slow[index]
+        if not sensor.note(sent, tick, self._newest):
+            return False
+        self.latest[index] = tick
+        if tick > self.last:
+            return tick <= self.last + (self.SLOTS // 2) * TICK_NS or not self.last
+        values = np.empty(part.columns.stop - part.columns.start)
+        part.codec.decode(data, values)
+        if np.isfinite(values).all():
+            sensor.offer(tick, values, self.last)
+        return False
+
+    def _row_of(self, tick: int) -> FloatArray | None:
+        """Vector of an earlier tick, if it is still there and was complete."""
+        slot = (tick // TICK_NS) % self.SLOTS
+        return self._rows[slot] if tick > 0 and self._stamps[slot] == tick else None

@@ -23,8 +23,8 @@ def wait_until(deadline_ns: int) -> int:
 class TickClock:
     """Absolute deadlines on the steady clock, one per period.
 
-    After an overrun of a period or more the schedule moves on by the whole periods that were lost; they are counted,
-    and no later period is shortened.
+    The deadlines are on a grid that is fixed by the first one. After an overrun of a period or more the next deadline
+    is the next one of the grid; the whole periods that were lost are counted, and no later period is shortened.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class TickClock:
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
         self.skipped = 0
-        self._deadline = 0
+        self._first = self._deadline = 0
 
     def begin(self, deadline_ns: int) -> None:
         """Set the first deadline (steady clock [ns])."""
-        self._deadline = deadline_ns
+        self._first = self._deadline = deadline_ns
 
     def sleep(self, lead_ns: int) -> None:
         """Return `lead_ns` before the next deadline, or as much later as a sleeping thread wakes up."""
@@ -61,3 +61,18 @@ class TickClock:
         self.skipped += lost
         self._deadline += (1 + lost) * self.period_ns
         return late
+
+    @property
+    def first(self) -> int:
+        """First deadline (steady clock [ns])."""
+        return self._first
+
+    def present(self) -> int:
+        """Number of the period that is now; the first deadline begins period 0."""
+        return (time.monotonic_ns() - self._first) // self.period_ns
+
+    def resume_at(self, number: int) -> None:
+        """Wait for the deadline of this period next; those before it are given up and counted."""
+        deadline = self._first + number * self.period_ns
+        self.skipped += (deadline - self._deadline) // self.period_ns
+        self._deadline = deadline

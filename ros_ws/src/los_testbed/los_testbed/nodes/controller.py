@@ -68,9 +68,8 @@ def main(
             for publisher, codec, values, _ in slots:
                 publisher.publish(codec.encode(stamp, values))
 
-        follower = Follower(
-            context, (ISOLATOR_ACCEL, LOS_ESTIMATE), StampSynchronizer(parts, ACCEL.stop), tick, changes
-        )
+        synchronizer = StampSynchronizer(parts, ACCEL.stop, {} if context.config.mode == "realtime" else None)
+        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), synchronizer, tick, changes)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

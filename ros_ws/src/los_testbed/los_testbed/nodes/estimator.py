@@ -11,17 +11,18 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_estimator
+from los_testbed.factories import RunParts, build_estimator
 from los_testbed.loop.changes import ACTIVE, Fade
+from los_testbed.loop.slow_sensor import SlowSensor
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
-from los_testbed.topics import LOS_ESTIMATE, SENSORS
+from los_testbed.topics import CAMERA_LOS, FSM_ANGLE, LOS_ESTIMATE, SENSORS
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
-from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS
+from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS, TICK_NS
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import EstimatorCore
@@ -52,12 +53,30 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
                 np.multiply(los, fade.weight(), out=los)
             publisher.publish(codec.encode(stamp, los))
 
-        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS), tick, changes)
+        slow = slow_sensors(context.config) if context.config.mode == "realtime" else None
+        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS, slow), tick, changes)
         code = follower.run()
         settle([publisher])
         return code
 
     return run_node("estimator", arguments, body)
+
+
+def slow_sensors(config: RunConfig) -> dict[int, SlowSensor]:
+    """Sensors that no tick waits for, by their place among the topics; the mirror moves what the camera sees."""
+    moved = {CAMERA_LOS.name: (FSM_ANGLE.columns, RunParts(config).basis.los_sensitivity or 0.0)}
+    return {
+        index: SlowSensor(
+            topic.name,
+            topic.columns,
+            topic.every(config.frame_ticks) * TICK_NS,
+            round(config.camera_latency * TICK_NS) if topic.name == CAMERA_LOS.name else 0,
+            config.old_frames,
+            *moved.get(topic.name, (None, 0.0)),
+        )
+        for index, topic in enumerate(SENSORS)
+        if topic.framed and topic.every(config.frame_ticks) > 1
+    }
 
 
 if __name__ == "__main__":

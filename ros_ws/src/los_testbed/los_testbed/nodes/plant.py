@@ -2,14 +2,17 @@
 
 Tick k of the real-time loop: take the commands that were computed from tick k - 1, pass them through the gates, step
 the plant, and publish at the deadline. Commands that come a little before the deadline are taken then, and if both are
-there the plant is stepped then, too; else at the deadline. In lockstep the wait for the clock is replaced by a wait for
-both commands of the tick just published, and ``/clock`` follows the ticks.
+there the plant is stepped then, too; else at the deadline. Tick k is k ms of the steady clock after the first one, for
+good: over periods that the node has lost the plant is integrated with the command that it has, and their samples are
+not sent. In lockstep the wait for the clock is replaced by a wait for both commands of the tick just published, and
+``/clock`` follows the ticks.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -33,7 +36,9 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plugins import RAISED, in_one_line, made_by
+from los_testbed.topics import UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
+from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
 
 RING = 64
@@ -43,6 +48,10 @@ OWN_PLANT = "start must be rest, in every node, for another plant than the teles
 EARLY_NS = 250_000, 120_000
 """So long before the deadline of a tick the commands that have come are taken. Once both have, the plant is stepped:
 the simulation is no part of the loop, and the sensors' samples go out at the deadline."""
+
+BREATH, SLOW_STEPS = 100, 1000
+"""Steps over lost periods after which the processor is given away for a moment, and after which the plant must have
+come nearer to the present."""
 
 CLOCK_TICKS = 10
 """Ticks from one message on ``/clock`` to the next in lockstep: every node spends time on each of them."""
@@ -58,6 +67,10 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Pl
         others = OtherPlants(context)
         context.event("alone")
         own, command = build is not build_plant, None
+        if context.config.device:
+            raise ValueError(
+                f"device must be absent for the node plant, got {context.config.device}: node device has it"
+            )
         parts = RunParts(context.config)
         plant = made_by(build, context.config, "plant") if own else parts.plant()
         if own or context.config.plant:
@@ -98,7 +111,8 @@ class PlantLoop:
         self._command = np.zeros(COMMANDS)
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
-        self._image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
+        self._camera = plant if isinstance(plant, ImagePlant) else None
+        self._image = None if self._camera is None else self._camera.image.ravel()
         change = getattr(plant, "change", None)
         appliers: dict[str, Apply] = {STOP: context.end, RESET: self._ask_again}
         if change is not None:
@@ -111,6 +125,11 @@ class PlantLoop:
         """Counts and times of a run."""
         self.ticks = 0
         self.held = 0
+        self.lost = 0
+        self.unsent: Counter[str] = Counter()
+        self._pending: Counter[str] = Counter()
+        self.sent = 0
+        self._next_report = RATE
         self.clock = TickClock(TICK_NS)
         self.lateness = LatencyHistogram()
         self.latency = LatencyHistogram()
@@ -178,21 +197,23 @@ class PlantLoop:
     @property
     def missed(self) -> int:
         """Ticks for which an older command was held, and periods that were lost altogether."""
-        return self.held + self.clock.skipped
+        return self.held + self.lost
 
     def _real_time(self, start: int) -> None:
         context, clock = self.context, self.clock
         total, last = context.config.ticks, 0
-        for k in range(total + 1):
+        while True:
+            k = self.ticks
             now = start + k * TICK_NS
             self._take_early(now)
-            over, early = k == total or self._ended, 0
+            over, early = k >= total or self._ended, 0
             stepped = not over and self.io.fresh(now)
             if stepped:
                 start_time = time.monotonic_ns()
                 self._step(now)
                 early = time.monotonic_ns() - start_time
-            self.lateness.add(clock.wait())
+            late = clock.wait()
+            self.lateness.add(late)
             start_time = time.monotonic_ns()
             if last:
                 self.period.add(start_time - last)
@@ -205,9 +226,45 @@ class PlantLoop:
                 break
             if not stepped:
                 self._step(now)
+            if late >= TICK_NS:
+                self._catch_up(start)
+                if self.ticks >= total:
+                    continue
+                now = start + self.ticks * TICK_NS
+                self._woke[self.ticks % RING] = time.time_ns()
             self._publish(now)
             self.execution.add(time.monotonic_ns() - start_time + early)
-            self._background(k, now)
+            if self._camera is not None:
+                self._camera.work()
+            self._background(now)
+
+    def _catch_up(self, start: int) -> None:
+        """Integrate over lost periods, up to the one that is now; what is stepped last can be sent, unless it is over.
+
+        Raises
+        ------
+        RunFailedError
+            Steps take longer than ticks: the plant would fall behind for good.
+        """
+        clock, total, steps = self.clock, self.context.config.ticks, 0
+        entered, behind = time.monotonic_ns(), clock.present() - self.ticks
+        while self.ticks < min(clock.present(), total):
+            self._lose(start + self.ticks * TICK_NS)
+            if self.ticks < total:
+                self._step(start + self.ticks * TICK_NS)
+            steps += 1
+            if steps % BREATH == 0:
+                time.sleep(1e-6)  # the kernel ends a process of real-time priority that never blocks
+            if steps % SLOW_STEPS == 0 and clock.present() - self.ticks >= behind:
+                spent = (time.monotonic_ns() - entered) / steps / 1e6
+                raise RunFailedError(f"a step of the plant takes {spent:.2g} ms, must be below 1 ms in real time")
+        clock.resume_at(self.ticks + 1)
+
+    def _lose(self, now: int) -> None:
+        """Count a tick of which no sample is sent, with the slower samples that were due."""
+        self.ticks += 1
+        self.lost += 1
+        self._pending.update((UNSENT_TICKS, *self.io.framed_at(now)))
 
     def _take_early(self, now: int) -> None:
         """Take the commands that came before the deadline."""
@@ -248,10 +305,19 @@ class PlantLoop:
         """Sensors and truth of a tick."""
         self.io.publish(now, self._measurement, self._truth, self._image)
         self.ticks += 1
+        self._count_sent()
 
-    def _background(self, k: int, now: int) -> None:
-        """Work that is not urgent, one kind per tick, after the work of the tick."""
-        phase = k % 200
+    def _count_sent(self) -> None:
+        """A tick whose samples were sent: what was lost before it is missing between samples."""
+        if self._pending:
+            if self.sent:  # no sample is missing before the first one
+                self.unsent.update(self._pending)
+            self._pending.clear()
+        self.sent += 1
+
+    def _background(self, now: int) -> None:
+        """Work that is not urgent, one kind for each tick that was sent, after its work."""
+        phase = (self.sent - 1) % 200
         if self.context.work():
             return
         if phase % 20 == 10 and (news := self.io.watch.look(time.monotonic_ns())):
@@ -264,9 +330,10 @@ class PlantLoop:
             self.context.service()
         elif phase % 20 == 15 and self.io.fading() != self._faded:
             self._report(now)  # reported at once, not at the end of the second
-        elif k == 0:
-            self.health.assess(1, time.monotonic_ns(), self.execution)
-        elif k % RATE == 0:
+        elif self.sent == 1:
+            self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
+        elif self.ticks > self._next_report:
+            self._next_report = self.ticks - self.ticks % RATE + RATE
             self._report(now)
 
     def _lockstep(self, start: int, pacer: LockstepPacer) -> None:
@@ -294,10 +361,13 @@ class PlantLoop:
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""
         lockstep = self.context.config.mode == "lockstep"
+        outside = self.ticks - self.sent - self.unsent[UNSENT_TICKS]
         return {
             "ticks": str(self.ticks),
             "missed_ticks": str(self.missed),
-            "skipped_periods": str(self.clock.skipped),
+            "lost_periods": str(self.lost),
+            **{f"{UNSENT}{name}": str(count) for name, count in sorted(self.unsent.items())},
+            **({f"{UNSENT}outside": str(outside)} if outside else {}),
             **(self.latency.summary("turnaround" if lockstep else "latency")),
             **({} if lockstep else self.lateness.summary("lateness")),
             **({} if lockstep else {"period_mean_us": f"{self.period.mean_us:.3f}"}),

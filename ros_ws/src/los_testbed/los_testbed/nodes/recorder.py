@@ -29,9 +29,10 @@ from los_testbed.nodes.support.transport.raw_topics import RawPublisher
 from los_testbed.run.bag_names import free_name
 from los_testbed.run.processes.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
-from los_testbed.topics import NODES, PROGRESS_TOPIC
+from los_testbed.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import HEADER
+from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import TICK_NS
 
 DEPTH = 5000
@@ -218,17 +219,37 @@ class Recorder:
         started = [track for track in self.tracks if track.first]
         first = min((track.first for track in started), default=0)
         last = max((track.last for track in started), default=0)
-        lost = {t.path: t.lost(first, last) for t in self.tracks} if started else {}
+        device = self.context.config.device  # a rig need not know the truth
+        missing = {t.path: t.lost(first, last) if t.first or not device else 0 for t in self.tracks} if started else {}
+        unsent = self._unsent(missing, (last - first) // TICK_NS + 1)
+        lost = {name: count - unsent.get(name, 0) for name, count in missing.items()}
         unreadable = {t.path: t.unreadable for t in (*self.tracks, *self.reports.values())}
         return {
             "messages": str(sum(track.distinct for track in self.tracks)),
             "samples_lost": str(sum(lost.values())),
             **{f"unreadable_{name}": str(count) for name, count in unreadable.items() if count},
             **{f"lost_{name}": str(count) for name, count in lost.items() if count},
+            **{f"{UNSENT}{name}": str(count) for name, count in unsent.items() if count},
             **{f"foreign_{t.path}": str(t.foreign) for t in self.reports.values() if t.foreign},
             **self.watch.statistics(),
             **(self._late.statistics() if self._late is not None else {}),
         }
+
+    def _unsent(self, missing: dict[str, int], span: int) -> dict[str, int]:
+        """Of the samples that are missing in a span of ticks those that the plant did not send, by topic.
+
+        The plant counts for its whole run: of a part of it, which a recorder that was started again has, nothing is
+        known, and what is missing counts as lost.
+        """
+        plant = self.statistics.get("plant", {})
+        ticks, outside, between = (int(plant.get(n, "0")) for n in ("ticks", UNSENT + "outside", UNSENT + UNSENT_TICKS))
+        if ticks - outside > span:
+            return {}
+        counts = [
+            between if track.period_ns == TICK_NS else int(plant.get(UNSENT + topic.name, "0"))
+            for track, topic in zip(self.tracks, self.parts.topics)
+        ]
+        return {name: min(count, most) for (name, count), most in zip(missing.items(), counts)}
 
     def _report(self) -> None:
         if self._late is not None and self._moving:  # after the last sample nobody needs to report

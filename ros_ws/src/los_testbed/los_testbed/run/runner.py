@@ -13,8 +13,10 @@ from typing import Any
 
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
-from los_testbed.factories import check_controllers
+from los_testbed.exit_codes import ExitCode
+from los_testbed.factories import RunParts
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
+from los_testbed.loop.slow_sensor import frames_in_words
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.processes.domains import domain_lock, output_lock
 from los_testbed.run.processes.isolation import Network, network_of_nodes
@@ -24,6 +26,7 @@ from los_testbed.run.processes.node_launch import (
     STATISTICS_VARIABLE,
     check_ros,
     environment,
+    module_of,
     node_command,
     parameter_text,
     ros_arguments,
@@ -79,7 +82,8 @@ class Runner:
         self._network = Network()
         self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
-        self._commands = {name: (commands or {}).get(name, node_command(name)) for name in NODES}
+        own = {name: node_command(module_of(name, config)) for name in NODES}
+        self._commands = {name: (commands or {}).get(name, own[name]) for name in NODES}
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
@@ -124,7 +128,7 @@ class Runner:
         check_ros()
         check_address_space(self._live is not None)
         check_new_bag(self._config.bag)
-        self.results.warnings += check_controllers(self._config)
+        self.results.warnings += RunParts(self._config).check()
         text = parameter_text(self._config).encode()
         with (
             domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
@@ -221,6 +225,7 @@ class Runner:
     def _tell_counts(self) -> None:
         """How many messages of second publishers came, whether any of them was used, and reports that were late."""
         self.results.warnings += late_reports(self.results.statistics.get("recorder", {}))
+        self.results.warnings += frames_in_words(self.results.statistics.get("estimator", {}))
         foreign, misused = (counted(self.results.statistics, kind) for kind in ("foreign_", "misused_"))
         for topic, count in foreign.items():
             if topic not in misused:
@@ -341,7 +346,8 @@ class Runner:
                 working = "running" if node.name == "plant" else "ready"
                 before_work = (node.name, working) not in self._seen
                 before_work = before_work and ("plant", "running") not in self._seen
-                raise RunError(f"{node.name}: {told[-1]}", 2 if code == 2 and before_work else 1)
+                known = code == ExitCode.DEVICE or (code == ExitCode.USER_ERROR and before_work)
+                raise RunError(f"{node.name}: {told[-1]}", code if known else 1)
             number = int(self._seen.get((node.name, ENDED), {}).get("signal", 0))
             self._replace(node, node.how_it_ended(code, number), code < 0 or number > 0)
             return

@@ -5,9 +5,10 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from los_testbed.config import RunConfig, is_code
 from los_testbed.loop.scheduling import end_with_parent
 from los_testbed.run.bag_names import recorded
 from los_testbed.run.results import RunError
@@ -15,18 +16,18 @@ from los_testbed.run.results import RunError
 FORWARDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def code_of_user(config: RunConfig) -> list[str]:
-    """Settings of a run that name code of the user, with their values."""
-    found = {"plant": config.plant, "disturbance": config.disturbance_source if config.disturbance else ""}
-    found |= {name: str(value) for name in ("k_fsm", "k_pma") if is_code(str((value := getattr(config, name)) or ""))}
-    return [f"{name} {value}" for name, value in found.items() if value]
-
-
-def supervise(config: RunConfig) -> None:
+def supervise(names: Sequence[str], bag: Path) -> None:
     """Go on in a child process; this one waits, and ends as it does if that was in order.
 
     A process that code of the user ends (``os._exit``, a fault in a compiled module) leaves its bag unfinished and can
     say nothing: exit code 0 would be taken for a whole run. Returns in the child only.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What of the run is code of the user, for the message.
+    bag : Path
+        Folder of the bag.
 
     Raises
     ------
@@ -57,5 +58,4 @@ def supervise(config: RunConfig) -> None:
     if os.read(reading, 1):
         raise SystemExit(code)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    names = ", ".join(code_of_user(config))
-    raise RunError(f"the process of the run ended in code of the user ({how}): {names}{recorded(config.bag)}")
+    raise RunError(f"the process of the run ended in code of the user ({how}): {', '.join(names)}{recorded(bag)}")

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, numbers, say
 
 INFO_EXAMPLES = """Show what a bag holds: times, topics with types and counts, the run with its seed, hashes.
 
@@ -77,9 +77,8 @@ def _show(console: Console, found: Mapping[str, Any]) -> None:
     width = max(map(len, lines))
     for name, value in lines.items():
         say(console, f"{name:<{width}}  {value}")
-    table = Table(box=None, padding=(0, 1))
-    for head in ("topic", "type", "messages"):
-        table.add_column(head, justify="right" if head == "messages" else "left", overflow="fold")
+    texts = (Column("topic", overflow="fold"), Column("type", overflow="fold"))
+    table = Table(*texts, *numbers("messages", overflow="fold"), box=None, padding=(0, 1))
     for name, topic in found["topics"].items():
         table.add_row(name, topic["type"], str(topic["messages"]))
     console.print(table)

@@ -59,6 +59,7 @@ class Follower:
         self._tick = tick
         self._changes = changes
         self._start = 0
+        self._names = [topic.name for topic in topics]
         every = context.config.mode == "lockstep"
         self._subscriptions = [
             RawSubscription(
@@ -202,17 +203,22 @@ class Follower:
         self._changes.restore()
         self._execution, self._period = LatencyHistogram(), LatencyHistogram()
         self._health = LoopHealth(self._context.config.mode == "realtime")
-        self._synchronizer.gaps, self._troubles = 0, (0, 0)
-        self._synchronizer.rejected.clear()
+        self._troubles = (0, 0)
+        self._synchronizer.begin_again()
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop."""
-        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(self._synchronizer.rejected.items())}
+        synchronizer = self._synchronizer
+        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(synchronizer.rejected.items())}
+        off_grid = {f"off_grid_{self._names[i]}": str(n) for i, n in sorted(synchronizer.off_grid.items()) if n}
+        frames = {name: text for sensor in synchronizer.slow.values() for name, text in sensor.statistics().items()}
         return {
             "ticks": str(self.ticks),
-            "gap_ticks": str(self._synchronizer.gaps),
+            "gap_ticks": str(synchronizer.gaps),
             **self._execution.summary("execution"),
             **rejected,
+            **off_grid,
+            **frames,
             **self._changes.record(),
         }
 
@@ -221,6 +227,9 @@ class Follower:
         troubles = (self._synchronizer.gaps, self._synchronizer.rejected.total())
         if level == OK and troubles != self._troubles:
             level, message = WARN, "samples missing or rejected"
+        if silent := self._synchronizer.silent():
+            level = max(level, WARN)
+            message = ", ".join(f"{self._names[i]} silent for {t * 1e-9:.2g} s" for i, t in silent)
         news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
         period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}

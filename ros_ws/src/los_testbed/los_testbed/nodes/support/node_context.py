@@ -250,7 +250,7 @@ def _log_line(kind: str, content: Mapping[str, Any]) -> str:
         return f"viewers: Foxglove {content['foxglove']}, page {content['page']}"
     if kind != "done":
         return ""
-    shown = ("ticks", "missed_ticks", "skipped_periods", "latency_median_us", "gap_ticks", "messages", "samples_lost")
+    shown = ("ticks", "missed_ticks", "lost_periods", "latency_median_us", "gap_ticks", "messages", "samples_lost")
     found = content["statistics"]
     words = [f"{name} {found[name]}" for name in shown if name in found]
     return ", ".join(["done", *words, *([f"bag {content['bag']}"] if content.get("bag") else [])])
@@ -269,7 +269,7 @@ def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeCon
         if context is not None:
             context.event("error", message=message)
         sys.stderr.write(f"los_testbed {name}: {message}\n")
-        return 2 if isinstance(error, ValueError) else 1
+        return 2 if isinstance(error, ValueError) else int(getattr(error, "code", 1))
     finally:
         if context is not None:
             context.close()

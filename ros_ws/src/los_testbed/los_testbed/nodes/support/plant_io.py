@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lftkit.arrays import FloatArray
@@ -37,7 +39,7 @@ class PlantIo:
         ]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
         self._images = [
-            (publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
+            (topic.name, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
             for topic, publisher in map(output, RunParts(config).topics[len(TOPICS) :])
         ]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
@@ -64,16 +66,43 @@ class PlantIo:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
-        for publisher, codec, period in self._images:
+        for _, publisher, codec, period in self._images:
             if stamp % period == 0:
                 publisher.publish(codec.encode(stamp, self._dark if image is None else image))
+
+    def publish_samples(
+        self, stamp: int, measurement: FloatArray | None, frames: Mapping[str, tuple[int, FloatArray]], truth: str
+    ) -> None:
+        """Send what a device gave at a tick: frames with their stamps first, the estimator's trigger last.
+
+        Parameters
+        ----------
+        stamp : of the tick [ns]
+        measurement : (22,), of which the columns of the sensors of every tick are sent; None: nothing is
+        frames : stamp and values of slower sensors, by port
+        truth : port of the true line of sight
+        """
+        for topic, publisher, codec, _ in self._sensors:
+            if topic.framed:
+                if topic.port in frames:
+                    publisher.publish(codec.encode(*frames[topic.port]))
+            elif measurement is not None:
+                publisher.publish(codec.encode(stamp, measurement[topic.columns]))
+        if truth in frames and measurement is not None:
+            self._truth[0].publish(self._truth[1].encode(stamp, frames[truth][1]))
+
+    def framed_at(self, stamp: int) -> list[str]:
+        """Topics with a sample at some ticks only, which have one at this."""
+        slow = [(topic.name, period) for topic, _, _, period in self._sensors if period > TICK_NS]
+        slow += [(name, period) for name, _, _, period in self._images]
+        return [name for name, period in slow if stamp % period == 0]
 
     def settle(self) -> None:
         """Let the readers take in what was sent last."""
         settle(
             [publisher for _, publisher, _, _ in self._sensors]
             + [self._truth[0]]
-            + [publisher for publisher, _, _ in self._images]
+            + [publisher for _, publisher, _, _ in self._images]
         )
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:

@@ -51,6 +51,7 @@ class Track:
         self.first = 0
         self.last = 0
         self.distinct = 0
+        self._phase: int | None = None
         self._missing: set[int] = set()
 
     def drain(self) -> int:
@@ -101,8 +102,11 @@ class Track:
     def _note(self, messages: list[bytes]) -> None:
         for message in messages:
             stamp = stamp_of(message) if len(message) >= 12 else 0
-            if stamp <= 0 or stamp % self.period_ns:
+            if stamp <= 0:
                 continue
+            if self._phase is None:
+                self._phase = stamp % self.period_ns
+            stamp = self._nearest(stamp)
             if stamp > self.last:
                 if self.last and stamp - self.last > self.period_ns:
                     self._note_gap(stamp)
@@ -113,6 +117,11 @@ class Track:
                 self._missing.remove(stamp)
                 self.distinct += 1
 
+    def _nearest(self, stamp: int) -> int:
+        """Time on the grid of the samples that is nearest: stamps may vary by less than half a period."""
+        phase = self._phase or 0
+        return (stamp - phase + self.period_ns // 2) // self.period_ns * self.period_ns + phase
+
     def _note_gap(self, stamp: int) -> None:
         """The periods between the last sample and this one may still come, out of order."""
         oldest = stamp - MAX_DISORDER * self.period_ns
@@ -122,11 +131,13 @@ class Track:
     def begin_again(self) -> None:
         """Another run begins: what is known of the last one is forgotten."""
         self.first = self.last = self.distinct = self.unreadable = 0
+        self._phase = None
         self._missing.clear()
 
     def lost(self, first: int, last: int) -> int:
         """Samples that should lie in this span of stamps and did not come."""
-        expected = last // self.period_ns - (first - 1) // self.period_ns
+        phase = self._phase or 0
+        expected = (last - phase) // self.period_ns - (first - phase - 1) // self.period_ns
         return max(0, expected - self.distinct)
 
 

@@ -50,6 +50,11 @@ def check_ros() -> None:
         )
 
 
+def module_of(name: str, config: RunConfig) -> str:
+    """Module of a node: that of the plant is another one where a device stands in its place."""
+    return "device" if name == "plant" and config.device else name
+
+
 def parameter_text(config: RunConfig) -> str:
     """ROS parameter file of a run."""
     values = {name: value for name, value in config.to_plain().items() if value != []}
@@ -114,5 +119,5 @@ def run_alone(name: str, config: RunConfig) -> int:
     if config.domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
-        node = importlib.import_module(f"los_testbed.nodes.{name}")
+        node = importlib.import_module(f"los_testbed.nodes.{module_of(name, config)}")
         return int(node.main(ros_arguments(config, parameters.path, name)))

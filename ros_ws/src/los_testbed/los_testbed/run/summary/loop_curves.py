@@ -36,6 +36,9 @@ _SIDE = np.geomspace(1e-4, 2e-2, 12)
 AT_MODES: FloatArray = np.concatenate([-_SIDE[::-1], [0.0], _SIDE])
 """Relative distances of frequencies around each mode, which is narrower than the steps of the grid."""
 
+AT_ONCE = 64
+"""Frequencies whose matrices of the whole loop are held at a time: they stay in the cache."""
+
 FROM, TO = 1.0, 1000.0
 """Range of modes [rad/s]."""
 
@@ -55,7 +58,7 @@ def _curves(run: Run) -> tuple[LoopCurves, ...]:
         return ()
     try:
         config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
-        moves = config.ramp_duration or config.plant
+        moves = config.ramp_duration or config.other_plant
         if config.loop not in MIRROR_STAGES or moves or config.frame_ticks != FRAME_TICKS:
             return ()
         start = RunStart.from_bytes(run.attachments[START_FILE])
@@ -78,7 +81,9 @@ def broken_loops(loop: ImplementedLoop, point: FloatArray) -> tuple[LoopCurves, 
     modes = loop.open.modes(point, FROM, TO)
     around = np.concatenate([modes * (1.0 + offset) for offset in AT_MODES])
     omega = np.union1d(np.geomspace(LOWEST, HIGHEST, POINTS), around)
-    S = np.concatenate([loop.sensitivities(closed, point[None]) for closed in loop.at_each(omega)])
+    starts = range(0, max(1, len(omega) - AT_ONCE // 2), AT_ONCE)
+    parts = (omega[k : k + AT_ONCE] if k != starts[-1] else omega[k:] for k in starts)
+    S = np.concatenate([loop.sensitivities(closed, point[None]) for part in parts for closed in loop.at_each(part)])
     places = {"mirror": MIRROR, **({"forces": FORCES} if loop.stage in FORCE_STAGES else {})}
     return tuple(_broken(place, omega, S[:, channels, channels]) for place, channels in places.items())
 

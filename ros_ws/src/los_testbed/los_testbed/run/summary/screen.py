@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rich.console import Console
+from rich.table import Column
 from rich.text import Text
 
 
@@ -39,6 +40,11 @@ class Screen(Console):
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
         """A text as it is shown."""
         return super().render_str(printable(text), **options)
+
+
+def numbers(*heads: str, **options: Any) -> list[Column]:
+    """Columns of numbers for a table, each with its head; further options are those of :class:`rich.table.Column`."""
+    return [Column(head, justify="right", **options) for head in heads]
 
 
 def met(requirement: bool) -> Text:

@@ -7,27 +7,37 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
-from los_testbed.run.summary.screen import met, printable, say
+from los_testbed.run.summary.screen import met, numbers, printable, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
+from los_testbed.topics import UNSENT_TICKS
 from pointing_analysis.files.atomic_output import check_output
-from pointing_analysis.read.mcap.records import MAX_CHUNK
+from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.rows import cells, heads
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
+
+if TYPE_CHECKING:
+    from pointing_analysis.report.report import Model
+
+ON_CAMERA = (
+    "the device gives no true line of sight: the verdicts are on the camera's, with its noise, and say nothing of what "
+    "is faster than its frames"
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,6 @@ def summarise_runs(
     bags: Sequence[Path | Recording],
     report: Path | None,
     transient: float | None = None,
-    max_chunk: int = MAX_CHUNK,
     requirements: Sequence[Requirement] | None = None,
 ) -> RunSummaries:
     """Read bags, compute their metrics, write the report.
@@ -71,8 +80,6 @@ def summarise_runs(
         HTML file to write.
     transient : float, optional
         Seconds of start-up to leave out.
-    max_chunk : int
-        Largest chunk that is unpacked [byte].
     requirements : sequence of Requirement, optional
         By default those of each bag; an older bag of this testbed is judged by those of the reference telescope.
 
@@ -83,20 +90,15 @@ def summarise_runs(
     """
     if report is not None:
         check_output(report, "the report")
-    found = judged(
-        [Run.open(bag, max_chunk=max_chunk) if isinstance(bag, Path) else bag for bag in bags], transient, requirements
-    )
-    own = [
-        remarks_of(run, summary) if isinstance(run, Run) else () for run, summary in zip(found.runs, found.summaries)
-    ]
-    remarks = tuple((*one, *notes) for one, notes in zip(own, found.notes))
+    runs = [Run.open(bag) if isinstance(bag, Path) else bag for bag in bags]
+    found = judged(runs, transient, requirements)
     if report is not None:
-        found.write_page(report, remarks)
-    metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, remarks))
+        found.write_page(report)
+    metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, found.remarks))
     for values, rows in zip(metrics, found.shares):
         if rows:
             values["disturbances"] = as_rows(rows)
-    return RunSummaries(found.summaries, metrics, report, remarks, found.shares)
+    return RunSummaries(found.summaries, metrics, report, found.remarks, found.shares)
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ class JudgedRuns:
     summaries : tuple of Summary
     shares : tuple of tuple of SourceShare
         Of each run what its sources of disturbance do.
-    notes : tuple of tuple of str
-        Of each run what is assumed, and why there are no shares.
+    remarks : tuple of tuple of str
+        Of each run sentences beside its verdict; what is assumed, and why there are no shares.
     transient : float or None
         Seconds of start-up that are left out.
     requirements : sequence of Requirement or None
@@ -121,25 +123,39 @@ class JudgedRuns:
     runs: tuple[Recording, ...]
     summaries: tuple[Summary, ...]
     shares: tuple[tuple[SourceShare, ...], ...]
-    notes: tuple[tuple[str, ...], ...]
+    remarks: tuple[tuple[str, ...], ...]
     transient: float | None
     requirements: Sequence[Requirement] | None
 
     def write_page(
-        self, path: Path, remarks: Sequence[Sequence[str]], start: float = 0.0, stop: float = math.inf
-    ) -> None:
-        """Write the HTML report; `start` and `stop` are the part of each bag that was read [s]."""
+        self,
+        path: Path,
+        start: float = 0.0,
+        stop: float = math.inf,
+        model: Model | None = None,
+    ) -> Path:
+        """Write the HTML report; returns `path`.
+
+        Parameters
+        ----------
+        path : Path
+        start, stop : float
+            Part of each bag that was read [s].
+        model : mapping, optional
+            As of :func:`pointing_analysis.report.report.write_report`.
+        """
         from los_testbed.run.summary.loop_curves import loop_curves
         from los_testbed.run.summary.predictions import predictions
         from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
-        write_report(
+        return write_report(
             self.runs,
             path,
             transient=self.transient,
             requirements=self.requirements,
+            model=model,
             predictions=predictions(self.runs, self.transient, start, stop),
-            remarks=remarks,
+            remarks=self.remarks,
             sources=self.shares,
             summaries=self.summaries,
             loops=loop_curves(self.runs),
@@ -154,8 +170,11 @@ def judged(
     runs = tuple(with_requirements(run) if older else run for run, older in zip(found, assumed))
     summaries = tuple(summarise_all(runs, transient=transient, requirements=requirements))
     shares = [_shares_or_reason(run) for run in runs]
-    notes = tuple((*([REMARK] if older else []), *missing) for older, (_, missing) in zip(assumed, shares))
-    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), notes, transient, requirements)
+    remarks = tuple(
+        (*(remarks_of(run, summary) if isinstance(run, Run) else ()), *([REMARK] if older else []), *missing)
+        for run, summary, older, (_, missing) in zip(runs, summaries, assumed, shares)
+    )
+    return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), remarks, transient, requirements)
 
 
 def _shares_or_reason(run: Recording) -> tuple[tuple[SourceShare, ...], tuple[str, ...]]:
@@ -173,7 +192,21 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
     notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof"))
     proven, star = run.parameters.get(PROOF_RPE), summary.star
     image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
-    return tuple(text for text in (effect.remark if effect else "", *notes, image, *requested(run)) if text)
+    camera = ON_CAMERA if on_camera(run) else ""
+    found = (effect.remark if effect else "", camera, _lost_periods(run, summary), *notes, image, *requested(run))
+    return tuple(text for text in found if text)
+
+
+def _lost_periods(run: Recording, summary: Summary) -> str:
+    """What a plant in real time could not send; empty where it lost no period."""
+    plant = _statistics(run, "plant")
+    lost = int(plant.get("lost_periods", 0))
+    unsent = int(sum(plant.get(f"{UNSENT}{name}", 0) for name in (UNSENT_TICKS, "outside"))) - lost
+    told = [f"{lost} periods were lost: the plant went on with the command it had, and no sample was sent"] * (lost > 0)
+    told += [f"in {unsent} ticks the device gave not all samples, and none was sent"] * (unsent > 0)
+    if told and summary.windows_skipped:
+        told.append(f"{summary.windows_skipped} windows of 20 ms with one are left out")
+    return "; ".join(told)
 
 
 def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[str, Any]:
@@ -201,7 +234,7 @@ def _statistics(run: Recording, node: str) -> dict[str, float]:
     for name, text in found.items() if isinstance(found, dict) else ():
         with contextlib.suppress(ValueError, TypeError, OverflowError):
             numbers[name] = float(text)
-    whole = ("ticks", "missed_ticks", "samples_lost")
+    whole = ("ticks", "missed_ticks", "lost_periods", "samples_lost")
     return {name: x for name, x in numbers.items() if name not in whole or 0 <= x < 1e15}
 
 
@@ -254,12 +287,9 @@ def print_summary(console: Console, results: RunSummaries, max_missed: float = M
 
 
 def _shares(shares: Sequence[SourceShare]) -> Table:
-    table = Table(title="Sources of disturbance, each alone in the loop", title_justify="left")
-    table.add_column("source", overflow="fold")
-    for head in ("kind", "place"):
-        table.add_column(head)
-    for head in ("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"):
-        table.add_column(head, justify="right")
+    values = numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE")
+    heads: tuple[Column | str, ...] = (Column("source", overflow="fold"), "kind", "place", *values)
+    table = Table(*heads, title="Sources of disturbance, each alone in the loop", title_justify="left")
     for s in shares:
         table.add_row(*s.shown.values())
     return table

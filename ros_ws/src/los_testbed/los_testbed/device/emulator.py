@@ -1,0 +1,338 @@
+"""An emulator of a rig, as a process of its own (``python -m los_testbed.device.emulator``). It is no hardware.
+
+It has a clock of its own with drift and jitter, accelerometers with latency, a camera with read-out, a mirror with
+resonance, limits and a watchdog, and speaks the wire format of the reference driver. Its physics are those of the
+simulated telescope of a run, or of a plant of the user. It prints a JSON object at each change of its state.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import signal
+import socket
+import struct
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from los_testbed.config import RunConfig
+from los_testbed.device.supervisor import EVERY_TICK
+from los_testbed.device.udp import address_of, secret_of
+from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
+from los_testbed.factories import RunParts
+from los_testbed.loop.scheduling import become_real_time
+from los_testbed.loop.tick_clock import wait_until
+from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
+
+PRIORITY = 90
+"""A rig does not wait for the programs of its host."""
+
+FAULTS = ("silent", "frozen", "camera_silent", "brown_out", "corrupt", "clock_jump")
+BROWN_OUT_S = 0.5
+LEFT_NS = 1_000_000_000
+"""A host that has sent no command for so long has left the rig, which another one may open."""
+
+FAST_COLUMNS = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in EVERY_TICK])
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """What is not ideal about the rig.
+
+    Attributes
+    ----------
+    drift_ppm : how much faster its clock is
+    jitter_us : standard deviation of its ticks
+    latency_us : from the acquisition of the fast sensors to the sending
+    read_out : ticks from the acquisition of a frame to its sending
+    loss, reorder : shares of its packets that are lost, or sent after the next one
+    resonance, damping : of the mirror [Hz, -]
+    rate : most that the mirror moves in a second [rad/s]
+    watchdog : ticks without a command after which mirror and forces go to zero
+    fault, fault_at : one of `FAULTS`, and seconds after the first command
+    truth : whether it sends the true line of sight
+    seed : of all that is random
+    """
+
+    drift_ppm: float = 50.0
+    jitter_us: float = 20.0
+    latency_us: float = 300.0
+    read_out: int = 7
+    loss: float = 0.0
+    reorder: float = 0.0
+    resonance: float = 400.0
+    damping: float = 0.3
+    rate: float = 5.0
+    watchdog: int = 50
+    fault: str = ""
+    fault_at: float = 1.0
+    truth: bool = True
+    seed: int = 1
+
+
+class Mirror:
+    """Mirror of two axes with a resonance, limits of angle and rate; `limited` says whether the last step met one."""
+
+    def __init__(self, limit: float, settings: RigSettings) -> None:
+        w = 2 * np.pi * settings.resonance
+        A = np.array([[0.0, 1.0, 0.0], [-(w**2), -2 * settings.damping * w, w**2], [0.0, 0.0, 0.0]])
+        self._step = linalg.expm(A * DT)[:2]
+        self._limit, self._change = limit, settings.rate * DT
+        self._state: FloatArray = np.zeros((2, 2))
+        self._aim: FloatArray = np.zeros(2)
+        self.limited = False
+
+    def step(self, command: FloatArray) -> FloatArray:
+        """Angles (2,) [rad] after a tick with a command (2,) [rad]."""
+        inside = np.clip(command, -self._limit, self._limit)
+        aim = self._aim + np.clip(inside - self._aim, -self._change, self._change)
+        self.limited = bool(np.any(aim != command))
+        self._aim = aim
+        self._state = self._step @ np.vstack([self._state, aim])
+        return np.asarray(np.clip(self._state[0], -self._limit, self._limit))
+
+    def stop(self) -> None:
+        """At zero at once, as its driver does without power."""
+        self._state, self._aim = np.zeros((2, 2)), np.zeros(2)
+
+
+class Emulator:
+    """The rig: sockets, clock, state and physics.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Physics, address and key.
+    settings : RigSettings
+    """
+
+    def __init__(self, config: RunConfig, settings: RigSettings) -> None:
+        host, port = address_of(config.device_address)
+        self._secret = secret_of(config, host)
+        self.settings = settings
+        parts = RunParts(config)
+        self._plant = parts.plant()
+        self._plant.reset()
+        angle, self._force = parts.basis.authority
+        self._mirror = Mirror(angle, settings)
+        self._random = np.random.default_rng(settings.seed)
+        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((host, port))
+        self._socket.setblocking(False)
+        self._peer: Any = None
+        self._key = b""
+        self._reader = Reader(b"")
+        self._sequence = 0
+        self._newest = -1
+        self._command = np.zeros(COMMANDS)
+        self._applied = np.zeros(COMMANDS)
+        self._commanded_ns = self._first_ns = 0
+        self._safe, self._flags = True, 0
+        self._waiting: deque[tuple[int, int, FloatArray]] = deque()
+        self._held_back: bytes | None = None
+        self._measurement, self._truth = np.zeros(MEASUREMENTS), np.zeros(TRUTH)
+        self._frozen: FloatArray | None = None
+        self._jump = 0
+        self._dead_until = 0
+        self._zero = int(self._random.integers(1, 1 << 40))
+        self.stop = False
+
+    def serve(self) -> None:
+        """Work until a signal comes."""
+        start, rate = time.monotonic_ns(), 1 + 1e-6 * self.settings.drift_ppm
+        self._start, k = start, 0
+        say("ready")
+        while not self.stop:
+            jitter = self._random.normal(0.0, 1e3 * self.settings.jitter_us)
+            late = wait_until(start + round(k * TICK_NS / rate + min(max(jitter, -2e5), 2e5)))
+            self._receive()
+            self._watch()
+            for _ in range(min(late // TICK_NS, 1000)):  # physics do not wait; these samples nobody took
+                self._step()
+                k += 1
+            self._step()
+            acquired = self._clock()
+            if self._key and not self._is_dead():
+                self._measure(k, acquired)
+            k += 1
+
+    def _clock(self) -> int:
+        """The rig's clock [ns]."""
+        since = time.monotonic_ns() - self._start
+        return self._zero + self._jump + since + round(1e-6 * self.settings.drift_ppm * since)
+
+    def _is_dead(self) -> bool:
+        return time.monotonic_ns() < self._dead_until
+
+    def _step(self) -> None:
+        """A tick of the physics."""
+        command = np.zeros(COMMANDS) if self._safe else self._command
+        self._applied[MIRROR] = self._mirror.step(command[MIRROR])
+        self._applied[FORCES] = np.clip(command[FORCES], -self._force, self._force)
+        limited = self._mirror.limited or bool(np.any(self._applied[FORCES] != command[FORCES]))
+        self._flags = (self._flags & RESTARTED) | SAFE * self._safe | LIMITED * limited
+        self._plant.step(self._applied, self._measurement, self._truth)
+
+    def _measure(self, k: int, acquired: int) -> None:
+        """Send what was acquired in this tick, and frames that were read out."""
+        settings, fault = self.settings, self._fault()
+        values = self._measurement[FAST_COLUMNS]
+        if fault == "frozen":
+            self._frozen = values if self._frozen is None else self._frozen
+            values = self._frozen
+        if np.isfinite(self._measurement[CAMERA]).all() and fault != "camera_silent":
+            self._waiting.append((k + settings.read_out, acquired, self._measurement[CAMERA].copy()))
+        wait_until(time.monotonic_ns() + round(1e3 * settings.latency_us))
+        while self._waiting and self._waiting[0][0] <= k:
+            _, then, frame = self._waiting.popleft()
+            self._send(self._packet(Kind.FRAME, then, frame))
+        if settings.truth:
+            values = np.concatenate([values, self._truth])
+        self._send(self._packet(Kind.FAST, acquired, values))
+
+    def _packet(self, kind: Kind, time_ns: int, values: FloatArray) -> bytes:
+        self._sequence += 1
+        return encode(kind, self._sequence, time_ns, values, self._key, self._flags)
+
+    def _fault(self) -> str:
+        """Fault that is there now."""
+        since = time.monotonic_ns() - self._first_ns if self._first_ns else 0
+        return self.settings.fault if since > 1e9 * self.settings.fault_at else ""
+
+    def _send(self, data: bytes) -> None:
+        fault = self._fault()
+        if fault == "silent" or self._random.random() < self.settings.loss:
+            return
+        if fault == "corrupt":
+            data = data[:-5] + bytes([data[-5] ^ 1]) + data[-4:]
+        if self._held_back is None and self._random.random() < self.settings.reorder:
+            self._held_back = data
+            return
+        late, self._held_back = self._held_back, None
+        for one in (data, late):
+            if one is not None:
+                with contextlib.suppress(OSError):  # the host is gone: the watchdog sees it
+                    self._socket.sendto(one, self._peer)
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                data, peer = self._socket.recvfrom(2048)
+            except OSError:
+                return
+            if self._is_dead():
+                continue
+            packet = self._reader.read(data) if self._key else None
+            if packet is not None and peer == self._peer:
+                self._obey(packet)
+            elif packet is None and (opening := Reader(self._secret).read(data)) is not None:
+                self._open(opening, peer)
+
+    def _open(self, packet: Packet, peer: Any) -> None:
+        """A host opens the rig: from now on packets with its key count, until it closes or the rig is started again."""
+        if packet.kind != Kind.OPEN or len(packet.values) != 2:
+            return
+        key = struct.pack("<II", *(int(value) % 2**32 for value in packet.values))
+        left = self._safe and self._first_ns and time.monotonic_ns() - self._commanded_ns > LEFT_NS
+        if self._key and key != self._key and not left:
+            return  # it belongs to another run
+        if key != self._key:
+            self._key, self._reader, self._peer, self._newest, self._first_ns = key, Reader(key), peer, -1, 0
+            say("opened")
+        if peer == self._peer:
+            self._send(self._packet(Kind.OPENED, self._clock(), np.zeros(0)))
+
+    def _obey(self, packet: Packet) -> None:
+        now = time.monotonic_ns()
+        if packet.kind == Kind.SYNC:
+            self._send(self._packet(Kind.SYNC_REPLY, self._clock(), packet.values))
+        elif packet.kind == Kind.COMMAND and len(packet.values) == COMMANDS and np.isfinite(packet.values).all():
+            if packet.sequence > self._newest:
+                self._newest = packet.sequence
+                self._command[:] = packet.values
+                self._commanded_ns = now
+                if self._safe:
+                    self._safe, self._first_ns = False, self._first_ns or now
+                    say("active")
+        elif packet.kind in (Kind.SAFE, Kind.CLOSE):
+            self._become_safe("asked")
+            if packet.kind == Kind.CLOSE:
+                self._key = b""
+                say("closed", applied=float(np.abs(self._applied).max()))
+
+    def _watch(self) -> None:
+        """Watchdog and faults of the rig itself."""
+        if not self._safe and time.monotonic_ns() - self._commanded_ns > self.settings.watchdog * TICK_NS:
+            self._become_safe("watchdog")
+        fault = self._fault()
+        if fault == "brown_out" and not self._flags & RESTARTED:
+            self._dead_until = time.monotonic_ns() + round(1e9 * BROWN_OUT_S)
+            self._become_safe("brown_out")
+            self._key, self._flags = b"", self._flags | RESTARTED
+        elif fault == "clock_jump" and not self._jump:
+            self._jump = 1_000_000_000
+            say("clock_jump")
+
+    def _become_safe(self, why: str) -> None:
+        """Mirror and forces at zero."""
+        if self._safe:
+            return
+        since = (time.monotonic_ns() - self._commanded_ns) / 1e6
+        before = float(np.abs(self._applied).max())
+        self._safe = True
+        self._command[:] = 0.0
+        self._applied[:] = 0.0
+        self._mirror.stop()
+        say("safe", why=why, after_ms=round(since, 3), before=before)
+
+
+def say(event: str, **content: Any) -> None:
+    """Print an event as a line of JSON."""
+    sys.stdout.write(json.dumps({"event": event, **content}) + "\n")
+    sys.stdout.flush()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the emulator until SIGINT or SIGTERM; returns the exit code."""
+    parser = argparse.ArgumentParser("los_testbed.device.emulator", description="Emulator of a rig; never hardware.")
+    parser.add_argument("--config", default="{}", help="settings of a run, as a JSON object")
+    for name, own in RigSettings.__dataclass_fields__.items():
+        option = "--" + name.replace("_", "-")
+        if own.type == "bool":
+            parser.add_argument(option, action=argparse.BooleanOptionalAction, default=own.default)
+        else:
+            kind = {"float": float, "int": int}.get(str(own.type), str)
+            choices = ("", *FAULTS) if name == "fault" else None
+            parser.add_argument(option, type=kind, default=own.default, choices=choices)
+    parser.add_argument("--priority", action="store_true", help="ask for real-time scheduling")
+    given = vars(parser.parse_args(arguments))
+    try:
+        priority = given.pop("priority")
+        config = RunConfig.from_mapping({"start": "rest", **json.loads(given.pop("config"))})
+        rig = Emulator(config, RigSettings(**given))
+    except (ValueError, OSError) as error:
+        sys.stderr.write(f"emulator: {error}\n")
+        return 2
+
+    def end(number: int, frame: Any) -> None:
+        rig.stop = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    if priority:
+        become_real_time(PRIORITY)  # where it is not permitted, the emulator is a rig of more jitter
+    rig.serve()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

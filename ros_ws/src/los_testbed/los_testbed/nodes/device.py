@@ -1,0 +1,127 @@
+"""Loop of the plant node with a device in the place of the simulated telescope.
+
+Tick k: at the deadline, and never before it, the commands of tick k - 1 pass the gates and are written to the device,
+what has come from it since is read and sent. A lost period is lost: nothing is made up for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from los_testbed.device.contract import TRUTH_PORT, DeviceError, make_device
+from los_testbed.device.supervisor import Supervisor, as_stamp
+from los_testbed.nodes.plant import RING, PlantLoop
+from los_testbed.nodes.support.handshake import OtherPlants
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.topics import CAMERA_LOS, UNSENT_TICKS
+from pointing_analysis.read.unsent import UNSENT
+from titop_plant.interface import FORCES, MIRROR, TICK_NS
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node, which has the name of the plant; returns the exit code."""
+
+    def body(context: NodeContext) -> int:
+        if not context.config.device:
+            raise ValueError("device must be MODULE:NAME or an entry point, got none")
+        others = OtherPlants(context)
+        context.event("alone")
+        device = Supervisor(make_device(context.config), context.config)
+        device.open()
+        try:
+            return DeviceLoop(context, device).run(others)
+        finally:
+            device.end()
+
+    return run_node("plant", arguments, body)
+
+
+class DeviceLoop(PlantLoop):
+    """The loop of the plant node with a device.
+
+    Parameters
+    ----------
+    context : NodeContext
+    device : Supervisor
+        It is open.
+    """
+
+    def __init__(self, context: NodeContext, device: Supervisor) -> None:
+        super().__init__(context, device)  # type: ignore[arg-type]  # it is not stepped
+        self.device = device
+
+    def run(self, others: OtherPlants) -> int:
+        """Run; whatever happens, the actuators are at zero afterwards."""
+        try:
+            return super().run(others)
+        except DeviceError:
+            self._report(self.io.start + self.ticks * TICK_NS)
+            raise
+        finally:
+            self.device.end()
+
+    def _run_once(self) -> None:
+        self.device.drain()
+        super()._run_once()
+
+    def _real_time(self, start: int) -> None:
+        context, clock, io, device = self.context, self.clock, self.io, self.device
+        total = context.config.ticks
+        while True:
+            late = clock.wait()
+            self.lateness.add(late)
+            lost = min(late // TICK_NS, total - self.ticks)
+            for _ in range(lost):
+                self._lose(start + self.ticks * TICK_NS)
+            k = self.ticks
+            now, woke = start + k * TICK_NS, time.monotonic_ns()
+            self._woke[k % RING] = time.time_ns()
+            self._take_commands(now)
+            self.held += not io.fresh(now)
+            if k >= total or self._ended:
+                break
+            self._advance(now)
+            complete = device.read(woke)
+            frames = {
+                sample.port: (as_stamp(sample.acquired_ns, clock.first, start), sample.values)
+                for sample in device.frames
+                if sample.acquired_ns >= clock.first  # what was acquired before the run is no part of its record
+            }
+            io.publish_samples(now, device.measurement if complete else None, frames, TRUTH_PORT)
+            self._frames += len(frames.keys() - {TRUTH_PORT})
+            self.ticks += 1
+            if complete:
+                self._count_sent()
+            else:
+                self._pending[UNSENT_TICKS] += 1
+            self.execution.add(time.monotonic_ns() - woke)
+            self._background(now)
+        device.write(np.zeros_like(self._command), time.monotonic_ns())
+
+    def _begin_counts(self) -> None:
+        super()._begin_counts()
+        self._frames = 0
+
+    def _advance(self, now: int) -> None:
+        """Changes and commands of a tick."""
+        io, command, changes = self.io, self._command, self.changes
+        changes.now = now - io.start
+        if changes.now >= changes.due:
+            changes.advance(changes.now)
+        io.fsm_gate.apply(now, command[MIRROR])
+        io.pma_gate.apply(now, command[FORCES])
+        self.device.write(command, time.monotonic_ns())
+
+    def statistics(self) -> dict[str, str]:
+        """Counts and times of the loop and of the device."""
+        missing = self.ticks // self.device.frame_ticks - self._frames
+        frames = {f"{UNSENT}{CAMERA_LOS.name}": str(missing)} if missing > 0 else {}
+        return {**super().statistics(), **frames, **self.device.statistics()}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

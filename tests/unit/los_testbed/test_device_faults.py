@@ -1,0 +1,207 @@
+"""The emulator of a rig under the reference driver and its supervisor, without ROS: faults on both sides."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.device.contract import ACTIVE, ERROR, FINALIZED, DeviceError, Sample
+from los_testbed.device.emulator import Mirror, RigSettings
+from los_testbed.device.supervisor import EVERY_TICK, Supervisor
+from los_testbed.device.udp import UdpRig
+from los_testbed.device.wire import Kind, encode
+from los_testbed.exit_codes import ExitCode
+
+from titop_plant.interface import COLUMNS, COMMANDS
+
+SUPPORT = Path(__file__).parents[2] / "support"
+PLANT = "simple_telescope:SimpleTelescope"
+
+
+class Rig:
+    """An emulator, as a process, and the configuration to reach it with."""
+
+    def __init__(self, *options):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            address = f"127.0.0.1:{free.getsockname()[1]}"
+        self.config = RunConfig(device="rig", device_address=address, start="rest")
+        physics = json.dumps({"plant": PLANT, "device_address": address})
+        command = [sys.executable, "-m", "los_testbed.device.emulator", "--config", physics, *options]
+        variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=SUPPORT, env=variables)
+        assert self.next() == {"event": "ready"}
+
+    def next(self):
+        return json.loads(self.process.stdout.readline())
+
+    def until(self, event):
+        while (found := self.next())["event"] != event:
+            pass
+        return found
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(20)
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def rig(request):
+    made = Rig(*getattr(request, "param", ()))
+    yield made
+    made.close()
+
+
+def fly(supervisor, ticks, angle=1e-4):
+    """Ticks of a loop that drives the mirror to an angle; how many were complete, and the last frames."""
+    command, complete, frames = np.zeros(COMMANDS), 0, []
+    command[0] = angle
+    for _ in range(ticks):
+        time.sleep(1e-3)
+        supervisor.write(command, time.monotonic_ns())
+        complete += supervisor.read(time.monotonic_ns())
+        frames += supervisor.frames
+    return complete, frames
+
+
+@pytest.mark.parametrize("rig", [("--loss=0.02", "--reorder=0.02")], indirect=True)
+def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig):
+    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor.open()
+    complete, frames = fly(supervisor, 700)
+    assert supervisor.state == ACTIVE and complete > 500
+    assert supervisor.measurement[20] == pytest.approx(1e-4, abs=1e-5), "the strain gauge sees the angle"
+    ages = [time.monotonic_ns() - sample.acquired_ns for sample in frames[-1:]]
+    assert 0 < ages[0] < 5e9, "times of acquisition are on the clock of this host"
+    found = supervisor.statistics()
+    assert int(found["device_packets_lost"]) > 5 and int(found["device_packets_reordered"]) > 0
+    supervisor.end()
+    assert supervisor.state == FINALIZED
+    assert rig.until("safe")["why"] == "asked"
+    assert rig.until("closed")["applied"] == 0.0
+
+
+def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_nothing(rig):
+    driver = UdpRig()
+    supervisor = Supervisor(driver, rig.config)
+    supervisor.open()
+    fly(supervisor, 50)
+    host, port = rig.config.device_address.split(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for key in (bytes(8), driver._key):  # the second even knows the key, and is another sender
+            stranger.sendto(encode(Kind.COMMAND, 10**6, 0, np.full(COMMANDS, 1.0), key), (host, int(port)))
+    found = rig.until("safe")
+    assert found["why"] == "watchdog" and found["after_ms"] >= 50
+    assert found["before"] <= 1.1e-4, "not the 5.3e-3 rad of a saturated mirror"
+    supervisor.end()
+
+
+@pytest.mark.parametrize(
+    ("rig", "text"),
+    [
+        (("--fault=silent", "--fault-at=0.2"), "no sample for 140 ms"),
+        (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 samples"),
+        pytest.param(("--fault=corrupt", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
+        pytest.param(("--fault=brown_out", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
+    ],
+    indirect=["rig"],
+)
+def test_a_fault_of_the_rig_ends_the_run_with_mirror_and_forces_at_zero(rig, text):
+    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor.open()
+    with pytest.raises(DeviceError, match=text) as error:
+        fly(supervisor, 5000)
+    assert error.value.code == ExitCode.DEVICE
+    assert supervisor.state == ERROR
+    supervisor.end()
+    assert rig.until("safe")["before"] <= 1.1e-4
+    assert text in supervisor.statistics()["device_fault"]
+
+
+def test_no_rig_is_a_mistake_of_the_user(monkeypatch):
+    monkeypatch.setattr("los_testbed.device.udp.OPEN_S", 0.1)
+    config = RunConfig(device="my:Rig", device_address="127.0.0.1:9", start="rest")
+    with pytest.raises(ValueError, match=r"device my:Rig must open, got RigSilentError: no answer from 127.0.0.1:9"):
+        Supervisor(UdpRig(), config).open()
+
+
+class Broken:
+    """A device whose methods fail."""
+
+    def __init__(self):
+        self.called = []
+
+    def __getattr__(self, name):
+        def method(*arguments):
+            self.called.append(name)
+            if name in ("read", "safe"):
+                raise OSError("the cable is out")
+            return {}
+
+        return method
+
+
+def test_a_device_that_fails_is_made_safe_and_closed_although_that_fails_too():
+    device = Broken()
+    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"))
+    supervisor.open()
+    with pytest.raises(DeviceError, match="read failed: OSError: the cable is out"):
+        supervisor.read(0)
+    supervisor.end()
+    supervisor.end()
+    assert device.called == ["open", "read", "write", "safe", "close"]
+
+
+def test_the_rig_has_limits_of_its_own_and_a_resonance():
+    mirror = Mirror(5e-3, RigSettings(rate=1.0, resonance=100.0, damping=0.1))
+    step = np.array([1e-4, 0.0])
+    path = np.array([mirror.step(step)[0] for _ in range(400)])
+    assert path.max() > 1.3e-4, "it swings beyond a step"
+    assert path[-1] == pytest.approx(1e-4, rel=1e-3), "a steady command gives its angle"
+    swing = np.diff(np.flatnonzero(np.diff(np.sign(path - 1e-4)) != 0)).mean()
+    assert 500 / swing == pytest.approx(100.0, rel=0.05), "at its resonance"
+    assert not mirror.limited
+    slow = np.abs([mirror.step(np.array([1.0, 0.0]))[0] for _ in range(20)])
+    assert mirror.limited and slow.max() <= 5e-3
+    assert slow[0] < 2e-3, "no more than 1 mrad in a tick, and its swing"
+    mirror.stop()
+    assert not mirror.step(np.zeros(2)).any()
+
+
+class Beating(Broken):
+    """Samples that come at about the deadline: two in one tick, none in the next; then one in each."""
+
+    def __init__(self):
+        super().__init__()
+        self.pattern = [0, 2, 1, 0, 2, 0, 2, 1, 0, *[1] * 300]
+        self.number = 0
+
+    def read(self, now_ns):
+        found = []
+        for _ in range(self.pattern.pop(0)):
+            self.number += 1
+            for port in EVERY_TICK:
+                size = COLUMNS[port].stop - COLUMNS[port].start
+                found.append(Sample(port, self.number, np.full(size, float(self.number))))
+        return found
+
+
+def test_a_tick_without_a_sample_gets_the_one_that_came_with_another():
+    device = Beating()
+    supervisor = Supervisor(device, RunConfig(device="my:Rig", start="rest"))
+    supervisor.open()
+    complete = [supervisor.read(1000) for _ in range(9)]
+    assert complete == [False, *[True] * 8]
+    used = []
+    for _ in range(300):
+        assert supervisor.read(1000)
+        used.append(supervisor.measurement[0])
+    assert set(np.diff(used)) <= {1.0, 2.0}, "in order, none twice"
+    assert used[-1] == device.number, "a sample that is not needed is given up: the newest is used again"

@@ -1,0 +1,78 @@
+"""Packets of the reference driver: what is not one of the run is refused and counted."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from los_testbed.config import RunConfig
+from los_testbed.device.clock_map import ClockMap
+from los_testbed.device.udp import address_of, secret_of
+from los_testbed.device.wire import Kind, Reader, encode
+
+KEY, OTHER = b"12345678", b"12345679"
+VALUES = np.array([1e-6, -2e-6])
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_stray_packets_are_refused(data):
+    reader = Reader(KEY)
+    assert reader.read(data) is None
+    assert sum(reader.refused.values()) == 1
+
+
+@given(st.integers(0, 43), st.integers(0, 7))
+@settings(max_examples=200, deadline=None)
+def test_a_flipped_bit_is_found(place, bit):
+    data = bytearray(encode(Kind.FRAME, 3, 5, VALUES, KEY))
+    data[place] ^= 1 << bit
+    assert Reader(KEY).read(bytes(data)) is None
+
+
+def test_a_packet_of_another_run_is_refused():
+    reader = Reader(KEY)
+    assert reader.read(encode(Kind.COMMAND, 1, 5, np.zeros(8), OTHER)) is None
+    assert dict(reader.refused) == {"check": 1}
+
+
+def test_lost_and_reordered_packets_are_counted():
+    reader = Reader(KEY)
+    for number in (1, 2, 5, 4, 6, 6):
+        reader.read(encode(Kind.FAST, number, 5, VALUES, KEY))
+    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 1, {"repeated": 1})
+
+
+@given(st.floats(-200, 200), st.integers(0, 400_000), st.integers(0, 2**40))
+@settings(max_examples=25, deadline=None)
+def test_the_clock_of_a_rig_is_known_to_half_of_the_way(drift_ppm, spread_ns, ahead):
+    clocks, rng = ClockMap(), np.random.default_rng(1)
+    for k in range(200):
+        sent = k * 50_000_000
+        there, back = (50_000 + int(rng.exponential(spread_ns + 1)) for _ in range(2))
+        clocks.answer(sent, ahead + round((sent + there) * (1 + 1e-6 * drift_ppm)), sent + there + back)
+    at = 9_900_000_000
+    assert abs(clocks.to_host(ahead + round(at * (1 + 1e-6 * drift_ppm))) - at) < 20_000 + spread_ns / 2
+    assert clocks.drift_ppm == pytest.approx(drift_ppm, abs=1 + spread_ns / 2e4)
+    assert clocks.jumps == 0
+
+
+def test_a_clock_that_is_set_is_learned_anew():
+    clocks = ClockMap()
+    for k in range(100):
+        sent = k * 50_000_000
+        clocks.answer(sent, sent + (1_000_000_000 if k >= 50 else 0) + 50_000, sent + 100_000)
+    assert clocks.jumps == 1 and abs(clocks.to_host(6_000_000_000) - 5_000_000_000) < 2000
+
+
+def test_a_rig_on_another_machine_needs_a_key(tmp_path):
+    assert address_of("127.0.0.1:47800") == ("127.0.0.1", 47800)
+    assert secret_of(RunConfig(), "127.0.0.1") == bytes(8)
+    with pytest.raises(ValueError, match=r"for a rig on another machine, got none for 10\.0\.0\.7"):
+        secret_of(RunConfig(), "10.0.0.7")
+    (tmp_path / "key").write_text("a key of the rig, long enough")
+    (tmp_path / "short").write_text("short")
+    assert secret_of(RunConfig(device_key=str(tmp_path / "key")), "10.0.0.7") != bytes(8)
+    with pytest.raises(ValueError, match="16 characters or more, got 5"):
+        secret_of(RunConfig(device_key=str(tmp_path / "short")), "10.0.0.7")
+    with pytest.raises(ValueError, match="device_address must be HOST:PORT, got 'nonsense'"):
+        address_of("nonsense")
