@@ -130,6 +130,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/image_quality.py --json
 	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json
+	$(BIN)/python benchmarks/image_camera.py --pairs 1 --seconds 5 --json
 	$(BIN)/python benchmarks/lockstep.py --seconds 5 --json
 	$(BIN)/python benchmarks/deadline_qos.py --seconds 4 --json
 	$(BIN)/python benchmarks/soak.py --minutes 2 --json

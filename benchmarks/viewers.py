@@ -99,8 +99,7 @@ def shares(bag: Path, turns: list[tuple[int, bool]]) -> dict[str, Any]:
             for status in read_diagnostics(message.data)[1]:
                 if not status.name.endswith(": plant") or "ticks" not in status.values:
                     continue
-                ticks, missed, skipped = (int(status.values[n]) for n in ("ticks", "missed_ticks", "skipped_periods"))
-                now = (ticks + skipped, missed)
+                now = (int(status.values["ticks"]), int(status.values["missed_ticks"]))
                 earlier = [turn for turn in turns if turn[0] < message.log_time]
                 if last is not None and earlier and message.log_time - earlier[-1][0] > MARGIN_NS:
                     counts[earlier[-1][1]][0] += now[1] - last[1]

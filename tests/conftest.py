@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import warnings
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,16 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         give_way(item.nodeid)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Nearly all that is made while tests are collected stays: nothing is gained by looking for garbage in it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 def pytest_collection_finish() -> None:
     """The collected tests stay until the end: later collections of garbage need not look at them."""
     gc.collect()
@@ -69,10 +80,11 @@ def pytest_collection_finish() -> None:
 def without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports without their pictures, which take more than a second: for tests of what else is on a page.
 
-    A test with the marker ``pictures`` has them in spite of it.
+    What is computed for pictures alone is left out, too. A test with the marker ``pictures`` has them in spite of it.
     """
     if request.node.get_closest_marker("pictures") is None:
         monkeypatch.setattr("pointing_analysis.report.report.PICTURES", ())
+        monkeypatch.setattr("los_testbed.run.summary.loop_curves.broken_loops", lambda *_: ())
 
 
 @pytest.fixture(scope="session")

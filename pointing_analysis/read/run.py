@@ -236,6 +236,21 @@ class Run:
         self._topics[name] = topic
         return topic
 
+    def messages(self, name: str) -> tuple[bytes, ...]:
+        """Messages of a topic as they were recorded, in the order of the files; also of a type that is no columns.
+
+        Empty where the bag has no such topic.
+        """
+        full, found = f"{self.namespace}/{name}", []
+        reading = BagPass(self.path, self._files, self._max_chunk, self._window)
+        for info, block in reading.blocks():
+            seconds = reading.seconds(block)
+            for channel, rows in block.by_channel(info.channels):
+                if channel.topic == full and channel.encoding == "cdr":
+                    inside = rows[(seconds[rows] >= self._window[0]) & (seconds[rows] < self._window[1])]
+                    found += [block.payload(row) for row in inside.tolist()]
+        return tuple(found)
+
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Files in the bag (controllers, plant parameters), by name."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-NODES = {"real_time_loop.py", "soak.py"}
+NODES = {"real_time_loop.py", "image_camera.py", "soak.py"}
 
 
 def calls() -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_controller, check_controllers
+from los_testbed.factories import RunParts, build_controller
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.replay import controllers, drive
 from los_testbed.run.summary.predictions import predictions
@@ -63,7 +63,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
 
 @pytest.fixture(scope="module")
 def bag(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    assert check_controllers(config) == ()
+    assert RunParts(config).check() == ()
     path = tmp_path_factory.mktemp("bag") / "bag"
     run_in_process(config, path)
     return path

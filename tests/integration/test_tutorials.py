@@ -185,7 +185,7 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
     knots = ["time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4", "0,0,30,30,30,30", "9,1,90,90,90,90"]
     (tmp_path / "my_profile.csv").write_text("\n".join(knots) + "\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run_command, "execute", lambda config, *_options: (_ for _ in ()).throw(Understood(config)))
+    monkeypatch.setattr(run_command, "execute", lambda parts, *_options: (_ for _ in ()).throw(Understood(parts)))
     lines = re.findall(
         r"^    los-testbed (run .*?)(?:\s+#.*)?$", PAGE.with_name("telescope.md").read_text("utf-8"), re.M
     )
@@ -193,8 +193,9 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
     for line in lines:
         with pytest.raises(Understood) as caught:
             cli.main(shlex.split(line))
-        check_ranges(caught.value.args[0])
+        parts = caught.value.args[0]
+        check_ranges(parts.config, parts.parameters)
 
 
 class Understood(SystemExit):
-    """Carries the configuration of a command instead of starting a run."""
+    """Carries the parts of the run of a command instead of starting a run."""

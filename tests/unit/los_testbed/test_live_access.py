@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("tornado")
 pytest.importorskip("foxglove")
 from los_testbed.cli.options.live_options import SERVED, check_live, server_for_viewers
-from los_testbed.config import RunConfig
 from los_testbed.live import gate, page_server
 from los_testbed.live.access import Access, certificate
 from los_testbed.live.foxglove_server import FoxgloveServer
@@ -233,14 +232,14 @@ def test_a_certificate_without_its_key_is_refused(pem):
         with pytest.raises(ValueError, match="--live-tls-"):
             certificate(*files)
     with pytest.raises(ValueError, match="--live-tls-key"):
-        check_live(RunConfig(), server_for_viewers(0, "127.0.0.1", tls_cert=cert))
+        check_live("realtime", server_for_viewers(0, "127.0.0.1", tls_cert=cert))
 
 
 def test_a_topic_or_site_that_does_not_exist_is_refused_before_the_run():
-    check_live(RunConfig(), Live(topics=SERVED))
+    check_live("realtime", Live(topics=SERVED))
     with pytest.raises(ValueError, match=r"--live-topic must be one of .*got 'truth/loss'"):
-        check_live(RunConfig(), Live(topics=("truth/loss",)))
+        check_live("realtime", Live(topics=("truth/loss",)))
     with pytest.raises(ValueError, match="--live-origin must be"):
-        check_live(RunConfig(), Live(origins=("example.org",)))
+        check_live("realtime", Live(origins=("example.org",)))
     with pytest.raises(ValueError, match="--live must be given with --live-topic"):
         server_for_viewers(None, "127.0.0.1", topics=["truth/los"])

@@ -128,12 +128,12 @@ def test_the_port_of_viewers_may_be_left_out(given, expected):
 @pytest.mark.parametrize("port", [-1, 65535, 70000])
 def test_a_port_out_of_range_is_refused(port):
     with pytest.raises(ValueError, match=f"--live must be a port from 0 to 65534, got {port}"):
-        check_live(RunConfig(), Live(port=port))
+        check_live("realtime", Live(port=port))
 
 
 def test_viewers_need_nodes():
     with pytest.raises(ValueError, match="mode must be realtime or lockstep with --live, got inprocess"):
-        check_live(RunConfig(mode="inprocess"), Live())
+        check_live("inprocess", Live())
 
 
 def test_the_last_exposure_comes_five_times_a_second():

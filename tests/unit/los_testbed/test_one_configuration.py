@@ -32,6 +32,8 @@ FORMER = {
     "fsm_authority": 0.0,
     "pma_authority": 0.0,
     "plant": "",
+    "device": "",
+    "device_key": "",
     "disturbance_source": "",
     "disturbance_files": "",
     "k_fsm": "",
@@ -68,12 +70,17 @@ OTHER = {
     "pma_authority": 5.0,
     "nonlinear": True,
     "plant": "my:Plant",
+    "device": "my:Rig",
+    "device_address": "127.0.0.1:5000",
+    "device_key": "rig.key",
     "disturbance_source": "my:Wind",
     "disturbance_files": "measured.csv@wheel_2;cooler.toml",
     "k_fsm": "k.json",
     "k_pma": "p.json",
     "hold_ticks": 5,
     "fade_ticks": 7,
+    "old_frames": "drop",
+    "camera_latency": 7.0,
     "output": "folder",
     "namespace": "/foo",
     "domain": 3,
@@ -85,7 +92,7 @@ OTHER = {
 }
 """A value of each setting that is not the default."""
 
-NEEDS = {"plant": {"start": "rest"}}
+NEEDS = {"plant": {"start": "rest"}, "device": {"start": "rest"}}
 """Settings that a value of another one asks for."""
 
 OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance"}
@@ -129,7 +136,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
 def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
     """From the words on the command line to the configuration."""
     seen: dict[str, Any] = {}
-    monkeypatch.setattr("los_testbed.cli.run.execute", lambda config, *_: seen.update(config=config) or 1 / 0)
+    monkeypatch.setattr("los_testbed.cli.run.execute", lambda parts, *_: seen.update(config=parts.config) or 1 / 0)
     own, value = RunConfig.SETTINGS[name], OTHER[name]
     flag = "--" + name.replace("_", "-")
     if own.kind is bool:

@@ -196,7 +196,7 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
             or name == "nominal"
             or config.tau
         )
-        check_ranges(config)
+        check_ranges(config, load_parameters(config.parameters))
     code, out, _ = run("plant", "cases")
     assert code == 0 and all(name in out for name in cases)
 

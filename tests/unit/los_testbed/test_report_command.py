@@ -63,6 +63,19 @@ def test_a_bag_of_somebody_else_has_no_predictions(call, tmp_path) -> None:
     assert "Predicted against measured" not in page and "no prediction" not in page
 
 
+def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> None:
+    """As `run` and `analyse` do; of several bags with the name of the one that it is of."""
+    told, quiet = (
+        write_bag(tmp_path / name, {"truth/los": los(3)}, parameters={"loop": name, **more})
+        for name, more in (("fsm", {"start_note": "no start <is> known"}), ("isolator", {}))
+    )
+    code, out, _ = call(told, "--output", "one.html")
+    assert code == 0 and "note: no start <is> known" in out
+    assert "no start &lt;is&gt; known" in (call.here / "one.html").read_text()
+    code, out, _ = call(told, quiet, "--output", "two.html")
+    assert code == 0 and "note: fsm: no start <is> known" in out
+
+
 def test_requirements_of_ones_own_and_transient(call, tmp_path) -> None:
     bag = write_bag(tmp_path / "bag", {"truth/los": los(3)}, parameters={"loop": "fsm"})
     own = tmp_path / "own.toml"

@@ -27,6 +27,9 @@ MODES = ("realtime", "lockstep", "inprocess")
 STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
+OLD_FRAMES = ("correct", "use", "drop")
+"""What is done with an old frame: moved by what the mirror has done since, used as it is, not used."""
+
 BESIDE_SCENARIO = "scenario"
 """Among the files of disturbances: the tones of the scenario act, too."""
 
@@ -69,6 +72,11 @@ class RunConfig(PhysicalSettings):
     )
     nonlinear: bool = setting(False, "stroke and rate limits, quantised sensors, anti-alias filters")
     plant: str | None = setting(None, "plant of your own, MODULE:NAME or entry point", absent="the telescope")
+    device: str | None = setting(None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none")
+    device_address: str = setting("127.0.0.1:47800", "HOST:PORT of a rig with the reference driver")
+    device_key: str | None = setting(
+        None, "file with the key of a rig, needed for one on another machine", absent="none is asked for"
+    )
     disturbance_source: str | None = setting(
         None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"
     )
@@ -81,6 +89,8 @@ class RunConfig(PhysicalSettings):
     )
     hold_ticks: int = setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = setting(20, "ticks of the fade to zero and back", "ms", 1, 10000)
+    old_frames: str = setting(OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES)
+    camera_latency: float = setting(0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0)
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
     namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")
     domain: int | None = setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0")
@@ -100,6 +110,9 @@ class RunConfig(PhysicalSettings):
 
     def _check_code(self) -> None:
         """Refuse settings that do not go with a plant, a controller or a disturbance of the user."""
+        if self.device and (self.plant or self.mode != "realtime" or self.start != "rest"):
+            got = f"plant {self.plant}, mode {self.mode}, start {self.start}"
+            raise ValueError(f"device must be given with mode realtime, start rest and no plant, got {got}")
         if self.plant and self.start != "rest":
             raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
         for name in ("k_fsm", "k_pma"):
@@ -115,6 +128,11 @@ class RunConfig(PhysicalSettings):
             raise ValueError("ramp_duration must be 0 and profile linear with files of disturbances, got a ramp")
         if self.disturbance_source and (self.ramp_duration or self.profile not in ("linear", "trapezoidal")):
             raise ValueError("ramp_duration must be 0 and profile linear with a disturbance of your own, got a ramp")
+
+    @property
+    def other_plant(self) -> str | None:
+        """Plant of the user, or device, in place of the telescope; None where it is the telescope."""
+        return self.plant or self.device
 
     @property
     def files_of_disturbance(self) -> tuple[str, ...]:
@@ -134,6 +152,20 @@ class RunConfig(PhysicalSettings):
             self.disturbance_files and BESIDE_SCENARIO not in _parts(self.disturbance_files)
         )
         return self.disturbance and not own
+
+    @property
+    def code_of_user(self) -> list[str]:
+        """Settings that name code of the user, with their values.
+
+        Examples
+        --------
+        >>> RunConfig(plant="my.module:Plant", k_pma="designs/k_pma.json", start="rest").code_of_user
+        ['plant my.module:Plant']
+        """
+        disturbance = self.disturbance_source if self.disturbance else None
+        found = {"plant": self.plant, "device": self.device, "disturbance": disturbance}
+        found |= {name: law for name in ("k_fsm", "k_pma") if is_code(law := getattr(self, name))}
+        return [f"{name} {value}" for name, value in found.items() if value]
 
     @property
     def ticks(self) -> int:
@@ -163,7 +195,7 @@ def _parts(text: str | None) -> list[str]:
     return [part.strip() for part in (text or "").split(";") if part.strip()]
 
 
-CHANGED = ("plant", "nonlinear", "disturbance_source", "disturbance_files")
+CHANGED = ("plant", "device", "nonlinear", "disturbance_source", "disturbance_files")
 """Fields that change the plant itself; part of its hash where they are set."""
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -92,10 +92,10 @@ class RunParts:
     def parameters(self) -> Parameters:
         """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
         from titop_plant.telescope.guide_camera import check_exposure
-        from titop_plant.telescope.parameters import REFERENCE, load_parameters
+        from titop_plant.telescope.parameters import load_parameters
 
         known = self.known_family
-        found = load_parameters(self.config.parameters or REFERENCE) if known is None else known.parameters
+        found = load_parameters(self.config.parameters) if known is None else known.parameters
         check_exposure(found, self.config.frame_ticks)
         return found
 
@@ -223,7 +223,7 @@ class RunParts:
         config = self.config
         if self.recorded_start is not None:
             return self.recorded_start
-        if config.plant or (config.start == "rest" and not needs_tone(config)):
+        if config.other_plant or (config.start == "rest" and not needs_tone(config)):
             return AT_REST
         if self.code:  # no model of the code is known: the tone that is worst without fine control
             opened = "isolator" if config.loop != "none" else "none"
@@ -316,7 +316,7 @@ class RunParts:
         """Camera that takes images; None where it takes none."""
         from titop_plant.telescope.guide_camera import star_camera, takes_images
 
-        if self.config.plant or not takes_images(self.parameters):
+        if self.config.other_plant or not takes_images(self.parameters):
             return None
         return star_camera(self.parameters, self.config.parameters or "reference.toml")
 
@@ -326,11 +326,17 @@ class RunParts:
         camera = self.star_camera
         return TOPICS if camera is None else (*TOPICS, image_topic(camera.camera.window))
 
+    def disturbance(self) -> UserBlock:
+        """Disturbance of the user; ValueError: it cannot be made, or breaks the contract."""
+        from titop_plant.simulation.driven_plant import driven_ports
+
+        return make_disturbance(self.config, driven_ports(self.parameters))
+
     def _driven(self, plant: SampledPlant, source: str) -> DrivenPlant:
         """The telescope under the disturbance of the user."""
         from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
 
-        disturbance = make_disturbance(self.config)
+        disturbance = self.disturbance()
         disturbance.reset()
         with one_thread():
             return DrivenPlant(plant, held_disturbance(self.family, self.physical, plant.dt), disturbance, source)
@@ -349,25 +355,38 @@ class RunParts:
     @cached_property
     def sources(self) -> tuple[PlacedSource, ...]:
         """Sources of disturbance of files; ValueError: one of them cannot be used."""
-        if not self._entries:
+        if not (self._entries or self._mechanisms):
             return ()
         from los_testbed.disturbance_files import Run, make_sources
         from titop_plant.simulation.plant_config import motion
+        from titop_plant.simulation.sources.mechanisms import mechanism_sources
         from titop_plant.telescope.layout import reaction_wheels
 
-        speeds = motion(self.settings, self.parameters).speeds(0.0)
+        profile = motion(self.settings, self.parameters)
         names = tuple(wheel.name for wheel in reaction_wheels(self.parameters))
-        run = Run(tuple(map(float, speeds)), self.config.duration, self.config.seed, names)
-        return make_sources(self._entries, self.parameters, run)
+        run = Run(tuple(map(float, profile.speeds(0.0))), self.config.duration, self.config.seed, names)
+        found = make_sources(self._entries, self.parameters, run)
+        if self._mechanisms:
+            found += mechanism_sources(self.parameters, profile, self.config.duration, self.config.seed)
+        return found
 
     @property
     def sources_digest(self) -> str:
         """SHA-256 of the tables and files of the sources; empty where there are none."""
-        if not self._entries:
+        if not (self._entries or self._mechanisms):
             return ""
         from los_testbed.disturbance_files import digest
 
-        return digest(self._entries)
+        return digest(self._entries, self._mechanisms)
+
+    @cached_property
+    def _mechanisms(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """Tables of the telescope's wheels and drives that make disturbances; none without disturbance."""
+        if not self.config.disturbance or self.config.plant or not self.config.parameters:
+            return []
+        from titop_plant.telescope.layout import source_tables
+
+        return source_tables(self.parameters)
 
     @cached_property
     def _entries(self) -> list[Entry]:
@@ -449,11 +468,6 @@ def _user_plant(config: RunConfig) -> Plant:
     except RAISED as error:
         raise ValueError(f"plant {config.plant} must have a reset that works, got {in_one_line(error)}") from error
     return own
-
-
-def check_controllers(config: RunConfig) -> tuple[str, ...]:
-    """Refuse controllers that cannot be used, see :meth:`RunParts.check`."""
-    return RunParts(config).check()
 
 
 def build_plant(config: RunConfig) -> Plant:

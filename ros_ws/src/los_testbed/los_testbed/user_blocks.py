@@ -247,18 +247,14 @@ def _linear_law(setting: str, text: str, found: Any) -> Any:
     return LosEstimator(law) if setting == "k_fsm" else law
 
 
-def make_disturbance(config: RunConfig) -> UserBlock:
-    """Disturbance that the configuration names, checked.
+def make_disturbance(config: RunConfig, ports: Sequence[Port]) -> UserBlock:
+    """Disturbance that the configuration names, for these ports of the telescope, checked.
 
     Raises
     ------
     ValueError
         It cannot be made, or breaks the contract.
     """
-    from titop_plant.simulation.driven_plant import driven_ports
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
-
-    ports = driven_ports(load_parameters(config.parameters or REFERENCE))
     setting = "disturbance_source"
     made = UserBlock(setting, str(config.disturbance_source), make(config, setting), (), ports)
     made.check()

@@ -47,19 +47,19 @@ def family(parameters: str | None = None) -> dict[str, RealParameter]:
     ValueError
         The file cannot be read or is no parameter file.
     """
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
+    from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
 
-    return uncertain_parameters(load_parameters(parameters or REFERENCE))
+    return uncertain_parameters(load_parameters(parameters))
 
 
-def check_ranges(config: RunConfig, parameters: Parameters | None = None) -> None:
+def check_ranges(config: RunConfig, parameters: Parameters) -> None:
     """Refuse a configuration whose plant is not in the family, at its start or at the end of its ramps.
 
     Parameters
     ----------
     config : RunConfig
-    parameters : mapping, optional
-        Of the telescope; default: read from the file of `config`.
+    parameters : mapping
+        Of the telescope.
 
     Raises
     ------
@@ -68,16 +68,16 @@ def check_ranges(config: RunConfig, parameters: Parameters | None = None) -> Non
 
     Examples
     --------
-    >>> check_ranges(RunConfig(omega_1=2.0))
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> check_ranges(RunConfig(omega_1=2.0), load_parameters())
     Traceback (most recent call last):
         ...
     ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
     from titop_plant.simulation.plant_config import check_wheels, frequencies
     from titop_plant.telescope.layout import ANGLE, control_stages, default_speeds
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters, uncertain_parameters
+    from titop_plant.telescope.parameters import uncertain_parameters
 
-    parameters = load_parameters(config.parameters or REFERENCE) if parameters is None else parameters
     table = uncertain_parameters(parameters)
     if config.loop not in (stages := control_stages(parameters)):
         raise ValueError(f"loop must be one of {', '.join(stages)} without proof-mass actuators, got {config.loop}")
@@ -218,13 +218,13 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         A file of another form.
     """
     from los_design.search import worst_points
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+    from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
     folder = Path(designs) if designs else Path(worst_points.__file__).parent
     path = folder / WORST_POINTS
     if not path.exists():
         return {}
-    used = parameters_hash(load_parameters(parameters or REFERENCE))
+    used = parameters_hash(load_parameters(parameters))
     try:
         content = json.loads(read_ordinary_file(path))
         if content["parameters_hash"] != used:

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
@@ -15,6 +15,7 @@ from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_t
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import COLUMNS, RANDOM
 from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
+from los_testbed.run.summary.screen import numbers
 from pointing_analysis.requirements.rows import with_unit
 from pointing_analysis.requirements.text import Requirement
 
@@ -104,11 +105,13 @@ def _shown(values: dict[str, Any]) -> dict[str, Any]:
 
 def verdict_table(summary: dict[str, Any]) -> Table:
     """Verdicts for the screen."""
-    table = Table(title="Requirements (ECSS-E-ST-60-10C)", title_justify="left")
-    for name in ("requirement", "interpretation", "verdict"):
-        table.add_column(name)
-    for name in ("quantile", "limit", "beyond", "samples"):
-        table.add_column(name, justify="right")
+    heads: tuple[Column | str, ...] = (
+        "requirement",
+        "interpretation",
+        "verdict",
+        *numbers("quantile", "limit", "beyond", "samples"),
+    )
+    table = Table(*heads, title="Requirements (ECSS-E-ST-60-10C)", title_justify="left")
     for v in summary["verdicts"]:
         value = "unbounded" if v["value"] is None else with_unit(f"{v['value']:.4g}", v["unit"])
         limit = f"{'above ' if v['lower_limit'] else ''}{v['limit']:.4g}"
@@ -136,10 +139,8 @@ def worst_lines(summary: dict[str, Any]) -> list[str]:
 def metric_table(summary: dict[str, Any]) -> Table:
     """Table for the screen."""
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
-    table = Table(title=f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}")
-    table.add_column("metric", no_wrap=True)
-    for name in quantile_heads(summary):
-        table.add_column(name, justify="right")
+    title = f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}"
+    table = Table(Column("metric", no_wrap=True), *numbers(*quantile_heads(summary)), title=title)
     for name, found in summary["metrics"].items():
         values = (value for key, value in found.items() if key != "members")
         table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))

@@ -90,7 +90,7 @@ def campaign(
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
-    from los_testbed.factories import check_controllers
+    from los_testbed.factories import RunParts
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)
@@ -108,7 +108,7 @@ def campaign(
     tls = TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key)
     folder = ResultFolder(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign")
     folder.check(resume)
-    warn(check_controllers(base))
+    warn(RunParts(base).check())
     check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
     with Progress("parameters of the members"):
         asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import RunConfig
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, numbers
 from pointing_analysis.requirements.rows import ABSENT, digits
 
 
@@ -53,18 +53,17 @@ def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) 
     from los_testbed.campaign.dataset import check_depth
     from los_testbed.campaign.member import MemberEvaluator
     from los_testbed.campaign.reproduction import MODEL_DIGITS, member_of
-    from los_testbed.factories import check_controllers
+    from los_testbed.factories import RunParts
 
     check_depth(base, depth)
     values = member_of(text, base.parameters)
-    warn(check_controllers(base))
+    warn(RunParts(base).check())
     with Progress("member"):
         row = MemberEvaluator.of(base).row(0, {**values, "seed": seed}, depth)
     named = ("index", "seed", "status", "reason", "hash", *values)
     metrics = {name: value for name, value in row.items() if name not in named}
-    table = Table(title=f"one member, depth {depth}: {row['status']}", title_justify="left")
-    table.add_column("metric", no_wrap=True)
-    table.add_column("value", justify="right")
+    title = f"one member, depth {depth}: {row['status']}"
+    table = Table(Column("metric", no_wrap=True), *numbers("value"), title=title, title_justify="left")
     for name, value in metrics.items():
         table.add_row(name, digits(value, MODEL_DIGITS) if math.isfinite(value) else ABSENT)
     console = Screen(stderr=json_)

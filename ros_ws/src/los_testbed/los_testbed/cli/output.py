@@ -51,6 +51,25 @@ def number(name: str, value: float, low: float, high: float, unit: str = "") -> 
     return value
 
 
+def numbers(name: str, text: str) -> tuple[float, ...]:
+    """Numbers of an option, with commas between them.
+
+    Raises
+    ------
+    ValueError
+        One that is none.
+
+    Examples
+    --------
+    >>> numbers("--rates", "50,25")
+    (50.0, 25.0)
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} must be numbers with commas between them, got {text!r}") from None
+
+
 def seconds(name: str, value: float | None, high: float = 1e7) -> None:
     """Check an optional time [s]; raises as `number`."""
     if value is not None:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from los_testbed.cli.options.options import Json, Telescope
 from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, numbers
 from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:
@@ -99,11 +99,13 @@ def cases(
 ) -> None:
     """See CASES_EXAMPLES."""
     from los_testbed.config import RunConfig
+    from titop_plant.telescope.parameters import load_parameters
 
     table = Table("case", "telescope", title_justify="left")
     for name, settings in named_cases(file).items():
         given = {key: value for key, value in settings.items() if key != "description"}
-        check_ranges(RunConfig.from_mapping(given))
+        member = RunConfig.from_mapping(given)
+        check_ranges(member, load_parameters(member.parameters))
         table.add_row(Text(name), Text(str(settings.get("description", given))))
     Screen().print(table)
 
@@ -117,12 +119,14 @@ def show(console: Console, found: PlantSummary) -> None:
     console.print(_table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(found)))
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
     console.print(_table("bodies", heads, _bodies(found)))
+    if found.mechanisms:
+        rotors = ("rotor", "at rest [rad/s]", "at the default speed [rad/s]")
+        rows: list[tuple[Any, ...]] = [(mode.name, mode.at_rest, mode.at_speed) for mode in found.mechanisms]
+        console.print(_table("modes of rotors, their mounts held", rotors, rows))
 
 
 def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:
-    table = Table(title=title, title_justify="left")
-    for i, head in enumerate(heads):
-        table.add_column(head, justify="left" if i == 0 else "right")
+    table = Table(heads[0], *numbers(*heads[1:]), title=title, title_justify="left")
     for row in rows:
         table.add_row(*(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row))
     return table

@@ -23,13 +23,12 @@ from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, J
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
-from los_testbed.factories import RunParts, check_controllers
+from los_testbed.factories import RunParts
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import MAX_MISSED, Results, RunError
 from los_testbed.run.summary.screen import Screen, say
-from los_testbed.run.supervision import code_of_user, supervise
-from los_testbed.user_blocks import make_disturbance
+from los_testbed.run.supervision import supervise
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
 from pointing_analysis.read.mcap.records import ShortRunError
 
@@ -60,6 +59,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
     los-testbed run --case worst                       # a named telescope of the family; or --sample 7, a random one
 
     los-testbed run --plant my_module:MyPlant          # a plant of your own, checked before the run
+
+    los-testbed run --device my_rig:Rig                # a rig of your own in the place of the telescope
 
     los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
 
@@ -126,25 +127,28 @@ def run(
         given |= _disturbance(disturbance, no_disturbance)
         chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
         if only is not None:
-            _watch_code_of_user(chosen)
+            _watch_code_of_user(chosen.code_of_user, chosen.bag)
             _run_alone(only, chosen, sign_key is not None, isolated)
         if isolated and chosen.mode == "inprocess":
             raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
+        if isolated and chosen.device:
+            raise ValueError(f"--isolated must be absent with a device, on another network, got {chosen.device}")
         viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
         key = None
         if sign_key is not None:
             from los_testbed.bags.signature import private_key
 
             key = private_key("--sign-key", sign_key)
-        _watch_code_of_user(chosen)
-        _run_and_tell(chosen, Nodes(viewers, isolated, not free), max_missed, report, json_, key)
+        _watch_code_of_user(chosen.code_of_user, chosen.bag)
+        parts = RunParts(chosen)
+        _run_and_tell(parts, Nodes(viewers, isolated, not free), max_missed, report, json_, key)
 
 
-def _watch_code_of_user(config: RunConfig) -> None:
+def _watch_code_of_user(code: Sequence[str], bag: Path) -> None:
     """In a program that calls code of the user: go on in a process of its own, whose end is watched."""
-    if SUPERVISED in os.environ and code_of_user(config):
+    if SUPERVISED in os.environ and code:
         del os.environ[SUPERVISED]
-        supervise(config)
+        supervise(code, bag)
 
 
 @dataclass(frozen=True)
@@ -187,7 +191,7 @@ def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
 
 
 def _run_and_tell(
-    config: RunConfig,
+    parts: RunParts,
     nodes: Nodes,
     max_missed: float,
     report: bool,
@@ -198,7 +202,10 @@ def _run_and_tell(
     from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
-    bag, results = execute(config, nodes)
+    results = execute(parts, nodes)
+    bag = results.bag
+    if bag is None:  # the runner has raised unless it was interrupted
+        raise KeyboardInterrupt
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
     signed = key is None or _sign(console, bag, key)
@@ -259,9 +266,10 @@ def configure(
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
     settings_given = layered(first, named, drawn, stated, options)
     code = any(is_code(str(settings_given.get(name) or "")) for name in ("k_fsm", "k_pma"))
-    if settings_given.get("plant") or code:  # what is steady is known of the telescope and of linear laws only
+    other = settings_given.get("plant") or settings_given.get("device")
+    if other or code:  # what is steady is known of the telescope and of linear laws only
         settings_given = {"start": "rest", **settings_given}
-    if settings_given.get("plant"):
+    if other:
         chosen = RunConfig.from_mapping(settings_given)
     else:
         chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
@@ -278,7 +286,7 @@ def new_bag(config: RunConfig) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def check(config: RunConfig) -> tuple[str, ...]:
+def check(parts: RunParts) -> tuple[str, ...]:
     """Refuse what can be refused before anything is started or written; warnings about the controllers.
 
     Raises
@@ -287,17 +295,21 @@ def check(config: RunConfig) -> tuple[str, ...]:
         A bag that exists, a telescope outside the family, a file that is no controller, a plant that breaks the
         contract, ROS missing.
     """
+    config = parts.config
     check_new_bag(config.bag)
-    check_ranges(config)
+    check_ranges(config, parts.parameters)
     if config.plant:
-        from los_testbed.factories import build_plant
         from los_testbed.loop.contract import check_plant
 
-        check_plant(build_plant(config))
+        check_plant(parts.plant())
+    if config.device:
+        from los_testbed.device.contract import make_device
+
+        make_device(config)
     if config.disturbance_source and config.disturbance:
-        make_disturbance(config)
-    warnings = check_controllers(config)
-    for source in RunParts(config).sources:
+        parts.disturbance()
+    warnings = parts.check()
+    for source in parts.sources:
         warnings += tuple(f"disturbance {source.name}: {remark}" for remark in source.remarks)
     if config.mode != "inprocess":
         from los_testbed.run.processes.node_launch import check_ros
@@ -309,13 +321,13 @@ def check(config: RunConfig) -> tuple[str, ...]:
 DIFFERENCES_SHOWN = 12
 
 
-def telescope_differences(config: RunConfig) -> list[str]:
-    """Lines about the values in which the telescope of a run differs from the reference."""
+def telescope_differences(parameters: str | None) -> list[str]:
+    """Lines about the values in which a parameter file of the user, where there is one, differs from the reference."""
     from titop_plant.telescope.parameters import differences
 
-    if not config.parameters:
+    if not parameters:
         return []
-    lines = differences(config.parameters)
+    lines = differences(parameters)
     more = len(lines) - DIFFERENCES_SHOWN
     return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
 
@@ -380,13 +392,14 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
     return given
 
 
-def execute(config: RunConfig, nodes: Nodes) -> tuple[Path, Results]:
-    """Run, with a progress bar and, if one is given, a server for viewers; the bag and what happened."""
-    warnings = check(config)
+def execute(parts: RunParts, nodes: Nodes) -> Results:
+    """Run, with a progress bar and, if one is given, a server for viewers; what happened."""
+    config = parts.config
+    warnings = check(parts)
     if nodes.live is not None:
-        check_live(config, nodes.live)
+        check_live(config.mode, nodes.live)
     warn(warnings)
-    for line in telescope_differences(config):
+    for line in telescope_differences(config.parameters):
         sys.stderr.write(f"telescope: {line}\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
 
@@ -395,24 +408,21 @@ def execute(config: RunConfig, nodes: Nodes) -> tuple[Path, Results]:
 
         if config.mode == "inprocess":
             from los_testbed.loop.contract import RunFailedError
-            from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+            from los_testbed.loop.simulate import LoopDivergedError, record
             from los_testbed.run.bag_names import recorded
 
-            path = config.bag
             try:
-                run_in_process(config, path, progress=progress)
+                record(parts, config.bag, progress)
             except (LoopDivergedError, RunFailedError) as error:
-                raise type(error)(f"{error}{recorded(path)}") from None
+                raise type(error)(f"{error}{recorded(config.bag)}") from None
             except KeyboardInterrupt:
-                raise RunError(f"interrupted{recorded(path)}", 130) from None
-            return path, Results(bag=path)
+                raise RunError(f"interrupted{recorded(config.bag)}", 130) from None
+            return Results(bag=config.bag)
         from los_testbed.run.runner import Runner
 
         watched = replace(config, wait_for_recorder=True)
         results = Runner(
             watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain
         ).run()
-    if results.bag is None:  # the runner has raised unless it was interrupted
-        raise KeyboardInterrupt
     results.warnings = [warning for warning in results.warnings if warning not in warnings]
-    return results.bag, results
+    return results

@@ -79,7 +79,7 @@ def stages(
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
     from los_testbed.config import RunConfig
-    from los_testbed.factories import check_controllers
+    from los_testbed.factories import RunParts
     from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, Plan
     from los_testbed.variants import chosen_member, layered
@@ -97,7 +97,7 @@ def stages(
     base = RunConfig.from_mapping({"mode": "inprocess", **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
     check_new_bag(folder)
-    warn(check_controllers(base))
+    warn(RunParts(base).check())
     if base.mode != "inprocess":
         check_ros()
     chosen = COMPARED if scenario == "both" else (scenario,)
@@ -143,12 +143,9 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
 def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     """One report per scenario: the stages side by side, the model beside the measured lines."""
     from los_testbed.run.stages import REPORTED, WORST, select
-    from los_testbed.run.summary.loop_curves import loop_curves
-    from los_testbed.run.summary.predictions import predictions
-    from los_testbed.run.summary.summary import remarks_of
+    from los_testbed.run.summary.summary import judged
     from pointing_analysis.read.run import Run
-    from pointing_analysis.report.report import labels, write_report
-    from pointing_analysis.requirements.summary import summarise
+    from pointing_analysis.report.report import labels
 
     paths = []
     for scenario in plan.scenarios:
@@ -162,8 +159,5 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
                 model[label] = alone.model()
         if runs:
             page = plan.folder / f"report-{scenario}.html"
-            remarks = [remarks_of(run, summarise(run)) for run in runs]
-            expected = predictions(runs)
-            loops = loop_curves(runs)
-            paths.append(write_report(runs, page, model=model, predictions=expected, remarks=remarks, loops=loops))
+            paths.append(judged(runs, None, None).write_page(page, model=model))
     return paths

@@ -223,7 +223,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     if MOVING in plan.scenarios and plan.samples > 1:
         raise ValueError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
     for config in plan.members().values():
-        check_ranges(config)
+        check_ranges(config, RunParts(config).parameters)
         if MOVING in plan.scenarios:
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
     plan.folder.mkdir(parents=True)

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from los_testbed.factories import RunParts
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
 from los_testbed.run.summary import worst_case_rows
+from los_testbed.run.summary.screen import numbers
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.rows import cells, heads
 
@@ -128,10 +129,8 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
         whole = [c for c in columns(results) if c[0] == "all"]
         for chosen in (whole, [c for c in columns(results) if c[0] != "all"]):
             title = caption(results, plan) if chosen is whole else "parts of the error, each alone"
-            table = Table(title=f"{scenario}: {title}", title_justify="left")
-            table.add_column("stage", no_wrap=True)
-            for _, _, head in chosen:
-                table.add_column(head.replace(" alone", ""), justify="right", overflow="fold")
+            values = numbers(*(head.replace(" alone", "") for _, _, head in chosen), overflow="fold")
+            table = Table(Column("stage", no_wrap=True), *values, title=f"{scenario}: {title}", title_justify="left")
             for row in rows(results, scenario, chosen):
                 table.add_row(*row)
             if chosen:
@@ -155,9 +154,7 @@ def _of(found: Sequence[Any], total: int) -> str:
 
 
 def _plain_table(heads: Sequence[str], found: Sequence[Sequence[str]], title: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for head in heads:
-        table.add_column(head, justify="right", overflow="fold")
+    table = Table(*numbers(*heads, overflow="fold"), title=title, title_justify="left")
     for row in found:
         table.add_row(*row)
     return table

@@ -14,6 +14,7 @@ from los_testbed.cli.analysis.recordings import (
     Rate,
     Requirements,
     Unit,
+    check_exposures,
     open_runs,
     requirements_in,
 )
@@ -75,6 +76,8 @@ def analyse(
 
     with Progress("analysis"):
         runs = open_runs(bags, opener, max_chunk, optics)
+        for run in runs:
+            check_exposures(run, given or (), transient)
         summaries = summarise_runs(runs, target, transient, requirements=given)
     print_summary(Screen(stderr=json_), summaries)
     if json_:

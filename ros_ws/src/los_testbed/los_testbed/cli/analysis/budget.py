@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from los_testbed.cli.options.options import Designs, Json
 from los_testbed.cli.output import number, print_json
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, numbers
 
 if TYPE_CHECKING:
     from los_testbed.run.summary.worst_budget import Loader, Overlay
@@ -43,10 +43,8 @@ def _shown(v: BudgetVerdict) -> Table:
     """Contributions, total and margin of a requirement for the screen."""
     from pointing_analysis.report.budget_page import digits, vector
 
-    table = Table(title=f"{v.requirement}", title_justify="left")
-    table.add_column("source", overflow="fold")
-    for head in ("sigma", "alone", "share"):
-        table.add_column(head, justify="right")
+    heads = (Column("source", overflow="fold"), *numbers("sigma", "alone", "share"))
+    table = Table(*heads, title=f"{v.requirement}", title_justify="left")
     for s in v.shares[:ROWS]:
         table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
     if len(v.shares) > ROWS:
@@ -137,10 +135,9 @@ def _over_members(
 
     with Progress("members") as bar:
         found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
-    table = Table(title=f"Over {len(members)} members of the family: worst found, no bound", title_justify="left")
-    table.add_column("requirement", overflow="fold")
-    for head in ("at the point", "worst", "limit", "margin", "member"):
-        table.add_column(head, justify="right")
+    heads = (Column("requirement", overflow="fold"), *numbers("at the point", "worst", "limit", "margin", "member"))
+    title = f"Over {len(members)} members of the family: worst found, no bound"
+    table = Table(*heads, title=title, title_justify="left")
     for row in found:
         v = row.worst
         style = "green" if v.compliant else "red"

@@ -70,3 +70,18 @@ def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
     from pointing_analysis.requirements.text import load
 
     return None if file is None else load(file)
+
+
+def check_exposures(run: Recording, requirements: Sequence[Requirement], transient: float | None) -> None:
+    """Refuse requirements of images whose exposure is longer than a recording without its start-up.
+
+    Raises
+    ------
+    ValueError
+        There is one.
+    """
+    from pointing_analysis.indices.errors import performance_error
+
+    longest = max((r.times[0] for r in requirements if r.of_image), default=0.0)
+    if longest and longest > (there := performance_error(run, transient).duration):
+        raise ValueError(f"{run.path}: exposure must be at most the {there:g} s of the run, got {longest:g} s")

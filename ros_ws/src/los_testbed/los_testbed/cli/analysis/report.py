@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, open_runs, requirements_in
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
 from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, numbers, say
 from pointing_analysis.files.atomic_output import check_output
 
 if TYPE_CHECKING:
@@ -71,11 +71,12 @@ def report(
 
     with Progress("report"):
         result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
-        result.write_page(target, result.notes, start, stop)
-    found, console = result.summaries, Screen(stderr=json_)
-    show(console, labels(result.runs), found)
-    for text in dict.fromkeys(text for texts in result.notes for text in texts):
-        say(console, text, "note")
+        result.write_page(target, start, stop)
+    found, console, names = result.summaries, Screen(stderr=json_), labels(result.runs)
+    show(console, names, found)
+    for text in dict.fromkeys(text for texts in result.remarks for text in texts):
+        whose = [name for name, texts in zip(names, result.remarks) if text in texts]
+        say(console, text if len(whose) == len(names) else f"{', '.join(whose)}: {text}", "note")
     say(console, f"report  {target}")
     if json_:
         print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
@@ -87,11 +88,9 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
     from pointing_analysis.requirements.rows import digits, overall
     from pointing_analysis.requirements.summary import UNKNOWN
 
-    table = Table(title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
-    table.add_column("run", overflow="fold")
-    table.add_column("verdict", no_wrap=True)
-    for head in ("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"):
-        table.add_column(head, justify="right")
+    texts = (Column("run", overflow="fold"), Column("verdict", no_wrap=True))
+    heads = (*texts, *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"))
+    table = Table(*heads, title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
         table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", s.lost_text())

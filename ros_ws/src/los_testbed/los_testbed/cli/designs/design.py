@@ -15,17 +15,10 @@ from rich.text import Text
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, verify_folder
-from los_testbed.cli.options.cluster_options import (
-    Cluster,
-    SchedulerOption,
-    TlsCaFile,
-    TlsCertificate,
-    TlsKey,
-    WorkersOption,
-)
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.summary.screen import Screen, met
+from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
@@ -127,7 +120,7 @@ def _make(
     from pointing_analysis.files.atomic_output import check_output
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import telescope
-    from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+    from titop_plant.telescope.parameters import design_basis, load_parameters
 
     if output is None and (file is not None or observer is not None):
         raise ValueError(
@@ -135,7 +128,7 @@ def _make(
         )
     path = output or design_file(kind, options.variant)
     check_output(path, "--output")
-    parameters, assembled = load_parameters(file or REFERENCE), telescope(None if file is None else str(file))
+    parameters, assembled = load_parameters(file), telescope(None if file is None else str(file))
     with one_thread(), Progress(kind) as bar:
         if kind == "k-fsm":
             system = design_observer(assembled, parameters, options, bar.print)
@@ -165,9 +158,8 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
         shown = {key: value for key, value in provenance.items() if key not in ("continuous", "active_models")}
         print_json({"file": str(path), **shown})
         return
-    table = Table(title=f"{system.name}: {provenance['status']} after {provenance['seconds']} s")
-    for column in ("requirement", "tuned", "worst found", "at [rad/s]", ""):
-        table.add_column(column, justify="left" if column == "requirement" else "right")
+    title = f"{system.name}: {provenance['status']} after {provenance['seconds']} s"
+    table = Table("requirement", *numbers("tuned", "worst found", "at [rad/s]", ""), title=title)
     worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
     for name, value in provenance["tuned_values"].items():
         found = worst.get(name)
@@ -205,9 +197,7 @@ def table(json_: Json = False) -> None:
     if json_:
         print_json(rows)
         return
-    shown = Table(title="Gammas (1 is the limit)")
-    for column in ("design", "problem", "gammas", "status"):
-        shown.add_column(column)
+    shown = Table("design", "problem", "gammas", "status", title="Gammas (1 is the limit)")
     for row in rows:
         gammas = row["gammas"]
         text = (
@@ -220,14 +210,12 @@ def table(json_: Json = False) -> None:
 
 
 @design_app.command()
+@with_cluster
 def verify(
+    *,
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
-    workers: WorkersOption = 0,
-    scheduler: SchedulerOption = "",
-    tls_ca_file: TlsCaFile = None,
-    tls_cert: TlsCertificate = None,
-    tls_key: TlsKey = None,
+    cluster: Cluster,
     json_: Json = False,
 ) -> None:
     """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
@@ -238,7 +226,6 @@ def verify(
     number("--samples", samples, 0, 1_000_000)
     from lftkit.support.threads import one_thread
 
-    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     if folder is not None:
         verify_folder(folder, samples, cluster, json_)
         return

@@ -13,17 +13,10 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.options.cluster_options import (
-    Cluster,
-    SchedulerOption,
-    TlsCaFile,
-    TlsCertificate,
-    TlsKey,
-    WorkersOption,
-)
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.summary.screen import Screen, met
+from los_testbed.run.summary.screen import Screen, met, numbers
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file
 
@@ -59,9 +52,9 @@ def check_output(folder: Path, parameters: Path | None) -> None:
     ValueError
         A file in its place, a folder of another telescope's designs, or one that cannot be written to.
     """
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters, parameters_hash
+    from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
-    own = load_parameters(parameters or REFERENCE)
+    own = load_parameters(parameters)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--output must be a folder, got the file {folder}")
     kept = folder / TELESCOPE_FILE
@@ -69,9 +62,9 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        beside = any(own[body]["modal_data"] for body in ("body", "payload")) or own["optics"]["pupil"]
-        if parameters is None or beside:
-            return  # the reference, or modal data or a pupil that belong beside the file
+        beside = [own["body"]["modal_data"], own["payload"]["modal_data"], own["optics"]["pupil"]]
+        if parameters is None or any(beside) or own["camera"]["noise_curve"]:
+            return  # the reference, or files that belong beside the file
         if not (kept.exists() and kept.samefile(parameters)):
             with atomic_file(kept) as temporary:
                 shutil.copyfile(parameters, temporary)
@@ -79,7 +72,9 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
 
 
+@with_cluster
 def design_all(
+    *,
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
     parameters: Telescope = None,
     seed: DesignSeed = 0,
@@ -87,11 +82,7 @@ def design_all(
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
     time_limit: Annotated[float, typer.Option(help="Wall limit of the rounds [s]; run again to go on.")] = 3600.0,
-    workers: WorkersOption = 0,
-    scheduler: SchedulerOption = "",
-    tls_ca_file: TlsCaFile = None,
-    tls_cert: TlsCertificate = None,
-    tls_key: TlsKey = None,
+    cluster: Cluster,
     json_: Json = False,
 ) -> None:
     """See ALL_EXAMPLES."""
@@ -100,13 +91,12 @@ def design_all(
 
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    cluster = Cluster.of(workers, scheduler, tls_ca_file, tls_cert, tls_key)
     check_output(output, parameters)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     with cluster.workers() as pool, Progress("design") as bar:
         summary = redesign.design_all(
-            load_parameters(parameters or REFERENCE),
+            load_parameters(parameters),
             output,
             seed=seed,
             effort=effort,
@@ -128,12 +118,12 @@ def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
         No folder, or a file that is missing or cannot be read.
     """
     from lftkit import SampledSystem
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+    from titop_plant.telescope.parameters import load_parameters
 
     if not folder.is_dir():
         raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
     file = folder / TELESCOPE_FILE
-    parameters = load_parameters(file if file.exists() else REFERENCE)
+    parameters = load_parameters(file if file.exists() else None)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
     return parameters, k_fsm, k_pma
 
@@ -173,9 +163,8 @@ def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: 
     if json_:
         print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met})
     else:
-        table = Table(title=f"{folder}: gammas as implemented (1 is the limit)")
-        for column in ("stage", "requirement", "gamma", ""):
-            table.add_column(column, justify="right" if column == "gamma" else "left")
+        title = f"{folder}: gammas as implemented (1 is the limit)"
+        table = Table("stage", "requirement", *numbers("gamma"), "", title=title)
         for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
             for name, gamma in zip(names, implemented.get(stage, ())):
                 table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from los_testbed.cli.options.options import with_options
 from los_testbed.cli.output import number
 
 if TYPE_CHECKING:
@@ -30,6 +31,18 @@ TlsCertificate = Annotated[
     Path | None, typer.Option("--tls-cert", metavar="FILE", help="For tls://: your certificate.")
 ]
 TlsKey = Annotated[Path | None, typer.Option("--tls-key", metavar="FILE", help="Its key; default: in --tls-cert.")]
+
+
+def with_cluster(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of the processes that compute; it gets them as ``cluster``, a :class:`Cluster`."""
+    options = {
+        "workers": (WorkersOption, 0),
+        "scheduler": (SchedulerOption, ""),
+        "tls_ca_file": (TlsCaFile, None),
+        "tls_cert": (TlsCertificate, None),
+        "tls_key": (TlsKey, None),
+    }
+    return with_options(command, "cluster", options, Cluster.of)
 
 
 def processes(workers: int) -> int:
@@ -57,7 +70,7 @@ class Cluster:
 
     @classmethod
     def of(
-        cls, workers: int, scheduler: str, ca_file: Path | None, certificate: Path | None, key: Path | None
+        cls, workers: int, scheduler: str, tls_ca_file: Path | None, tls_cert: Path | None, tls_key: Path | None
     ) -> Cluster:
         """From the options.
 
@@ -68,7 +81,7 @@ class Cluster:
         """
         from los_testbed.campaign.cluster.tls_files import TlsFiles
 
-        return cls(processes(workers), scheduler, TlsFiles.of(scheduler, ca_file, certificate, key))
+        return cls(processes(workers), scheduler, TlsFiles.of(scheduler, tls_ca_file, tls_cert, tls_key))
 
     @contextmanager
     def workers(self) -> Iterator[Workers]:

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.config import RunConfig
 from los_testbed.run.processes.viewers import Live
 from los_testbed.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
 
@@ -73,8 +72,8 @@ def server_for_viewers(
     return Live(host, port, _tell_addresses, tuple(origins), tuple(topics), cert, key)
 
 
-def check_live(config: RunConfig, live: Live) -> None:
-    """Refuse viewers where they cannot be served.
+def check_live(mode: str, live: Live) -> None:
+    """Refuse viewers where they cannot be served, as in some modes of a run.
 
     Raises
     ------
@@ -83,7 +82,7 @@ def check_live(config: RunConfig, live: Live) -> None:
     """
     if not 0 <= live.port <= MAX_PORT:
         raise ValueError(f"--live must be a port from 0 to {MAX_PORT}, got {live.port}")
-    if config.mode == "inprocess":
+    if mode == "inprocess":
         raise ValueError("mode must be realtime or lockstep with --live, got inprocess")
     for topic in live.topics:
         if topic not in SERVED:

@@ -87,34 +87,52 @@ def with_settings(
     The values are texts, but for switches; a list is its numbers with spaces between them:
     :func:`los_testbed.config.parse_value` reads them.
     """
-    names = [name for name in RunConfig.SETTINGS if name not in without]
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        signature = inspect.signature(command, eval_str=True)
-        others = [parameter for parameter in signature.parameters.values() if parameter.name != "given"]
-        parameters = [*(_parameter(name, metavars) for name in names), *others]
-
-        @wraps(command)
-        def called(**values: Any) -> None:
-            given = {name: values.pop(name) for name in names}
-            command(given=given, **values)
-
-        facade: Any = called
-        facade.__signature__ = signature.replace(parameters=parameters)
-        facade.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return called
-
-    return decorate
+    options = {name: (_option(name, metavars), None) for name in RunConfig.SETTINGS if name not in without}
+    return lambda command: with_options(command, "given", options, dict)
 
 
-def _parameter(name: str, metavars: Mapping[str, str]) -> inspect.Parameter:
-    """Parameter of a command for a setting; None where the option is not given."""
+def with_options(
+    command: Callable[..., None], name: str, options: Mapping[str, tuple[Any, Any]], made: Callable[..., Any]
+) -> Callable[..., None]:
+    """A command with several options in the place of one of its parameters.
+
+    Parameters
+    ----------
+    command : callable
+    name : str
+        Of the parameter.
+    options : mapping
+        Name to type, annotated with the option, and default.
+    made : callable
+        Makes the value of the parameter from those of the options.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    parameters: list[inspect.Parameter] = []
+    for own in signature.parameters.values():
+        if own.name != name:
+            parameters.append(own)
+            continue
+        for key, (kind, default) in options.items():
+            parameters.append(inspect.Parameter(key, own.kind, default=default, annotation=kind))
+
+    @wraps(command)
+    def called(**values: Any) -> None:
+        value = made(**{key: values.pop(key) for key in options})
+        command(**{name: value}, **values)
+
+    facade: Any = called
+    facade.__signature__ = signature.replace(parameters=parameters)
+    facade.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return called
+
+
+def _option(name: str, metavars: Mapping[str, str]) -> Any:
+    """Annotated type of the option for a setting; None where it is not given."""
     own = RunConfig.SETTINGS[name]
     kind: Any = bool if own.kind is bool else str
     panel = PLANT_PANEL if name in PhysicalSettings.SETTINGS else None
     more = {"metavar": metavars[name]} if name in metavars else {}
-    made = Annotated[kind | None, option(name, rich_help_panel=panel, **more)]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=made)
+    return Annotated[kind | None, option(name, rich_help_panel=panel, **more)]
 
 
 def with_files(designs: str | None, **files: Path | None) -> dict[str, Any]:
