@@ -23,6 +23,9 @@ SETTLING = 5.0
 LARGEST = 1e60
 """[rad] Sums of fourth powers of larger values are not finite; they are no angles."""
 CAMERA = "camera/los"
+OFF_PHASE = 0.5
+"""Largest share of the intervals of a device's frames that are off their grid: they have stamps of its own clock, and
+frames that are off phase are counted and said (docs/connect_your_rig.md)."""
 LEAST = 1.0  # [s] dropped from any run: the line of sight before the loop has taken hold
 
 
@@ -123,7 +126,7 @@ def performance_error(run: Recording, transient: float | None = None) -> ErrorSe
         No truth topic, only transient, or a time axis that is not uniform.
     """
     if on_camera(run):
-        values, dt = on_grid(run[CAMERA])
+        values, dt = on_grid(run[CAMERA], OFF_PHASE)
         return _drop(values, dt, transient_of(run, transient, dt * len(values)), run.path, run[CAMERA].open_end)
     if "truth/los" not in run:
         raise BagError(f"{run.path}: the bag must hold the topic truth/los, got {', '.join(run.topics)}")

@@ -242,8 +242,15 @@ def make_topic(
     )
 
 
-def on_grid(topic: Topic) -> tuple[FloatArray, float]:
+def on_grid(topic: Topic, off_grid: float = 0.01) -> tuple[FloatArray, float]:
     """Values on the uniform time axis of the topic's period, NaN where a sample is missing.
+
+    Parameters
+    ----------
+    topic : Topic
+    off_grid : float
+        Largest share of intervals that may differ from a multiple of the period by more than 2 % of it: their samples
+        go to the nearest time of the grid.
 
     Returns
     -------
@@ -269,7 +276,7 @@ def on_grid(topic: Topic) -> tuple[FloatArray, float]:
             f"{topic.name}: topic must have one sampling rate, got another period than {1e3 * topic.period:g} ms in "
             f"{100 * state.other_rate:.0f} % of the run"
         )
-    if state.irregular > 0.01 * len(topic):
+    if state.irregular > off_grid * len(topic):
         raise BagError(
             f"{topic.name}: stamps must be on a grid of {1e3 * topic.period:g} ms, got {state.irregular} intervals "
             "off it (with a known sampling rate, --rate HZ moves them to its grid)"

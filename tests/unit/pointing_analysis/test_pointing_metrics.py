@@ -9,6 +9,7 @@ from pointing_analysis.indices import metrics, weights
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.read.topic import BagError, make_topic
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.spectra import spectra
 
@@ -177,6 +178,27 @@ def test_transient_is_dropped_explicitly(tmp_path) -> None:
         performance_error(run, transient=3.0)
     with pytest.raises(ValueError, match="transient must be zero or more"):
         performance_error(run, transient=-1.0)
+
+
+class Rig(dict):
+    """A recording of a device that has no true line of sight."""
+
+    path, parameters = "rig", {"device": "my:Rig", "transient_s": 0.0}
+
+
+def test_frames_of_a_device_that_are_off_phase_stand_at_the_nearest_time_of_the_grid() -> None:
+    stamp = 10**18 + 20_000_000 * np.arange(150)
+    stamp[[40, 80, 81]] += [7_000_000, -6_000_000, 5_000_000]
+    rows = np.delete(np.arange(150), [20, 21])
+    values = np.column_stack([np.arange(150.0), np.zeros(150)])
+    columns = ("x", "y")
+    camera = make_topic("camera/los", "Vector3Stamped", "rad", columns, stamp[rows], values[rows], stamp[rows])
+    found = performance_error(Rig({"camera/los": camera}))
+    assert (found.dt, found.missing, len(found.values)) == (0.02, 2, 150 - round(found.start / 0.02))
+    kept = found.values[np.isfinite(found.values[:, 0]), 0]
+    assert np.array_equal(kept, values[rows][rows * 0.02 >= found.start - 1e-9, 0])
+    with pytest.raises(BagError, match="stamps must be on a grid of 20 ms, got 5 intervals off it"):
+        performance_error(Rig({"truth/los": camera}))
 
 
 @pytest.mark.parametrize(("seconds", "dropped"), [(60, 5.0), (10, 5.0), (7, 3.5), (2, 1.0)])
