@@ -116,7 +116,8 @@ def check_stages(
     workers, searches, omega = workers or Workers(), [Search(loop) for loop in loops], _all_frequencies()
     chunks = [slice(k, k + CHUNK) for k in range(0, len(points), CHUNK)]
     blocks = [np.arange(k, len(omega), BLOCKS) for k in range(BLOCKS)]
-    told = _Told(tick, len(points) * len(loops), len(chunks) + len(blocks))
+    metrics = sum(len(search.metrics) for search in searches)
+    told = _Told(tick, len(points) * len(loops), len(chunks) + len(blocks) + metrics)
     cube = np.array([loops[0].point(dict(values)) for values in points])
     reaches = [Reach(search.loop, search.metrics, changes) for search in searches]
 
@@ -138,7 +139,8 @@ def check_stages(
         for narrow in [[b for part in closely for b in part[k].narrow[name]]]
         if stable[k].any()
     ]
-    worst = workers.map(partial(_worst_of, searches), brackets)
+    worst = told.each(workers, partial(_worst_of, searches), brackets)
+    told.rest()
     return [
         StageCheck(
             loop.stage,
@@ -172,6 +174,11 @@ class _Told:
             for _ in range(self._steps * self._done // self._parts - before):
                 self._tick()
         return results
+
+    def rest(self) -> None:
+        """Tell of the steps that are left: stages without a stable point have no parts of their own at the end."""
+        for _ in range(self._steps * self._done // self._parts, self._steps):
+            self._tick()
 
 
 def _swept(
