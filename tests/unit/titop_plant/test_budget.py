@@ -149,3 +149,16 @@ def test_the_parts_are_those_of_the_requirements(tmp_path: Path) -> None:
     limit = ape["weights"]["ape_limit"]
     assert combined_level(absolute.ape_tone, absolute.ape_noise, 0.9, ABSOLUTE_ON_AXIS) == pytest.approx(limit)
     assert len({parameters_hash(p) for p in (reference, finest, ape)}) == 3
+
+
+def test_a_share_never_exceeds_the_limit_that_the_mirror_alone_must_keep() -> None:
+    """Limits of 100 and 60 mas: 2.2 times the finer one would be above the other."""
+    parameters = load_parameters()
+    own = {
+        **parameters,
+        "weights": {**parameters["weights"], "rpe_limit_fine": 0.6 * parameters["weights"]["rpe_limit"]},
+    }
+    for case in (parameters, own):
+        budget = error_budget(case)
+        assert max(budget.slow, budget.fast_mirror) < case["weights"]["rpe_limit"]
+    assert error_budget(own).fast_mirror == pytest.approx(0.97 * parameters["weights"]["rpe_limit"])
