@@ -26,6 +26,7 @@ PACKAGES = {
 }
 LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
+EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")
 
 
@@ -110,6 +111,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return markdown
     text = PICTURE.sub(lambda match: match[1] + site_link(source, match[2]) + match[3], markdown)
     return LINK.sub(lambda match: linked(source, *match.groups()), text)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Empty heads of tables are cells: a head without text has no name for assistive technology.
+
+    Examples
+    --------
+    >>> on_page_content('<tr><th></th><th align="left"></th><th>stage</th></tr>')
+    '<tr><td></td><td align="left"></td><th>stage</th></tr>'
+    """
+    return EMPTY_HEAD.sub(r"<td\1></td>", html)
 
 
 def linked(source: str, text: str, target: str, anchor: str) -> str:
