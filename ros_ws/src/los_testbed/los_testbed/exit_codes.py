@@ -38,7 +38,7 @@ COMMANDS: Mapping[ExitCode, str] = MappingProxyType(
     {
         ExitCode.RESTARTED: "`run`",
         ExitCode.MISSED_TICKS: "`run`",
-        ExitCode.DEVICE: "`run`",
+        ExitCode.DEVICE: "`run`, `device check`",
         ExitCode.CONTRADICTION: "`analyse`, `report`, `replay`, `bag`",
     }
 )

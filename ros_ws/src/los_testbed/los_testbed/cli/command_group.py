@@ -72,6 +72,7 @@ ENTRIES = {
         "Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
         "control_app",
     ),
+    "device": Entry("device", "Check a rig before the first closed loop.", "device_app"),
     "plant": Entry("plant", "The telescope's model: order, parameters, poles, inertia, bodies.", "plant_app"),
     "design": Entry("groups", "Make and check the controllers.", "design_app"),
     "export": Entry("designs.export", "Flight code of the laws in C.", "export_app"),

@@ -28,6 +28,7 @@ from los_testbed.config import RunConfig
 from los_testbed.device.supervisor import EVERY_TICK
 from los_testbed.device.udp import address_of, secret_of
 from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
+from los_testbed.device.wiring import Wiring
 from los_testbed.factories import RunParts
 from los_testbed.loop.scheduling import become_real_time
 from los_testbed.loop.tick_clock import wait_until
@@ -59,6 +60,7 @@ class RigSettings:
     rate : most that the mirror moves in a second [rad/s]
     watchdog : ticks without a command after which mirror and forces go to zero
     fault, fault_at : one of `FAULTS`, and seconds after the first command
+    wrong : mistakes of its wiring, see :class:`los_testbed.device.wiring.Wiring`
     truth : whether it sends the true line of sight
     seed : of all that is random
     """
@@ -75,6 +77,7 @@ class RigSettings:
     watchdog: int = 50
     fault: str = ""
     fault_at: float = 1.0
+    wrong: str = ""
     truth: bool = True
     seed: int = 1
 
@@ -119,6 +122,7 @@ class Emulator:
         host, port = address_of(config.device_address)
         self._secret = secret_of(config, host)
         self.settings = settings
+        self._wiring = Wiring(settings.wrong)
         parts = RunParts(config)
         self._plant = parts.plant()
         self._plant.reset()
@@ -175,12 +179,13 @@ class Emulator:
 
     def _step(self) -> None:
         """A tick of the physics."""
-        command = np.zeros(COMMANDS) if self._safe else self._command
+        command = self._wiring.command(np.zeros(COMMANDS) if self._safe else self._command)
         self._applied[MIRROR] = self._mirror.step(command[MIRROR])
         self._applied[FORCES] = np.clip(command[FORCES], -self._force, self._force)
         limited = self._mirror.limited or bool(np.any(self._applied[FORCES] != command[FORCES]))
         self._flags = (self._flags & RESTARTED) | SAFE * self._safe | LIMITED * limited
         self._plant.step(self._applied, self._measurement, self._truth)
+        self._measurement[:] = self._wiring.measurement(self._measurement)
 
     def _measure(self, k: int, acquired: int) -> None:
         """Send what was acquired in this tick, and frames that were read out."""

@@ -104,12 +104,11 @@ class Supervisor:
         """
         self.frames = []
         fresh = set()
-        for sample in self._call("read", self.device.read, now_ns):
-            if self._fits(sample):
-                if sample.port in FRAMED:
-                    self.frames.append(sample)
-                else:
-                    self._queues[sample.port].append(sample)
+        for sample in self.samples(now_ns):
+            if sample.port in FRAMED:
+                self.frames.append(sample)
+            else:
+                self._queues[sample.port].append(sample)
         if (truth := self._next(TRUTH_PORT)) is not None:
             self.frames.append(truth)
         for port in EVERY_TICK:
@@ -121,6 +120,10 @@ class Supervisor:
             self.counts[f"absent_{port}"] += port not in fresh
         self._watch()
         return len(fresh) == len(EVERY_TICK)
+
+    def samples(self, now_ns: int) -> list[Sample]:
+        """All samples that have come and can be used, as the device gives them."""
+        return [sample for sample in self._call("read", self.device.read, now_ns) if self._fits(sample)]
 
     def _next(self, port: str) -> Sample | None:
         """Sample of a tick: the oldest of those that wait, of which one is kept for a tick in which none comes.
@@ -142,7 +145,7 @@ class Supervisor:
         columns = COLUMNS.get(sample.port)
         values = np.asarray(sample.values, float)
         if columns is None or values.shape != (columns.stop - columns.start,):
-            raise self._failed(f"read must give samples of known ports, got {sample.port} {values.shape}")
+            raise self.failed(f"read must give samples of known ports, got {sample.port} {values.shape}")
         if not np.isfinite(values).all() and sample.port not in FRAMED:
             self.counts[f"not_finite_{sample.port}"] += 1
             return False
@@ -156,20 +159,21 @@ class Supervisor:
         """Raise where a sensor is silent for too long, or frozen."""
         silent = {port: ticks for port, ticks in self._silent.items() if ticks > self._limit_ticks}
         if len(silent) == len(self._silent):
-            raise self._failed(f"no sample for {self._limit_ticks} ms")
+            raise self.failed(f"no sample for {self._limit_ticks} ms")
         if silent:
-            raise self._failed(f"{', '.join(silent)} silent for {self._limit_ticks} ms")
+            raise self.failed(f"{', '.join(silent)} silent for {self._limit_ticks} ms")
         frozen = [port for port in EVERY_TICK if self._equal[port] > FROZEN_TICKS]
         if frozen:
-            raise self._failed(f"{', '.join(frozen)} frozen for {FROZEN_TICKS} samples")
+            raise self.failed(f"{', '.join(frozen)} frozen for {FROZEN_TICKS} samples")
 
     def _call(self, name: str, method: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return method(*arguments)
         except RAISED as error:
-            raise self._failed(f"{name} failed: {in_one_line(error)}") from error
+            raise self.failed(f"{name} failed: {in_one_line(error)}") from error
 
-    def _failed(self, text: str) -> DeviceError:
+    def failed(self, text: str) -> DeviceError:
+        """The error of a device with a fault, which is noted."""
         self.fault, self.state = text, ERROR
         return DeviceError(f"device {self._config.device}: {text}; mirror and forces were brought to zero")
 

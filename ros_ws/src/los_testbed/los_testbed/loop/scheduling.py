@@ -9,6 +9,7 @@ import os
 import resource
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 PRIORITIES = {"plant": 80, "estimator": 70, "controller": 60, "recorder": 1}
@@ -78,6 +79,20 @@ def enlarge_receive_buffers(size: int) -> int:
                     found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
                     count += 1
     return count
+
+
+@contextlib.contextmanager
+def real_time_thread(priority: int) -> Iterator[None]:
+    """Give the calling thread SCHED_FIFO for a while, where it is permitted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:  # not permitted: ordinary scheduling
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def become_real_time(priority: int, cpu: int | None = None) -> list[str]:

@@ -1,0 +1,114 @@
+"""Command group ``los-testbed device``: a rig before the first closed loop."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from los_testbed.cli.options.options import Json, Telescope, option
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.config import RunConfig
+from los_testbed.exit_codes import ExitCode
+from los_testbed.run.summary.screen import Screen, say
+
+if TYPE_CHECKING:
+    from los_testbed.device.check import Row
+
+CHECK_EXAMPLES = """Move mirror and proof masses a little and compare what each sensor sees with the model.
+
+Four seconds without motion, then five with all actuators at once, each at three frequencies of its own from 5 to 16.5
+Hz: the mirror by up to 1 %, the forces by up to 10 % of their limits, times `--scale`. The table has gain, delay and
+noise of each value of each sensor; each fault is one line: axes that are exchanged, a wrong sign, a gain or noise that
+is not the model's, values older than their times say, a sensor or actuator that is dead. What all sensors of an
+actuator say alike is a fault of the actuator. No loop is closed; mirror and forces are at zero afterwards.
+
+Exit code 0: no fault, 1: faults, 6: the device failed.
+
+**Examples**
+
+    los-testbed device check my_rig:Rig
+
+    los-testbed device check los_testbed.device.udp:UdpRig --device-address 127.0.0.1:47800 --json
+"""
+
+device_app = typer.Typer(
+    help="Check a rig before the first closed loop.", no_args_is_help=True, rich_markup_mode="markdown"
+)
+
+
+@device_app.callback()
+def _group() -> None:
+    """Check a rig before the first closed loop."""
+
+
+@device_app.command("check", help=CHECK_EXAMPLES)
+def check(
+    device: Annotated[str, typer.Argument(help="Rig, MODULE:NAME or entry point.")],
+    device_address: Annotated[str, option("device_address")] = RunConfig.SETTINGS["device_address"].default,
+    device_key: Annotated[str | None, option("device_key")] = None,
+    scale: Annotated[float, typer.Option(help="Of the motions, 0.01 to 10.")] = 1.0,
+    parameters: Telescope = None,
+    json_: Json = False,
+) -> None:
+    """See CHECK_EXAMPLES."""
+    from los_testbed.device.check import faults, judge
+    from los_testbed.device.contract import make_device
+    from los_testbed.device.motions import model_response, peaks_of, record
+    from los_testbed.device.supervisor import Supervisor
+    from los_testbed.factories import RunParts
+    from los_testbed.loop.scheduling import PRIORITIES, real_time_thread
+
+    number("--scale", scale, 0.01, 10.0)
+    telescope = {"start": "rest", "parameters": None if parameters is None else str(parameters)}
+    rig = {"device": device, "device_address": device_address, "device_key": device_key}
+    config = RunConfig.from_mapping({**telescope, **rig})
+    supervisor = Supervisor(make_device(config), config)
+    parts = RunParts(RunConfig.from_mapping(telescope))
+    peaks = peaks_of(parts.basis.authority, scale)
+    model = model_response(parts.plant(), peaks)
+    supervisor.open()
+    opened_s = time.monotonic()
+    try:
+        with real_time_thread(PRIORITIES["plant"]):
+            found = record(supervisor, peaks)
+    finally:
+        supervisor.end()
+    rows = judge(found, model)
+    said = faults(rows)
+    console = Screen(stderr=json_)
+    say(console, _table(rows))
+    for line in said or ("no fault: directions, gains, delays and noise are those of the model",):
+        say(console, line)
+    if (pause := found.longest_pause_ms) > config.hold_ticks:
+        warn([f"commands paused for up to {pause:.0f} ms, the machine is busy: directions are sure, repeat the rest"])
+    if json_:
+        print_json(
+            {
+                "passed": not said,
+                "faults": list(said),
+                "rows": [{name: _json(value) for name, value in asdict(row).items()} for row in rows],
+                "peaks": peaks.tolist(),
+                "longest_pause_ms": round(pause, 1),
+                "seconds": round(time.monotonic() - opened_s, 1),
+                "statistics": supervisor.statistics(),
+            }
+        )
+    if said:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _json(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _table(rows: tuple[Row, ...]) -> str:
+    lines = ["| value | gain | delay [ms] | noise | model's | age [ms] | |", "|---|---|---|---|---|---|---|"]
+    for row in rows:
+        cells = (f"{row.gain:.2f}", f"{row.delay_ms:.1f}", f"{row.noise:.2g}", f"{row.expected_noise:.2g}")
+        shown = [("" if cell == "nan" else cell) for cell in (*cells, f"{row.age_ms:.1f}")]
+        lines.append(f"| {row.part}[{row.value}] | {' | '.join(shown)} | {row.fault or 'pass'} |")
+    return "\n".join(lines)

@@ -1,0 +1,215 @@
+"""Check of a rig by test motions: each mistake of its wiring is found and named, without ROS and without real time."""
+
+import json
+import os
+import re
+
+import numpy as np
+import pytest
+from los_testbed.cli.app import main
+from los_testbed.config import RunConfig
+from los_testbed.device import emulator, motions
+from los_testbed.device.check import faults, judge
+from los_testbed.device.contract import DeviceError, Sample
+from los_testbed.device.motions import model_response, motion, peaks_of, record
+from los_testbed.device.supervisor import Supervisor
+from los_testbed.device.wiring import MISTAKES, Wiring
+from los_testbed.exit_codes import ExitCode
+from los_testbed.loop.scheduling import real_time_thread
+
+from titop_plant.interface import CAMERA, COLUMNS, FORCES, MEASURED, MIRROR, TICK_NS
+
+PEAKS = peaks_of((5.3e-3, 31.6))
+
+
+class Static:
+    """A telescope of gains alone: forces move accelerometers, the mirror camera and gauges."""
+
+    def __init__(self, noise=1e-5):
+        rng = np.random.default_rng(3)
+        self.gains = np.zeros((22, 8))
+        self.gains[:18, FORCES] = 1e-2 * rng.standard_normal((18, 6))
+        self.gains[CAMERA, MIRROR] = 0.1 * np.eye(2)
+        self.gains[20:22, MIRROR] = np.eye(2)
+        self.sigma = noise * np.concatenate([np.full(18, 1.0), np.full(4, 1e-3)])
+        self.reset()
+
+    def reset(self):
+        self.rng, self.tick, self.noise = np.random.default_rng(5), 0, 1.0
+
+    def change(self, name, value):
+        if name == "noise":
+            self.noise = value
+
+    def step(self, command, measurement, truth):
+        measurement[:] = self.gains @ command + self.noise * self.sigma * self.rng.standard_normal(22)
+        if self.tick % 10:
+            measurement[CAMERA] = np.nan
+        self.tick += 1
+
+
+class Bench:
+    """A rig with a wiring on a clock of its own, which is also the clock of the check: every other tick, for speed."""
+
+    def __init__(self, wrong="", noise=1e-5, loss=0.0):
+        self.plant, self.wiring = Static(noise), Wiring(wrong)
+        self.rng, self.loss = np.random.default_rng(8), loss
+        self.command, self.measurement = np.zeros(8), np.zeros(22)
+        self.now, self.greatest, self.calls = 1_000, np.zeros(8), []
+
+    def begin(self, first):
+        self.first = first
+
+    def wait(self):
+        self.now += 2 * TICK_NS
+
+    def open(self, config):
+        self.calls.append("open")
+
+    def read(self, now_ns):
+        self.plant.step(self.wiring.command(self.command), self.measurement, np.zeros(2))
+        seen = self.wiring.measurement(self.measurement)
+        if self.rng.random() < self.loss:
+            return []
+        return [Sample(p, now_ns, seen[COLUMNS[p]].copy()) for p in MEASURED if np.isfinite(seen[COLUMNS[p]]).all()]
+
+    def write(self, command, now_ns):
+        self.command = command
+        self.greatest = np.maximum(self.greatest, np.abs(command))
+
+    def safe(self):
+        self.calls.append("safe")
+
+    def close(self):
+        self.calls.append("close")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return model_response(Static(), PEAKS)
+
+
+def checked(model, bench):
+    supervisor = Supervisor(bench, RunConfig(device="my:Rig", start="rest"))
+    supervisor.open()
+    rows = judge(record(supervisor, PEAKS, bench, lambda: bench.now), model)
+    supervisor.end()
+    return rows
+
+
+def test_a_rig_as_the_model_has_no_fault_also_with_lost_samples(model):
+    bench = Bench(loss=0.02)
+    rows = checked(model, bench)
+    assert faults(rows) == ()
+    assert len(rows) == 30 and np.allclose([row.gain for row in rows], 1.0, atol=0.03)
+    assert max(abs(row.delay_ms) for row in rows) <= 1.0
+    assert (bench.greatest <= PEAKS).all() and (bench.greatest > 0.5 * PEAKS).all()
+    assert not bench.command.any() and bench.calls == ["open", "safe", "close"], "at zero afterwards"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "lines"),
+    [
+        (
+            "camera_los=swapped,accel_Ip=swapped",
+            ("accel_Ip[0, 1]: swapped: sees like value 1, 0", "camera_los: swapped: sees like value 1, 0"),
+        ),
+        ("fsm_angle=sign,accel_M1=gain", ("accel_M1: gain 0.50", "fsm_angle: wrong sign")),
+        (
+            "camera_los=delay,accel_M2=dead",
+            ("accel_M2: dead: sees nothing", "camera_los: values 40 ms older than their times say"),
+        ),
+        (
+            "camera_los=sign,pma_force=swapped",
+            ("camera_los: wrong sign", "pma_force[0, 1]: swapped: moves like value 1, 0"),
+        ),
+        (
+            "fsm_command=swapped,pma_force=delay",
+            ("fsm_command: swapped: moves like value 1, 0", "pma_force: 40 ms late, by all sensors"),
+        ),
+        ("fsm_command=gain,pma_force=sign", ("fsm_command: gain 0.50", "pma_force: wrong sign")),
+        ("fsm_command=dead,pma_force=dead", ("fsm_command: dead: moves nothing", "pma_force: dead: moves nothing")),
+    ],
+)
+def test_each_mistake_is_one_line(model, wrong, lines):
+    said = [re.sub("(39|41) ms", "40 ms", line) for line in faults(checked(model, Bench(wrong)))]
+    assert said == [*lines], "20 ticks of 2 ms are 40 ms"
+
+
+def test_motions_that_the_noise_hides_are_not_judged(model):
+    said = faults(checked(model, Bench(noise=1.0)))
+    assert any("not judged: without motion there is" in line for line in said)
+
+
+def test_a_silent_rig_ends_the_check(model):
+    with pytest.raises(DeviceError, match="no sample for 1000 ms; mirror and forces were brought to zero"):
+        checked(model, Bench(loss=1.0))
+
+
+def test_the_motion_is_smooth_and_within_its_peaks():
+    course = np.array([motion(1e-3 * k, PEAKS) for k in range(-100, 5200)])
+    assert (np.abs(course).max(axis=0) <= PEAKS).all()
+    assert not course[:100].any() and not course[5101:].any()
+
+
+def test_unknown_wirings_are_a_mistake_of_the_user(capsys):
+    for text in ("camera=dead", "camera_los=upside_down", "camera_los"):
+        with pytest.raises(ValueError, match=r"wrong must be PART=MISTAKE of accel_Ip, .* got"):
+            Wiring(text)
+    assert set(MISTAKES) == {"swapped", "sign", "gain", "delay", "dead"}
+    assert emulator.main(["--wrong", "x=y"]) == 2
+    assert capsys.readouterr().err.startswith("emulator: wrong must be PART=MISTAKE")
+
+
+@pytest.fixture
+def bench(monkeypatch, model):
+    """The command with a rig without real time and the model of it."""
+    made = Bench("fsm_angle=sign")
+    monkeypatch.setattr("los_testbed.device.contract.make", lambda config, setting: made)
+    monkeypatch.setattr(motions, "model_response", lambda plant, peaks: model)
+    monkeypatch.setattr(motions, "record", lambda sup, peaks: record(sup, peaks, made, lambda: made.now))
+    return made
+
+
+def test_the_command_ends_with_a_table_json_and_code(bench, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["device", "check", "my:Rig", "--json"])
+    assert stop.value.code == ExitCode.FAILED
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert not found["passed"] and found["faults"] == ["fsm_angle: wrong sign"]
+    assert len(found["rows"]) == 30 and found["rows"][20]["gain"] == pytest.approx(-1.0, abs=0.02)
+    assert "| fsm_angle[0] | -1.00 |" in err and err.splitlines()[-1] == "fsm_angle: wrong sign"
+    bench.wiring = Wiring("")
+    assert main(["device", "check", "my:Rig"]) == 0
+    assert "no fault: directions, gains, delays and noise are those of the model" in capsys.readouterr().out
+
+
+def test_a_silent_rig_is_exit_code_6(bench, capsys):
+    bench.loss = 1.0
+    with pytest.raises(SystemExit) as stop:
+        main(["device", "check", "my:Rig"])
+    assert stop.value.code == ExitCode.DEVICE
+    assert capsys.readouterr().err.splitlines()[-1].startswith("los-testbed: device my:Rig: no sample for 1000 ms")
+    assert bench.calls[-2:] == ["safe", "close"]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["no_such:Rig"], "device must be MODULE:NAME or an entry point of los_testbed.devices, got 'no_such:Rig'"),
+        (["my:Rig", "--scale", "100"], "--scale must be"),
+    ],
+)
+def test_mistakes_are_one_line_before_any_work(words, text, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["device", "check", *words])
+    assert stop.value.code == ExitCode.USER_ERROR
+    assert text in capsys.readouterr().err
+
+
+def test_scheduling_is_given_back():
+    before = os.sched_getscheduler(0)
+    with real_time_thread(1):
+        pass
+    assert os.sched_getscheduler(0) == before == os.SCHED_OTHER
