@@ -125,6 +125,46 @@ def test_a_fault_of_the_rig_ends_the_run_with_mirror_and_forces_at_zero(rig, tex
     assert text in supervisor.statistics()["device_fault"]
 
 
+def fly_until(supervisor, done, ticks=20_000):
+    """Ticks until a condition holds; whether it did."""
+    for _ in range(ticks):
+        fly(supervisor, 1)
+        if done():
+            return True
+    return False
+
+
+@pytest.mark.parametrize("rig", [("--fault=clock_jump", "--fault-at=0.2", "--watchdog=5000")], indirect=True)
+def test_a_clock_that_is_set_during_a_run_is_learned_anew_and_counted(rig):
+    driver = UdpRig()
+    supervisor = Supervisor(driver, rig.config)
+    supervisor.open()
+    assert fly_until(supervisor, lambda: driver.clock.jumps == 1)
+    fly(supervisor, 30)
+    _, frames = fly(supervisor, 60)
+    assert supervisor.state == ACTIVE and frames
+    assert all(0 < time.monotonic_ns() - sample.acquired_ns < 20e9 for sample in frames), "not 1 s ahead"
+    assert supervisor.statistics()["device_clock_jumps"] == "1"
+    supervisor.end()
+    assert rig.until("closed")["applied"] == 0.0
+
+
+@pytest.mark.parametrize("rig", [("--fault=camera_silent", "--fault-at=0.2", "--watchdog=5000")], indirect=True)
+def test_a_silent_camera_ends_no_run(rig):
+    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor.open()
+    came = []
+
+    def silent():
+        came.append(bool([sample for sample in supervisor.frames if sample.port == "camera_los"]))
+        return sum(came) > 0 and not any(came[-200:])
+
+    assert fly_until(supervisor, silent), "frames came, and then no more"
+    assert supervisor.state == ACTIVE, "the other sensors go on"
+    supervisor.end()
+    assert rig.until("closed")["applied"] == 0.0
+
+
 def test_no_rig_is_a_mistake_of_the_user(monkeypatch):
     monkeypatch.setattr("los_testbed.device.udp.OPEN_S", 0.1)
     config = RunConfig(device="my:Rig", device_address="127.0.0.1:9", start="rest")
