@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -67,7 +68,7 @@ class Supervisor:
         self._limit_ticks = config.hold_ticks + config.fade_ticks + PATIENCE_TICKS
         self._silent = dict.fromkeys(EVERY_TICK, 0)
         self._equal = dict.fromkeys(MEASURED, 0)
-        self._last: dict[str, FloatArray] = {}
+        self._last: dict[str, bytes] = {}
         self._queues: dict[str, deque[Sample]] = {port: deque() for port in (*EVERY_TICK, TRUTH_PORT)}
         self._unused = dict.fromkeys((*EVERY_TICK, TRUTH_PORT), 0)
 
@@ -117,7 +118,8 @@ class Supervisor:
                 self.measurement[COLUMNS[port]] = found.values
                 self.age.add(max(0, now_ns - found.acquired_ns))
             self._silent[port] = 0 if port in fresh else self._silent[port] + 1
-            self.counts[f"absent_{port}"] += port not in fresh
+            if port not in fresh:
+                self.counts[f"absent_{port}"] += 1
         self._watch()
         return len(fresh) == len(EVERY_TICK)
 
@@ -146,13 +148,13 @@ class Supervisor:
         values = np.asarray(sample.values, float)
         if columns is None or values.shape != (columns.stop - columns.start,):
             raise self.failed(f"read must give samples of known ports, got {sample.port} {values.shape}")
-        if not np.isfinite(values).all() and sample.port not in FRAMED:
+        if sample.port not in FRAMED and not all(map(math.isfinite, values.tolist())):
             self.counts[f"not_finite_{sample.port}"] += 1
             return False
-        last = self._last.get(sample.port)
-        equal = last is not None and np.array_equal(values, last)
+        data = values.tobytes()
+        equal = data == self._last.get(sample.port)
         self._equal[sample.port] = self._equal.get(sample.port, 0) + 1 if equal else 0
-        self._last[sample.port] = values.copy()
+        self._last[sample.port] = data
         return True
 
     def _watch(self) -> None:

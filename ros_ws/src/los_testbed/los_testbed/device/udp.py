@@ -20,10 +20,24 @@ from los_testbed.device.clock_map import ClockMap
 from los_testbed.device.contract import TRUTH_PORT, Sample
 from los_testbed.device.supervisor import EVERY_TICK
 from los_testbed.device.wire import KEY_BYTES, LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
-from titop_plant.interface import COLUMNS, FRAMED, TRUTH
+from titop_plant.interface import COLUMNS, FRAMED
 
-FAST_SIZE = sum(COLUMNS[port].stop - COLUMNS[port].start for port in EVERY_TICK)
-"""Values of the sensors of every tick; behind them in a packet may be the true line of sight."""
+
+def _layout(*ports: str) -> tuple[tuple[str, slice], ...]:
+    """Parts of a packet."""
+    ends = np.cumsum([COLUMNS[port].stop - COLUMNS[port].start for port in ports]).tolist()
+    return tuple((port, slice(first, last)) for port, first, last in zip(ports, [0, *ends], ends))
+
+
+LAYOUTS = {
+    (kind, parts[-1][1].stop): parts
+    for kind, parts in (
+        (Kind.FAST, _layout(*EVERY_TICK)),
+        (Kind.FAST, _layout(*EVERY_TICK, TRUTH_PORT)),
+        (Kind.FRAME, _layout(*FRAMED[:1])),
+    )
+}
+"""Parts of the packets with samples, by kind and number of values: the true line of sight may be behind the others."""
 
 OPEN_S = 5.0
 SYNC_PERIOD_NS = 50_000_000
@@ -133,18 +147,15 @@ class UdpRig:
         return sorted(found, key=lambda sample: sample.acquired_ns)
 
     def _samples(self, packet: Packet) -> list[Sample]:
-        for flag, name in ((SAFE, "safe"), (LIMITED, "limited"), (RESTARTED, "restarted")):
-            self.counts[f"rig_{name}"] += bool(packet.flags & flag)
-        ports = {Kind.FAST: EVERY_TICK, Kind.FRAME: FRAMED[:1]}.get(packet.kind, ())
-        if packet.kind == Kind.FAST and len(packet.values) == FAST_SIZE + TRUTH:
-            ports = (*EVERY_TICK, TRUTH_PORT)
-        sizes = [COLUMNS[port].stop - COLUMNS[port].start for port in ports]
-        if not ports or sum(sizes) != len(packet.values):
+        if packet.flags:
+            for flag, name in ((SAFE, "safe"), (LIMITED, "limited"), (RESTARTED, "restarted")):
+                self.counts[f"rig_{name}"] += bool(packet.flags & flag)
+        parts = LAYOUTS.get((packet.kind, len(packet.values)))
+        if parts is None:
             self.counts["rig_other_packets"] += 1
             return []
         acquired = self.clock.to_host(packet.time_ns)
-        parts = np.split(packet.values, np.cumsum(sizes)[:-1])
-        return [Sample(port, acquired, values) for port, values in zip(ports, parts)]
+        return [Sample(port, acquired, packet.values[part]) for port, part in parts]
 
     def write(self, command: FloatArray, now_ns: int) -> None:
         """Send a command; the rig has a watchdog of its own."""
