@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -28,6 +28,7 @@ from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
 from titop_plant.telescope.layout import channels, default_speeds, speed_names, wheel_count
 from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.placed.devices import sensor_ports
 from titop_plant.telescope.sensors import constant_error, noise_of_samples
 
 SPEED_ROUNDS = 4
@@ -52,7 +53,8 @@ class PlantFamily:
     parameters : mapping
         Of the file.
     control_loop : System
-        Commands (8), disturbances (22 for the reference) to measurements (22), line of sight (2).
+        Commands (8), disturbances (22 for the reference) to measurements (22), line of sight (2), and what else is
+        asked of a run (`with_sensors`).
     path : str or None
         The file; None for the reference telescope.
     isolated : bool
@@ -69,6 +71,12 @@ class PlantFamily:
         parameters = load_parameters(config.parameters)
         loop = control_loop_plant(telescope(config.parameters, config.isolated), parameters)
         return cls(parameters, loop, config.parameters, config.isolated)
+
+    def with_sensors(self) -> PlantFamily:
+        """The same telescopes with the values of the further sensors behind the line of sight."""
+        further = tuple(port.name for port in sensor_ports(self.parameters))
+        whole = telescope(self.path, self.isolated)
+        return replace(self, control_loop=control_loop_plant(whole, self.parameters, further)) if further else self
 
     def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
         """The member of a configuration, see :func:`build_plant`.
@@ -214,13 +222,14 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     return tuple(float(round(s, 3)) for s in speeds)
 
 
-def control_loop_plant(assembled: Telescope, parameters: Parameters) -> System:
+def control_loop_plant(assembled: Telescope, parameters: Parameters, further: tuple[str, ...] = ()) -> System:
     """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
 
-    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not.
+    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not. `further` names outputs
+    behind those.
     """
     return with_sensors(assembled.system, parameters).select(
-        inputs=(*COMMANDED, *disturbances_of(assembled.system)), outputs=(*MEASURED, "los_controlled")
+        inputs=(*COMMANDED, *disturbances_of(assembled.system)), outputs=(*MEASURED, "los_controlled", *further)
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from lftkit import Port, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
-from titop_plant.interface import COMMANDED, MEASURED, MEASUREMENTS, TRUTH
+from titop_plant.interface import COMMANDED, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import PlantFamily, telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
@@ -63,8 +63,8 @@ class DrivenPlant:
     ----------
     plant : SampledPlant or DrivenPlant
     held : ndarray, shape (n + 24, size of the ports)
-        Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22) and
-        the truth (2).
+        Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22), the
+        truth (2), and the further sensors that there are.
         Of sources with another number of values as many columns.
     disturbance : Disturbance
         Frequencies of its tones [rad/s], an attribute ``lines``, are added to those of the plant.
@@ -85,10 +85,16 @@ class DrivenPlant:
         self.dt, self.frame_ticks, self.limits = plant.dt, plant.frame_ticks, plant.limits
         self.tones = np.union1d(plant.tones, getattr(disturbance, "lines", []))
         self.parameters_hash = f"{plant.parameters_hash} with {name}"
-        order = held.shape[0] - MEASUREMENTS - TRUTH
+        order = held.shape[0] - MEASUREMENTS - TRUTH - plant.sensed.size
+        self._parts = np.cumsum([order, MEASUREMENTS, TRUTH])
         self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
         self._value, self._added = np.zeros(held.shape[1]), np.zeros(held.shape[0])
         self._on = True
+
+    @property
+    def sensed(self) -> FloatArray:
+        """Values of the further sensors at the last tick, see `SampledPlant.sensed`."""
+        return self.plant.sensed
 
     def reset(self) -> None:
         """Back to tick 0: same seed, same bits."""
@@ -117,10 +123,11 @@ class DrivenPlant:
         if not self._on:
             return
         np.matmul(self._held, self._value, out=self._added)
-        order = self._added.size - MEASUREMENTS - TRUTH
-        self.plant.push(self._added[:order])
-        measurement += self._added[order : order + MEASUREMENTS]
-        truth += self._added[order + MEASUREMENTS :]
+        pushed, measured, true, sensed = np.split(self._added, self._parts)
+        self.plant.push(pushed)
+        measurement += measured
+        truth += true
+        self.plant.sensed[:] += sensed
 
 
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
@@ -137,9 +144,11 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
     Returns
     -------
     ndarray, shape (n + 24, size of the ports)
+        More rows where the family is that with the further sensors.
     """
     whole = with_sensors(telescope(family.path, family.isolated).system, family.parameters)
     ports = driven_ports(family.parameters)
-    driven = whole.select(inputs=(*COMMANDED, *(p.name for p in ports)), outputs=(*MEASURED, "los_controlled"))
+    outputs = [p.name for p in family.control_loop.outputs]
+    driven = whole.select(inputs=(*COMMANDED, *(p.name for p in ports)), outputs=outputs)
     held = sampled(driven.at(parameter_values(config, family.parameters)), dt, method="hold")
     return np.vstack([held.B, held.D])[:, -total_size(ports) :]

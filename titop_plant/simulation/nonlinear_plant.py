@@ -31,6 +31,7 @@ from titop_plant.interface import ACCELERATIONS, COLUMNS, COMMANDS, DT, FORCES, 
 from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.telescope.placed.readings import PlantWithReadings
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class NonlinearPlant:
 
     Parameters
     ----------
-    plant : SampledPlant or DrivenPlant
+    plant : SampledPlant, DrivenPlant or PlantWithReadings
         The linear telescope, in the state in which the run starts.
     limits : DeviceLimits
     actuator : mapping
@@ -95,7 +96,9 @@ class NonlinearPlant:
     0.9
     """
 
-    def __init__(self, plant: SampledPlant | DrivenPlant, limits: DeviceLimits, actuator: Mapping[str, Any]) -> None:
+    def __init__(
+        self, plant: SampledPlant | DrivenPlant | PlantWithReadings, limits: DeviceLimits, actuator: Mapping[str, Any]
+    ) -> None:
         self.plant, self.device_limits = plant, limits
         self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
         self.parameters_hash = f"{plant.parameters_hash} with {astuple(limits)}"

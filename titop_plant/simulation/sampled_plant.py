@@ -123,7 +123,9 @@ class SampledPlant:
         self._values = self._outputs.values
         self._phasor = np.zeros(step.turn.size)
         self._terms = np.zeros((2 + len(step.driven), max(plain, 2)))
-        self._later, self._sums = np.zeros(max(self._n, 2)), np.zeros(MEASUREMENTS + TRUTH)
+        self._later, self._sums = np.zeros(max(self._n, 2)), np.zeros(step.outputs.shape[1])
+        self.sensed = np.zeros(self._sums.size - MEASUREMENTS - TRUTH)
+        """Values of the further sensors at the last tick, without noise."""
         self._noise_block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
         self._slow = slow_sensors(self.frame_ticks)
@@ -218,7 +220,7 @@ class SampledPlant:
             self._draw()
         np.add(self._sums[:MEASUREMENTS], self._noise_block[row] if self._noisy else 0.0, out=measurement)
         measurement += self._sensors.bias
-        truth[:] = self._sums[MEASUREMENTS:]
+        truth[:], self.sensed[:] = self._sums[MEASUREMENTS : MEASUREMENTS + TRUTH], self._sums[MEASUREMENTS + TRUTH :]
         for columns, ticks in self._slow:
             if self.tick % ticks:
                 measurement[columns] = np.nan

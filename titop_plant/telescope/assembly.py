@@ -36,7 +36,9 @@ output                 size  meaning
 Rotation and rate are passed through the ports, the line of sight is a function of states, and nothing is
 integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
 reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port; the forces
-of proof-mass actuators stay an input without effect, since every command holds six forces.
+of proof-mass actuators stay an input without effect, since every command holds six forces. Further sensors and
+actuators of a user's file (:mod:`titop_plant.telescope.placed.devices`) are the output ``placed_sensors``, and bodies
+with the input ``actuator_force``.
 """
 
 from __future__ import annotations
@@ -75,6 +77,20 @@ from titop_plant.telescope.layout import (
 )
 from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
 from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
+from titop_plant.telescope.placed.devices import (
+    ACTUATOR_FORCE,
+    PLACED_SENSORS,
+    actuator_ports,
+    sensor_ports,
+)
+from titop_plant.telescope.placed.mounting import (
+    actuator_blocks,
+    actuator_wires,
+    actuator_wrenches,
+    sensor_blocks,
+    sensor_wires,
+)
+from titop_plant.telescope.placed.points import PAYLOAD_NODES, body_of
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -82,9 +98,7 @@ MOTOR_TORQUE = "motor_torque"
 """Input of a telescope with `motors`: torque of each stepper motor on its rotor [Nm]."""
 EXTERNAL_WRENCH = Port("external_wrench", 6, ports.WRENCH_UNIT)
 LOS = Port("los", 2, "rad")
-OPTICAL_POINTS = ("M1", "M2", "DET", "I_f")
-UNLOADED = ("M1", "M2", "DET")
-"""Points of the payload without an attached body."""
+OPTICAL_POINTS = (*PAYLOAD_NODES, "I_f")
 SADM_ANGLE, PMA_STROKE = "sadm_angle", "pma_stroke"
 """Outputs that are there only where there are drives or proof-mass actuators."""
 
@@ -139,7 +153,8 @@ def build_telescope(
         ``A1``, ``A2`` and further points of the body, ``platform``, ``M1``, ``M2``, ``DET``. The states are the same
         without them.
     motors : bool
-        With the input `MOTOR_TORQUE` where drives have stepper motors; the states are the same without it.
+        With the inputs `MOTOR_TORQUE` where drives have stepper motors, and `ACTUATOR_FORCE` where there are further
+        actuators; the states are the same without them.
 
     Returns
     -------
@@ -177,14 +192,15 @@ def _driven_at_G(
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
     arrays, others = solar_arrays(parameters), appendages(parameters)
-    used = {"I_w", "I_p", *mounted_points(parameters), *loads}
+    acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(parameters)
+    used = {"I_w", "I_p", *mounted_points(parameters), *(node for _, node in acting)}
     systems = {
         "body": _without_loads(flexible_body(body, motion=True), {child.name for child in body.children} - used),
         "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
         **{one.name: _array(parameters, one, outside) for one in arrays},
         **{one.name: component.appendage_block(parameters, one) for one in others},
         "platform": _platform(parameters, isolated),
-        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(UNLOADED) - set(loads)),
+        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(PAYLOAD_NODES) - used),
         "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
         "optics": line_of_sight(parameters),
         "steering": static_gain(
@@ -192,8 +208,14 @@ def _driven_at_G(
         ),
         **_drives(parameters),
         **_motors(parameters, outside),
+        **actuator_blocks(parameters, driven=any(port.name == ACTUATOR_FORCE for port in outside)),
+        **sensor_blocks(parameters),
     }
-    there = {SADM_ANGLE: driven_arrays(parameters), PMA_STROKE: parameters["pma"]["azimuths_deg"]}
+    there = {
+        SADM_ANGLE: driven_arrays(parameters),
+        PMA_STROKE: parameters["pma"]["azimuths_deg"],
+        PLACED_SENSORS: sensor_ports(parameters),
+    }
     absent = [name for name, bodies in there.items() if not bodies]
     outputs: dict[str, str | tuple[str, ...]] = {
         "wrench_G": "body.wrench_G",
@@ -206,10 +228,13 @@ def _driven_at_G(
         PMA_STROKE: "platform.pma_stroke",
         SADM_ANGLE: "sadm_join.sadm_angle",
         "wheel_accel": "wheels.wheel_accel",
+        PLACED_SENSORS: f"sensors.{PLACED_SENSORS}",
     }
+    wires = [*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(parameters, outside)]
+    wires += [*actuator_wires(parameters, systems), *sensor_wires(parameters)]
     return connect(
         systems,
-        _with_loads([*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(parameters, outside)], loads),
+        _with_wrenches(wires, acting),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
             Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
@@ -260,9 +285,10 @@ def _drives(parameters: Parameters) -> dict[str, System]:
 
 
 def motor_ports(parameters: Parameters) -> tuple[Port, ...]:
-    """Torques of the stepper motors; none where no drive has one."""
+    """Torques of the stepper motors and forces of the further actuators; none where nothing has them."""
     count = len(motors_of(parameters))
-    return (Port(MOTOR_TORQUE, count, "Nm"),) if count else ()
+    torques = (Port(MOTOR_TORQUE, count, "Nm"),) if count else ()
+    return (*torques, *actuator_ports(parameters))
 
 
 def _array(parameters: Parameters, array: MountedBody, outside: tuple[Port, ...]) -> System:
@@ -325,18 +351,17 @@ def _mounted_wires(bodies: Sequence[MountedBody]) -> list[Connection]:
     return wires + [(tuple(parts), f"body.wrench_{point}") for point, parts in wrenches.items()]
 
 
-def _with_loads(wires: list[Connection], loads: tuple[str, ...]) -> list[Connection]:
-    """Add the wrenches from outside to what acts on their nodes."""
-    bodies = {"platform": "platform", **dict.fromkeys(UNLOADED, "payload")}
+def _with_wrenches(wires: list[Connection], acting: Sequence[tuple[str, str]]) -> list[Connection]:
+    """Add wrenches, each of a source and on a node, to what acts on their nodes."""
     result = list(wires)
-    for node in loads:
-        target = f"{bodies.get(node, 'body')}.wrench_{node}"
+    for source, node in acting:
+        target = f"{body_of(node)}.wrench_{node}"
         at = next((i for i, wire in enumerate(result) if wire[1] == target), None)
         if at is None:
-            result.append((load_port(node).name, target))
+            result.append((source, target))
         else:
             before = result[at][0]
-            result[at] = ((*((before,) if isinstance(before, str) else before), load_port(node).name), target)
+            result[at] = ((*((before,) if isinstance(before, str) else before), source), target)
     return result
 
 

@@ -24,6 +24,8 @@ from titop_plant.telescope.layout import (
 )
 from titop_plant.telescope.mechanism_tables import OF_LISTS, check_mechanisms
 from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.placed.devices import ACTUATOR, SENSOR
+from titop_plant.telescope.placed.tables import DEVICE_KEYS, DEVICES, check_devices
 
 Table = dict[str, Any]
 
@@ -34,7 +36,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NUMBERED = re.compile(r"(wheel|array|drive)_\d+")
 RESERVED = frozenset(
     {"G", "bus", "body", "wheels", "isolator", "platform", "payload", "fsm", "optics", "steering", "sadm_split"}
-    | {"sadm_join", "motor_split", "M1", "M2", "DET", "detector"}
+    | {"sadm_join", "motor_split", "actuator_split", "sensors", "M1", "M2", "DET", "detector"}
 )
 """Names of other bodies and places."""
 
@@ -72,10 +74,11 @@ KEYS: Mapping[str, Mapping[str, Any]] = {
     ARRAYS: {**_BODY, "driven": True, "drive_axis": [0.0] * 3, "theta_range": [0.0] * 2, **dict.fromkeys(DRIVE, 0.0)},
     APPENDAGES: _BODY,
     WHEELS: _WHEEL,
+    **DEVICE_KEYS,
 }
 """Keys of each kind of table, each with a value of the kind that it must have."""
 
-_GROWING = ("frequencies", "participation")
+_GROWING = ("frequencies", "participation", "axes")
 REFERENCE_KIND = "reference"
 """What ``like`` may name beside an earlier body: the array of the reference telescope."""
 
@@ -83,8 +86,7 @@ REFERENCE_KIND = "reference"
 def take_mounted(own: Table) -> dict[str, Any]:
     """Take the lists of what is on board out of a user's file."""
     lists = {name: own[name] for name in (ARRAYS, WHEELS) if isinstance(own.get(name), list)}
-    if APPENDAGES in own:
-        lists[APPENDAGES] = own[APPENDAGES]
+    lists |= {name: own[name] for name in (APPENDAGES, *DEVICES) if name in own}
     for name in lists:
         del own[name]
     return lists
@@ -110,22 +112,33 @@ def checked_layout(
     ------
     ValueError
         A key or value that does not fit, a missing one, a name used twice, an unknown point, an array without modes,
-        bodies that share parameters of different values, wheels that do not span the space.
+        bodies that share parameters of different values, wheels that do not span the space; sensors and actuators as
+        :func:`titop_plant.telescope.placed.tables.check_devices`.
     """
     complete: Table = {}
     for kind, tables in given.items():
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise file.error(kind, f"must be tables [[{kind}]], got {tables!r}")
-        complete[kind] = _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, reference, file)
+        complete[kind] = _complete(kind, tables, reference, file)
     whole = {**merged, **complete}
     _check_names(whole, file)
     _check_points(whole, file)
     _check_shared(whole, file)
     _check_wheels(whole, file)
+    check_devices(whole, file)
     azimuths = whole["pma"]["azimuths_deg"]
     if len(azimuths) not in (0, PMA_AZIMUTHS):
         raise file.error("pma.azimuths_deg", f"must hold {PMA_AZIMUTHS} angles, or none, got {len(azimuths)}")
     return complete
+
+
+def _complete(kind: str, tables: list[Table], reference: Mapping[str, Any], file: ParameterFile) -> list[Table]:
+    """Tables of one kind with what they leave out."""
+    if kind in DEVICES:
+        for i, table in enumerate(tables):
+            _check_keys(kind, i, table, file)
+        return tables
+    return _wheels(tables, reference, file) if kind == WHEELS else _bodies(kind, tables, reference, file)
 
 
 def _check_keys(kind: str, i: int, table: Table, file: ParameterFile) -> None:
@@ -246,7 +259,7 @@ def _wheels(tables: list[Table], reference: Mapping[str, Any], file: ParameterFi
 def _check_names(whole: Mapping[str, Any], file: ParameterFile) -> None:
     """Each name is given once, and is none of another place."""
     seen: set[str] = set()
-    for kind in (ARRAYS, WHEELS, APPENDAGES):
+    for kind in (ARRAYS, WHEELS, APPENDAGES, ACTUATOR, SENSOR):
         tables = whole.get(kind)
         for i, table in enumerate(tables if isinstance(tables, list) else ()):
             key, name = f"{kind}[{i}].name", str(table["name"])

@@ -29,6 +29,7 @@ from titop_plant.telescope.layout import (
     without_sources,
 )
 from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.placed.devices import SENSOR
 from titop_plant.telescope.requirements import (
     instant_probability,
     take_limits,
@@ -69,7 +70,8 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
         ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
         its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
         motors of drives are tables of :mod:`titop_plant.telescope.mechanism_tables`. Tables ``[[solar_array]]``,
-        ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`.
+        ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`,
+        ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.placed.devices`.
         Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
 
     Raises
@@ -175,11 +177,11 @@ def parameters_hash(parameters: Parameters) -> str:
     Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
     that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
     optics those of images (`IMAGE_OPTICS`) do not count, nor does the table of the guide camera, of which the low-pass
-    and the noise under ``sensors`` count where they follow from it, nor do sources of disturbance: no design depends on
-    them.
+    and the noise under ``sensors`` count where they follow from it, nor do sources of disturbance and further sensors:
+    no design depends on them.
     """
     known = without_sources(without_images(parameters))
-    content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES)}
+    content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, SENSOR)}
     requirements = telescope_requirements(parameters)
     parts = {
         "window_probability": window_probability(requirements),

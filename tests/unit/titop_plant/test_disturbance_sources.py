@@ -17,7 +17,7 @@ from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
-from titop_plant.simulation.sources.places import all_places, nodes, place_matrix, source_ports
+from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
 from titop_plant.simulation.sources.signals import (
     PulseSignal,
     SampledSignal,
@@ -28,6 +28,7 @@ from titop_plant.simulation.sources.signals import (
 )
 from titop_plant.simulation.sources.waterfall import lines_at
 from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.placed.points import nodes
 
 QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
 DT = 1e-3

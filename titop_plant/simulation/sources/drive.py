@@ -16,14 +16,15 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from titop_plant.interface import DT, MEASURED
+from titop_plant.interface import DT
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.simulation.sources.places import loaded_nodes, source_ports
+from titop_plant.simulation.sources.places import source_ports
 from titop_plant.simulation.sources.signals import Signal
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.placed.points import loaded_nodes
 
 NODES = 6
 GAUSS: FloatArray = 0.5 * (np.polynomial.legendre.leggauss(NODES)[0] + 1.0)
@@ -46,6 +47,8 @@ class PlacedSource:
     signal : Signal
     remarks : tuple of str
         What was done to its values, one sentence each.
+    limit : float
+        Largest force or torque of what makes it, an actuator: values are clipped to it.
     """
 
     name: str
@@ -54,6 +57,7 @@ class PlacedSource:
     matrix: FloatArray
     signal: Signal
     remarks: tuple[str, ...] = ()
+    limit: float = math.inf
 
 
 @lru_cache(maxsize=2)
@@ -79,11 +83,12 @@ def source_matrix(
     Returns
     -------
     ndarray, shape (n + 24, 6 s (`NODES` + 1))
+        More rows where the family is that with the further sensors.
         Columns: place of a source, s in all, then instant, then axis.
     """
     whole = with_sensors(_loaded(family.path, family.isolated).system, family.parameters)
     chosen = whole.select(
-        inputs=tuple(p.name for p in source_ports(family.parameters)), outputs=(*MEASURED, "los_controlled")
+        inputs=[p.name for p in source_ports(family.parameters)], outputs=[p.name for p in family.control_loop.outputs]
     )
     data = chosen.at(parameter_values(config, family.parameters))
     B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
@@ -133,6 +138,8 @@ class Sources:
         for one in self.sources:
             last = first + one.matrix.shape[1] // 6
             tick = one.signal.tick(self._tick, INSTANTS)
+            if one.limit < math.inf:
+                tick = np.clip(tick, -one.limit, one.limit)
             values[first:last] = tick.reshape(NODES + 1, last - first, 6).transpose(1, 0, 2)
             first = last
         since = (self._tick + INSTANTS) * self.dt

@@ -11,6 +11,7 @@ an appendage, a point              the node of the bus under an antenna, or any 
 ``M1``, ``M2``, ``detector``       nodes of the payload; body
 ``wheel_1`` ..                     the structure at a wheel; the wheel's frame, z along its spin axis
 ``drive_1`` ..                     the torque about the axis of an array drive, the source's last axis
+a further actuator                 the force of its motor on the structure along its axis, the source's force along z
 =================================  ==================================================================================
 
 With a compliant bearing forces and lateral torques at a wheel act on its rotor.
@@ -26,52 +27,20 @@ from lftkit import Port
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
-from titop_plant.structures.reference import body_points
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port, motor_ports
 from titop_plant.telescope.layout import (
     SADM_TORQUE,
     WHEEL_IMBALANCE,
     WHEEL_TORQUE,
-    appendages,
     disturbance_ports,
     driven_arrays,
     reaction_wheels,
-    solar_arrays,
     wheel_axes,
     wheel_count,
 )
 from titop_plant.telescope.parameters import Parameters
-
-BUS, PAYLOAD = (
-    {"wheels": "I_w", "isolator": "I_p"},
-    {
-        "payload": "platform",
-        "M1": "M1",
-        "M2": "M2",
-        "detector": "DET",
-    },
-)
-
-
-def nodes(parameters: Parameters) -> dict[str, str]:
-    """Nodes of the structure beside the bus's reference point, by the names of places.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> list(nodes(load_parameters()))
-    ['wheels', 'isolator', 'array_1', 'array_2', 'payload', 'M1', 'M2', 'detector']
-    """
-    arrays, others = solar_arrays(parameters), appendages(parameters)
-    found = {**BUS, **{f"array_{i}": one.point for i, one in enumerate(arrays, start=1)}, **PAYLOAD}
-    found |= {one.name: one.point for one in (*arrays, *others)}
-    points = () if parameters["body"]["modal_data"] else body_points(parameters)
-    return found | {point: point for point in points if point not in found.values()}
-
-
-def loaded_nodes(parameters: Parameters) -> tuple[str, ...]:
-    """Nodes of all places, each once: the loads of a telescope that sources act on."""
-    return tuple(dict.fromkeys(nodes(parameters).values()))
+from titop_plant.telescope.placed.devices import ACTUATOR_FORCE, placed_actuators
+from titop_plant.telescope.placed.points import REFERENCE_POINT, loaded_nodes, nodes
 
 
 def wheel_places(parameters: Parameters) -> dict[str, int]:
@@ -85,9 +54,15 @@ def drive_places(parameters: Parameters) -> tuple[str, ...]:
     return tuple(f"drive_{i}" for i in range(1, len(driven_arrays(parameters)) + 1))
 
 
+def actuator_places(parameters: Parameters) -> tuple[str, ...]:
+    """Names of the further actuators, in the order of their forces."""
+    return tuple(one.name for one in placed_actuators(parameters))
+
+
 def all_places(parameters: Parameters) -> tuple[str, ...]:
     """Names of all places."""
-    return ("bus", *nodes(parameters), *wheel_places(parameters), *drive_places(parameters))
+    driven = (*drive_places(parameters), *actuator_places(parameters))
+    return (REFERENCE_POINT, *nodes(parameters), *wheel_places(parameters), *driven)
 
 
 def source_ports(parameters: Parameters) -> tuple[Port, ...]:
@@ -117,7 +92,7 @@ def place_matrix(
     Raises
     ------
     ValueError
-        No such place, a frame that is no rotation, an offset at an array drive.
+        No such place, a frame that is no rotation, an offset at an array drive or an actuator.
     """
     places, ports = all_places(parameters), source_ports(parameters)
     if place not in places:
@@ -125,10 +100,12 @@ def place_matrix(
     columns, drives, wheels = port_slices(ports), drive_places(parameters), wheel_places(parameters)
     whole = np.zeros((total_size(ports), 6))
     turn = np.eye(3) if frame is None else _rotation(frame)
-    if place in drives:
+    actuators = actuator_places(parameters)
+    if place in drives or place in actuators:
+        one, port, axis = ("torque about", SADM_TORQUE, 5) if place in drives else ("force along", ACTUATOR_FORCE, 2)
         if offset is not None or frame is not None:
-            raise ValueError(f"frame and offset must be absent at {place}, which has a torque about its axis only")
-        whole[columns[SADM_TORQUE].start + drives.index(place), 5] = 1.0
+            raise ValueError(f"frame and offset must be absent at {place}, which has a {one} its axis only")
+        whole[columns[port].start + (drives if place in drives else actuators).index(place), axis] = 1.0
         return whole
     wrench = np.kron(np.eye(2), turn)
     if offset is not None:
@@ -143,8 +120,8 @@ def place_matrix(
         whole[first : first + 5] = wrench[:5]
         whole[columns[WHEEL_TORQUE].start + i] = wrench[5]
         return whole
-    port = EXTERNAL_WRENCH.name if place == "bus" else load_port(nodes(parameters)[place]).name
-    whole[columns[port]] = wrench
+    loaded = EXTERNAL_WRENCH.name if place == REFERENCE_POINT else load_port(nodes(parameters)[place]).name
+    whole[columns[loaded]] = wrench
     return whole
 
 

@@ -200,12 +200,17 @@ def make_sources(entries: Sequence[Entry], parameters: Parameters, run: Run) -> 
     names = [str(entry.table.get("name", "")) for entry in entries]
     if len(set(names)) < len(names):
         raise ValueError(f"disturbances must have different names, got {', '.join(names)}")
-    return tuple(_source(entry, parameters, run) for entry in entries)
+    found = tuple(_source(entry, parameters, run) for entry in entries)
+    driven = [one.place for one in found if one.limit < math.inf]
+    for place in sorted({place for place in driven if driven.count(place) > 1}):
+        raise ValueError(f"actuator {place} must have one source, got {driven.count(place)}")
+    return found
 
 
 def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.simulation.sources.places import place_matrix
+    from titop_plant.telescope.placed.devices import placed_actuators
 
     table = entry.table
     name, kind, place = table.get("name"), table.get("kind"), table.get("place", "bus")
@@ -222,7 +227,10 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
     except ValueError as error:
         raise entry.error(str(error)) from None
     signal, remarks = make(entry, run)
-    return PlacedSource(name, kind, place, entry.number("scale", 1.0) * matrix, signal, remarks)
+    limits = {one.name: one.authority for one in placed_actuators(parameters)}
+    scale = entry.number("scale", 1.0)
+    limit = limits[place] / max(abs(scale), 1e-300) if place in limits else math.inf
+    return PlacedSource(name, kind, place, scale * matrix, signal, remarks, limit)
 
 
 def _frame(frame: Any) -> FloatArray | None:

@@ -22,7 +22,7 @@ from los_testbed.config import RunConfig, is_code
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, needs_tone, with_tones
-from los_testbed.topics import TOPICS, TopicDefinition, image_topic
+from los_testbed.topics import TOPICS, TopicDefinition, image_topic, sensor_topics
 from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from titop_plant.simulation.sampled_plant import SampledPlant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.placed.devices import PlacedSensor
+    from titop_plant.telescope.placed.readings import PlantWithReadings
 
 
 class Plant(Protocol):
@@ -293,15 +295,37 @@ class RunParts:
             return _user_plant(config)
         with one_thread():
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
-            telescope = self.family.build(self.physical, state)
+            telescope = self._sensed_family.build(self.physical, state)
         own = config.disturbance_source if config.disturbance else None
         plant = telescope if own is None else self._driven(telescope, own)
-        plant = self.with_sources(plant)
+        whole = self._with_readings(self.with_sources(plant))
         if not config.nonlinear:
-            return self._with_images(plant)
+            return self._with_images(whole)
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
 
-        return self._with_images(NonlinearPlant(plant, DeviceLimits(), self.parameters["pma"]))
+        return self._with_images(NonlinearPlant(whole, DeviceLimits(), self.parameters["pma"]))
+
+    @cached_property
+    def _sensed_family(self) -> PlantFamily:
+        """The family with the values of the further sensors of this run."""
+        return self.family.with_sensors() if self.placed_sensors else self.family
+
+    @cached_property
+    def placed_sensors(self) -> tuple[PlacedSensor, ...]:
+        """Further sensors of the telescope; none of another plant."""
+        if self.config.other_plant or not self.config.parameters:
+            return ()
+        from titop_plant.telescope.placed.devices import placed_sensors
+
+        return placed_sensors(self.parameters)
+
+    def _with_readings(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant | PlantWithReadings:
+        """The telescope with its further sensors, where there are any."""
+        if not self.placed_sensors:
+            return plant
+        from titop_plant.telescope.placed.readings import PlantWithReadings
+
+        return PlantWithReadings(plant, self.placed_sensors, self.config.seed, self.config.noise)
 
     def _with_images(self, plant: Telescope) -> Plant:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
@@ -324,7 +348,8 @@ class RunParts:
     def topics(self) -> tuple[TopicDefinition, ...]:
         """Topics of the run, those of the loop first."""
         camera = self.star_camera
-        return TOPICS if camera is None else (*TOPICS, image_topic(camera.camera.window))
+        images = () if camera is None else (image_topic(camera.camera.window),)
+        return (*TOPICS, *sensor_topics(self.placed_sensors), *images)
 
     def disturbance(self) -> UserBlock:
         """Disturbance of the user; ValueError: it cannot be made, or breaks the contract."""
@@ -339,7 +364,8 @@ class RunParts:
         disturbance = self.disturbance()
         disturbance.reset()
         with one_thread():
-            return DrivenPlant(plant, held_disturbance(self.family, self.physical, plant.dt), disturbance, source)
+            held = held_disturbance(self._sensed_family, self.physical, plant.dt)
+            return DrivenPlant(plant, held, disturbance, source)
 
     def with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
         """The telescope under the sources of files, where there are any."""
@@ -349,8 +375,9 @@ class RunParts:
         from titop_plant.simulation.sources.drive import Sources, source_matrix
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
+        family = self._sensed_family if plant.sensed.size else self.family
         with one_thread():
-            return DrivenPlant(plant, source_matrix(self.family, self.physical, self.sources, plant.dt), drive, name)
+            return DrivenPlant(plant, source_matrix(family, self.physical, self.sources, plant.dt), drive, name)
 
     @cached_property
     def sources(self) -> tuple[PlacedSource, ...]:
@@ -485,16 +512,20 @@ def build_controller(config: RunConfig) -> FsmPmaController:
     return RunParts(config).controller()
 
 
+def inner(plant: object, name: str) -> Any:
+    """Attribute of a plant, or of the telescope behind its devices; None where none has it."""
+    while not hasattr(plant, name) and hasattr(plant, "plant"):
+        plant = plant.plant
+    return getattr(plant, name, None)
+
+
 def plant_notes(plant: Plant) -> dict[str, str]:
     """Tones, motion and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)
     if tones is not None:
         notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
-    telescope = plant
-    while not hasattr(telescope, "motion") and hasattr(telescope, "plant"):  # the telescope behind its devices
-        telescope = telescope.plant
-    motion = getattr(telescope, "motion", None)
+    motion = inner(plant, "motion")
     if motion is not None:
         notes["motion"] = json.dumps(motion)
     parameters_hash = getattr(plant, "parameters_hash", None)

@@ -5,18 +5,26 @@ Everything that publishes, records, checks or documents a topic reads this table
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from los_testbed.config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS, sample_ticks
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
+if TYPE_CHECKING:
+    from titop_plant.telescope.placed.devices import PlacedSensor
+
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
 
 IMAGE_VECTOR = "image"
 """Vector of the pixels of a frame, row by row."""
+
+READINGS = "readings"
+"""Vector of the further sensors of a telescope."""
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -36,7 +44,7 @@ class TopicDefinition:
     publisher : str
         Node that sends it: plant, estimator or controller.
     vector : str
-        Vector of the loop it carries: measurement, truth, los_estimate or command; or image.
+        Vector of the loop it carries: measurement, truth, los_estimate or command; image or readings.
     columns : slice
         Columns of its values in that vector.
     port : str
@@ -122,6 +130,26 @@ def image_topic(window: int) -> TopicDefinition:
     """
     columns = slice(0, window**2)
     return TopicDefinition(IMAGE_NAME, IMAGE, "guide_camera", "plant", IMAGE_VECTOR, columns, CAMERA_PORT, "e-", True)
+
+
+PLACED = "sensor"
+"""Further sensors have their topics below this name."""
+
+
+def sensor_topics(sensors: Sequence[PlacedSensor]) -> tuple[TopicDefinition, ...]:
+    """Topics of the further sensors, in their order; a bag with them has them behind those of the loop.
+
+    Parameters
+    ----------
+    sensors : sequence of PlacedSensor
+    """
+    found, first = [], 0
+    for one in sensors:
+        columns = slice(first, first + len(one.axes))
+        name = f"{PLACED}/{one.name}"
+        found.append(TopicDefinition(name, VECTOR3, one.name, "plant", READINGS, columns, one.name, one.unit))
+        first = columns.stop
+    return tuple(found)
 
 
 DEPTH = 100

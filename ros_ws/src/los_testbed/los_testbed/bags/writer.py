@@ -5,7 +5,7 @@ The recorder node and the run in one process write through the same :class:`BagW
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config import NAMESPACE
-from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, IMAGE_NAME, TOPICS
+from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS, TopicDefinition
 from pointing_analysis.files.atomic_output import check_output, named_errors
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
-from pointing_analysis.read.messages.message_types import IMAGE
 
 QOS = [
     {
@@ -71,7 +70,7 @@ def _sealed(name: str, table: Mapping[str, str]) -> Mapping[str, str]:
 
 
 class BagWriter:
-    """A new bag with all topics of the table.
+    """A new bag with the topics of a run.
 
     Parameters
     ----------
@@ -88,6 +87,8 @@ class BagWriter:
         Name of the bag, if the folder is renamed to it afterwards.
     namespace : str, optional
         Of the topics; default: that in the metadata.
+    topics : sequence of TopicDefinition
+        Default: those of the table.
 
     Raises
     ------
@@ -103,7 +104,7 @@ class BagWriter:
         diagnostics: bool = False,
         name: str | None = None,
         namespace: str | None = None,
-        images: bool = False,
+        topics: Sequence[TopicDefinition] = TOPICS,
     ) -> None:
         check_new_bag(path)
         try:
@@ -116,9 +117,7 @@ class BagWriter:
         self.namespace = (
             namespace if namespace is not None else metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
         )
-        self._types = {topic.path_in(self.namespace): topic.type_name for topic in TOPICS}
-        if images:
-            self._types[f"{self.namespace.rstrip('/')}/{IMAGE_NAME}"] = IMAGE
+        self._types = {topic.path_in(self.namespace): topic.type_name for topic in topics}
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():

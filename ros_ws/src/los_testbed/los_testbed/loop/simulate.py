@@ -7,7 +7,7 @@ controller compute the next command from that measurement.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,12 +21,12 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, RunParts, plant_notes
+from los_testbed.factories import Plant, RunParts, inner, plant_notes
 from los_testbed.image_camera import ImagePlant, frame_counts, window_of
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
-from los_testbed.topics import IMAGE_VECTOR, TOPICS, image_topic
+from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition
 from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
 
@@ -74,21 +74,25 @@ class SampleBlock:
     size : int
     window : int
         Pixels along each axis of the camera's images; 0 without images.
+    sensed : int
+        Values of the further sensors.
     """
 
     size: int
     window: int = 0
+    sensed: int = 0
     stamps: NDArray[np.int64] = field(init=False)
     measurement: FloatArray = field(init=False)
     truth: FloatArray = field(init=False)
     los_estimate: FloatArray = field(init=False)
     command: FloatArray = field(init=False)
     image: FloatArray = field(init=False)
+    readings: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
         sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES, "command": COMMANDS}
-        sizes[IMAGE_VECTOR] = self.window**2
+        sizes |= {IMAGE_VECTOR: self.window**2, READINGS: self.sensed}
         for name, width in sizes.items():
             object.__setattr__(self, name, np.zeros((self.size, width)))
 
@@ -121,7 +125,7 @@ def simulate(
     """
     from los_testbed.loop.compiled_loop import CompiledLoop
 
-    block = SampleBlock(BLOCK, window_of(plant))
+    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)))
     command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     compiled = CompiledLoop.of(plant, estimator, controller, ticks)
@@ -152,6 +156,7 @@ def _step_by_step(
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     done, who = 0, "plant"
     image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
+    readings = readings_of(plant)
     try:
         # what overflows is found by the caller, with tick and port
         with np.errstate(over="ignore", invalid="ignore"):
@@ -162,6 +167,7 @@ def _step_by_step(
                 plant_step(command, y, truth)
                 if image is not None and (first + done) % plant.frame_ticks == 0:
                     block.image[done] = image
+                block.readings[done] = readings
                 who = "observer"
                 estimate(y, los)
                 who = "controller"
@@ -178,12 +184,17 @@ def _step_by_step(
     return None, done
 
 
+def readings_of(plant: object) -> FloatArray:
+    """Readings of the further sensors of a plant at its last tick, the same array at every tick; empty without any."""
+    found = inner(plant, READINGS)
+    return np.zeros(0) if found is None else np.asarray(found)
+
+
 class BagSink:
     """Writes blocks into a bag; log and publishing times are the stamps."""
 
-    def __init__(self, bag: BagWriter, frame_ticks: int, window: int = 0) -> None:
+    def __init__(self, bag: BagWriter, frame_ticks: int, topics: Sequence[TopicDefinition] = TOPICS) -> None:
         self._bag = bag
-        topics = (*TOPICS, image_topic(window)) if window else TOPICS
         self._codecs = [(topic, codec_for(topic), topic.every(frame_ticks) * TICK_NS) for topic in topics]
 
     def __call__(self, block: SampleBlock, rows: int) -> None:
@@ -250,13 +261,14 @@ def record(
     estimator.reset()
     controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
+    topics = parts.topics if own is None else TOPICS
     bag = BagWriter(
         bag_path,
         {METADATA_NAME: run_metadata(parts, start)},
         attachments(parts, start),
-        images=bool(window_of(plant)),
+        topics=topics,
     )
-    sink, done = BagSink(bag, plant.frame_ticks, window_of(plant)), 0
+    sink, done = BagSink(bag, plant.frame_ticks, topics), 0
 
     def write(block: SampleBlock, rows: int) -> None:
         nonlocal done

@@ -28,7 +28,7 @@ from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start
+from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
 from los_testbed.loop.tick_clock import TickClock
 from los_testbed.nodes.support.handshake import OtherPlants, wait_for_followers
 from los_testbed.nodes.support.lockstep import LockstepPacer
@@ -36,7 +36,7 @@ from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plugins import RAISED, in_one_line, made_by
-from los_testbed.topics import UNSENT_TICKS
+from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
@@ -112,7 +112,9 @@ class PlantLoop:
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
         self._camera = plant if isinstance(plant, ImagePlant) else None
-        self._image = None if self._camera is None else self._camera.image.ravel()
+        self._further = {READINGS: readings_of(plant)}
+        if self._camera is not None:
+            self._further[IMAGE_VECTOR] = self._camera.image.ravel()
         change = getattr(plant, "change", None)
         appliers: dict[str, Apply] = {STOP: context.end, RESET: self._ask_again}
         if change is not None:
@@ -303,7 +305,7 @@ class PlantLoop:
 
     def _publish(self, now: int) -> None:
         """Sensors and truth of a tick."""
-        self.io.publish(now, self._measurement, self._truth, self._image)
+        self.io.publish(now, self._measurement, self._truth, self._further)
         self.ticks += 1
         self._count_sent()
 

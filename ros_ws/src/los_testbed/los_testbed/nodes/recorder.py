@@ -189,7 +189,7 @@ class Recorder:
                 {METADATA_NAME: run_metadata(self.parts, self.start)},
                 attachments(self.parts, self.start),
                 diagnostics=not self.simulated,
-                images=self.parts.star_camera is not None,
+                topics=self.parts.topics,
             )
         for track in self.tracks:
             self._write(self.bag, track)

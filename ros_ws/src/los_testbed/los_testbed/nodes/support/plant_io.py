@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import FORCES, MIRROR, TICK_NS
 
+NOTHING: Mapping[str, FloatArray] = MappingProxyType({})
+
 
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
@@ -38,8 +41,8 @@ class PlantIo:
             for topic, publisher in map(output, SENSORS)
         ]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
-        self._images = [
-            (topic.name, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
+        self._further = [
+            (topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
             for topic, publisher in map(output, RunParts(config).topics[len(TOPICS) :])
         ]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
@@ -56,19 +59,25 @@ class PlantIo:
         mirror, force = RunParts(config).basis.authority
         self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)
         self.pma_gate = CommandGate(codec_for(PMA_COMMAND), force, *hold)
-        self._dark = np.zeros(1)  # of hold ticks: all pixels
+        self._none = np.zeros(1)  # of hold ticks: all values
         self.start = 0
 
-    def publish(self, stamp: int, measurement: FloatArray, truth: FloatArray, image: FloatArray | None = None) -> None:
-        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before truth and image."""
+    def publish(
+        self, stamp: int, measurement: FloatArray, truth: FloatArray, further: Mapping[str, FloatArray] = NOTHING
+    ) -> None:
+        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before truth, image and readings.
+
+        `further` holds the vectors behind those of the loop, by their names.
+        """
         for topic, publisher, codec, period in self._sensors:
             if period == TICK_NS or stamp % period == 0:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
-        for _, publisher, codec, period in self._images:
+        for topic, publisher, codec, period in self._further:
             if stamp % period == 0:
-                publisher.publish(codec.encode(stamp, self._dark if image is None else image))
+                values = further[topic.vector][topic.columns] if topic.vector in further else self._none
+                publisher.publish(codec.encode(stamp, values))
 
     def publish_samples(
         self, stamp: int, measurement: FloatArray | None, frames: Mapping[str, tuple[int, FloatArray]], truth: str
@@ -94,7 +103,7 @@ class PlantIo:
     def framed_at(self, stamp: int) -> list[str]:
         """Topics with a sample at some ticks only, which have one at this."""
         slow = [(topic.name, period) for topic, _, _, period in self._sensors if period > TICK_NS]
-        slow += [(name, period) for name, _, _, period in self._images]
+        slow += [(topic.name, period) for topic, _, _, period in self._further if period > TICK_NS]
         return [name for name, period in slow if stamp % period == 0]
 
     def settle(self) -> None:
@@ -102,7 +111,7 @@ class PlantIo:
         settle(
             [publisher for _, publisher, _, _ in self._sensors]
             + [self._truth[0]]
-            + [publisher for _, publisher, _, _ in self._images]
+            + [publisher for _, publisher, _, _ in self._further]
         )
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:

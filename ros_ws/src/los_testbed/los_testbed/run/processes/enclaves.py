@@ -11,7 +11,7 @@ from datetime import datetime
 from xml.etree import ElementTree
 
 from los_testbed.run.processes.viewers import LIVE
-from los_testbed.topics import DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, TOPICS
+from los_testbed.topics import DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
 
 CONTROL = "control"
 """Enclave of ``los-testbed control``."""
@@ -47,7 +47,7 @@ def sent_by(name: str, namespace: str) -> tuple[str, ...]:
     if name != CONTROL:
         own += [f"rt{space}/{name}/*", f"rr{space}/{name}/*", f"rt{DIAGNOSTICS_TOPIC}"]
     if name == "plant":
-        own += ["rt/clock", f"rt{space}/{IMAGE_NAME}"]
+        own += ["rt/clock", f"rt{space}/{IMAGE_NAME}", f"rt{space}/{PLACED}/*"]
     if name in (LIVE, CONTROL):
         own += [f"rq{space}/*", *(f"{kind}{node}" for node in _askers(name, space) for kind in ("rt", "rr"))]
     return (*own, *EVERYBODY_SENDS)

@@ -1,0 +1,212 @@
+"""Further sensors and actuators: kinematics of a rigid body, reciprocity, passivity, mass, refusals of the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
+from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.placed.devices import ANGULAR, PlacedSensor
+from titop_plant.telescope.placed.readings import PlantWithReadings
+
+ARM = [0.3, -0.2, 0.5]
+SLANTED = [0.6, 0.0, 0.8]
+SENSORS = f"""
+[[sensor]]
+name = "centre"
+place = "bus"
+
+[[sensor]]
+name = "beside"
+place = "bus"
+position = {ARM}
+
+[[sensor]]
+name = "spin"
+place = "bus"
+kind = "angular_accelerometer"
+
+[[sensor]]
+name = "mirror"
+place = "M1"
+axes = [{SLANTED}]
+"""
+ACTUATORS = f"""
+[[actuator]]
+name = "one"
+place = "A1"
+axis = [0.0, 0.0, 1.0]
+
+[[actuator]]
+name = "two"
+place = "detector"
+axis = {SLANTED}
+
+[[sensor]]
+name = "at_one"
+place = "A1"
+axes = [[0.0, 0.0, 1.0]]
+
+[[sensor]]
+name = "at_two"
+place = "detector"
+axes = [{SLANTED}]
+"""
+OMEGA = np.array([0.3, 2.0, 5.3, 40.0, 170.0, 430.0, 900.0, 3000.0])
+
+
+def read(folder: Path, text: str) -> Parameters:
+    """Parameters of a file with this text."""
+    path = folder / "own.toml"
+    path.write_text(text)
+    return load_parameters(path)
+
+
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory: pytest.TempPathFactory) -> Telescope:
+    return build_telescope(read(tmp_path_factory.mktemp("sensed"), SENSORS))
+
+
+@pytest.fixture(scope="module")
+def actuated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Parameters, Telescope]:
+    parameters = read(tmp_path_factory.mktemp("actuated"), ACTUATORS)
+    return parameters, build_telescope(parameters, attitude_controlled=False, motors=True)
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12))
+@settings(max_examples=50, deadline=None)
+def test_an_accelerometer_measures_the_motion_of_its_point(values: list[float]) -> None:
+    a, alpha, r, n = np.array(values).reshape(4, 3)
+    axes = (n + 4.0)[None, :] / np.sqrt((n + 4.0) @ (n + 4.0))
+    where = {"axes": axes, "position": r, "noise": 0.0, "bias": 0.0, "step": 0.0, "range": np.inf}
+    linear, angular = (PlacedSensor("s", kind, "bus", **where) for kind in ("accelerometer", ANGULAR))
+    twist = np.concatenate([a, alpha])
+    assert linear.rows @ twist == pytest.approx(axes @ (a + np.cross(alpha, r)), abs=1e-12)
+    assert angular.rows @ twist == pytest.approx(axes @ alpha, abs=1e-12)
+
+
+def test_sensors_measure_the_twists_of_the_telescope(sensed: Telescope) -> None:
+    chosen = sensed.system.select(outputs=["placed_sensors", "accel_G", "accel_M1"]).at({})
+    for omega in OMEGA:
+        found = chosen(1j * omega)
+        read_off, twist, mirror = found[:10], found[10:16], found[16:]
+        beside = twist[:3] + np.cross(twist[3:].T, ARM).T
+        expected = np.vstack([twist[:3], beside, twist[3:], np.array([SLANTED]) @ mirror[:3]])
+        assert np.abs(read_off - expected).max() <= 1e-10 * np.abs(expected).max()
+
+
+def test_sensors_change_nothing_else(sensed: Telescope, tmp_path: Path) -> None:
+    reference = build_telescope()
+    assert sensed.system.order == reference.system.order == 204
+    assert parameters_hash(read(tmp_path, SENSORS)) == parameters_hash(load_parameters())
+    names = [port.name for port in reference.system.outputs]
+    for one, other in zip(sensed.system.select(outputs=names).at({}).matrices, reference.system.at({}).matrices):
+        assert np.abs(one - other).max() <= 1e-10 * np.abs(other).max()
+
+
+def test_two_equal_actuators_are_reciprocal(actuated: tuple[Parameters, Telescope]) -> None:
+    """A force at one moves the other as much as one at the other moves the first."""
+    pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
+    for omega in OMEGA:
+        found = pair(1j * omega)
+        assert abs(found[0, 1] - found[1, 0]) <= 1e-8 * np.abs(found).max()
+
+
+def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Parameters, Telescope]) -> None:
+    """The relative velocity of structure and mass by the force between them has a non-negative real part."""
+    table = actuated[0]["pma"]
+    m, k, d = table["moving_mass"], table["stiffness"], table["damping"]
+    pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
+    for omega in np.geomspace(0.1, 3000.0, 200):
+        s = 1j * omega
+        relative = s / (m * s**2 + d * s + k) * (m * pair(s) + np.eye(2))  # from the equation of the mass
+        least = np.linalg.eigvalsh(relative + relative.conj().T).min()
+        assert least >= -1e-9 * np.abs(relative).max()
+
+
+def test_mass_and_states_are_added(actuated: tuple[Parameters, Telescope]) -> None:
+    parameters, telescope = actuated
+    bare = build_telescope(attitude_controlled=False)
+    assert telescope.system.order == bare.system.order + 4
+    slow = [np.linalg.inv(t.system["accel_G", "external_wrench"].at({})(1e-3j))[:3, :3] for t in (telescope, bare)]
+    added = 2 * (parameters["pma"]["moving_mass"] + parameters["pma"]["casing_mass"])
+    assert (slow[0] - slow[1]).real == pytest.approx(added * np.eye(3), abs=2e-3)
+
+
+def test_a_source_drives_an_actuator(actuated: tuple[Parameters, Telescope]) -> None:
+    parameters = actuated[0]
+    assert all_places(parameters)[-2:] == ("one", "two")
+    matrix = place_matrix("two", parameters)
+    assert np.argwhere(matrix).tolist() == [[sum(p.size for p in source_ports(parameters)) - 1, 2]]
+    with pytest.raises(ValueError, match="frame and offset must be absent at one, which has a force along its axis"):
+        place_matrix("one", parameters, offset=np.ones(3))
+
+
+PLACE = '[[sensor]]\nname = "a"\nplace = "bus"\n'
+PUSH = '[[actuator]]\nname = "a"\nplace = "A1"\naxis = [0.0, 0.0, 1.0]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (PLACE.replace("bus", "M3"), "line 3: 'sensor[0].place' must be one of bus, wheels"),
+        (PUSH.replace("A1", "bus"), "'actuator[0].place' must be one of wheels"),
+        ('[[sensor]]\nname = "a"\n', "'sensor[0]' has no 'place'"),
+        (PLACE + PLACE, "'sensor[1].name' must be given once, got 'a' twice"),
+        (PLACE + PUSH, "'sensor[0].name' must be given once, got 'a' twice"),
+        (PLACE.replace('"a"', '"payload"'), "must not be that of another place, got 'payload'"),
+        (
+            PLACE + "axes = [[1.0, 1.0, 0.0]]",
+            "'sensor[0].axes' must be of length 1, got [1.0, 1.0, 0.0] of length 1.414",
+        ),
+        (PLACE + "axes = []", "'sensor[0].axes' must have 1 entries, got 0"),
+        (PLACE + 'kind = "gyro"', "'sensor[0].kind' must be one of accelerometer, angular_accelerometer, got 'gyro'"),
+        (PLACE + "noise = -1.0", "'sensor[0].noise' must not be negative, got -1.0"),
+        (PLACE + "range = 0.0", "'sensor[0].range' must be positive, got 0.0"),
+        (PLACE + "position = [1.0]", "'sensor[0].position' must have 3 entries, got 1"),
+        (PLACE + "rate = 5.0", "unknown parameter 'sensor[0].rate'"),
+        (PUSH.replace("1.0]", "2.0]"), "'actuator[0].axis' must be of length 1"),
+        ('[[actuator]]\nname = "a"\nplace = "A1"\n', "'actuator[0]' has no 'axis'"),
+        (PUSH + "moving_mass = 0.0", "'actuator[0].moving_mass' must be positive, got 0.0"),
+        (PUSH + "inertia = [1.0, 1.0, 0.0]", "'actuator[0].inertia' must be positive"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused(text: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError) as caught:
+        read(tmp_path, text)
+    assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+class _Still:
+    """A plant whose sensors have constant values."""
+
+    dt, frame_ticks, limits, tones, parameters_hash = 1e-3, 20, np.ones(8), np.zeros(0), "still"
+    sensed = np.array([0.5, -0.5, 9.0])
+
+    def reset(self) -> None: ...
+    def change(self, name: str, value: float) -> None: ...
+    def step(self, command: object, measurement: object, truth: object) -> None: ...
+
+
+def test_readings_have_noise_bias_range_and_step() -> None:
+    where = {"place": "bus", "position": np.zeros(3), "kind": "accelerometer"}
+    noisy = PlacedSensor("n", axes=np.eye(3)[:1], noise=0.1, bias=0.2, step=0.0, range=np.inf, **where)
+    coarse = PlacedSensor("c", axes=np.eye(3)[:2], noise=0.0, bias=0.0, step=0.3, range=2.0, **where)
+    plant, none = PlantWithReadings(_Still(), [noisy, coarse], seed=1, noise=True), np.zeros(0)
+    rows = []
+    for _ in range(4000):
+        plant.step(none, none, none)
+        rows.append(plant.readings.copy())
+    values = np.array(rows)
+    assert values[:, 0].mean() == pytest.approx(0.7, abs=5 * 0.1 / np.sqrt(4000))
+    assert values[:, 0].std() == pytest.approx(0.1, rel=0.06)
+    assert values[:, 1:] == pytest.approx(np.tile([-0.6, 2.1], (4000, 1)))  # 9 is limited to 2, then rounded
+    plant.reset()
+    plant.step(none, none, none)
+    assert plant.readings.tolist() == rows[0].tolist()

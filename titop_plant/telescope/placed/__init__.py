@@ -1,0 +1,1 @@
+"""Sensors and actuators of a user's file at named points of the telescope."""

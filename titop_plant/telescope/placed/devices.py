@@ -1,0 +1,170 @@
+"""Further sensors and actuators of a parameter file: tables ``[[sensor]]`` and ``[[actuator]]``.
+
+The loop measures with the sensors of :mod:`titop_plant.sensor_table` and acts with mirror and proof-mass actuators.
+What stands here is beside the loop: a further sensor is recorded; a further actuator loads the structure with its mass,
+its spring and its damper, and is driven by a source of disturbance. The reference telescope has none of them.
+
+A sensor at ``r`` from its point P measures along a unit vector n::
+
+    accelerometer            n . (a_P + alpha_P x r)      [m/s2]
+    angular_accelerometer    n . alpha_P                  [rad/s2]
+
+**n and r are in the axes of the body; an acceleration is positive along n.** Neglected: the mass of a sensor, the
+centripetal acceleration, which is of second order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+
+SENSOR, ACTUATOR = "sensor", "actuator"
+"""Tables of a parameter file."""
+
+ACCELEROMETER, ANGULAR = "accelerometer", "angular_accelerometer"
+SENSOR_UNITS: Mapping[str, str] = {ACCELEROMETER: "m/s2", ANGULAR: "rad/s2"}
+"""Kinds of sensors, each with its unit."""
+
+PLACED_SENSORS, ACTUATOR_FORCE = "placed_sensors", "actuator_force"
+"""Output of the telescope with the values of all further sensors; input with the forces of all further actuators."""
+
+MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "authority")
+"""Values of an actuator that are those of ``[pma]`` where its table does not give them."""
+
+
+@dataclass(frozen=True)
+class PlacedSensor:
+    """A sensor at a point of the structure.
+
+    Parameters
+    ----------
+    name, kind, place : str
+    axes : ndarray, shape (k, 3)
+        Unit vectors along which it measures, one to three, in the axes of the body.
+    position : ndarray, shape (3,)
+        From the point [m].
+    noise, bias, step, range : float
+        Standard deviation of a sample at 1 kHz, constant part, quantisation (0: none) and largest value (inf: none),
+        each in its unit.
+    """
+
+    name: str
+    kind: str
+    place: str
+    axes: FloatArray = field(repr=False)
+    position: FloatArray = field(repr=False)
+    noise: float
+    bias: float
+    step: float
+    range: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values."""
+        return SENSOR_UNITS[self.kind]
+
+    @property
+    def rows(self) -> FloatArray:
+        """Its values from the twist of its point, shape (k, 6)."""
+        none = np.zeros_like(self.axes)
+        if self.kind == ANGULAR:
+            return np.hstack([none, self.axes])
+        return np.hstack([self.axes, np.cross(self.position, self.axes)])
+
+
+@dataclass(frozen=True)
+class PlacedActuator:
+    """A proof-mass actuator at a point of the structure.
+
+    Parameters
+    ----------
+    name, place : str
+    axis : ndarray, shape (3,)
+        Unit vector along which its mass moves, in the axes of the body. **A positive force acts on the structure along
+        it, and on the mass against it.**
+    position : ndarray, shape (3,)
+        From the point [m].
+    table : mapping
+        `MECHANICS`.
+    """
+
+    name: str
+    place: str
+    axis: FloatArray = field(repr=False)
+    position: FloatArray = field(repr=False)
+    table: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def authority(self) -> float:
+        """Largest force [N]."""
+        return float(self.table["authority"])
+
+
+def placed_sensors(parameters: Mapping[str, Any]) -> tuple[PlacedSensor, ...]:
+    """Further sensors of a parameter file, in its order.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> placed_sensors(load_parameters())
+    ()
+    """
+    return tuple(_sensor(table, parameters) for table in parameters.get(SENSOR, ()))
+
+
+def placed_actuators(parameters: Mapping[str, Any]) -> tuple[PlacedActuator, ...]:
+    """Further actuators of a parameter file, in its order."""
+    return tuple(
+        PlacedActuator(
+            str(table["name"]),
+            str(table["place"]),
+            _unit(table["axis"]),
+            _position(table),
+            {key: table.get(key, parameters["pma"][key]) for key in MECHANICS},
+        )
+        for table in parameters.get(ACTUATOR, ())
+    )
+
+
+def _sensor(table: Mapping[str, Any], parameters: Mapping[str, Any]) -> PlacedSensor:
+    kind = str(table.get("kind", ACCELEROMETER))
+    usual = parameters["sensors"]["accelerometer_noise"][3 if kind == ANGULAR else 0]
+    return PlacedSensor(
+        str(table["name"]),
+        kind,
+        str(table["place"]),
+        np.array([_unit(axis) for axis in table.get("axes", np.eye(3))]),
+        _position(table),
+        noise=float(table.get("noise", usual)),
+        bias=float(table.get("bias", 0.0)),
+        step=float(table.get("step", 0.0)),
+        range=float(table.get("range", math.inf)),
+    )
+
+
+def _unit(axis: Any) -> FloatArray:
+    vector = np.array(axis, dtype=float)
+    return np.asarray(vector / math.sqrt(vector @ vector))
+
+
+def _position(table: Mapping[str, Any]) -> FloatArray:
+    return np.array(table.get("position", [0.0, 0.0, 0.0]), dtype=float)
+
+
+def sensor_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
+    """Output with the values of all further sensors; none where there are none."""
+    units = [sensor.unit for sensor in placed_sensors(parameters) for _ in sensor.axes]
+    return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
+
+
+def actuator_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
+    """Input with the forces of all further actuators; none where there are none."""
+    count = len(placed_actuators(parameters))
+    return (Port(ACTUATOR_FORCE, count, "N"),) if count else ()

@@ -1,0 +1,79 @@
+"""Checks of the tables ``[[sensor]]`` and ``[[actuator]]`` of a user's file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.placed.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
+from titop_plant.telescope.placed.points import REFERENCE_POINT, points
+
+DEVICES = (SENSOR, ACTUATOR)
+
+_PLACE: Mapping[str, Any] = {"name": "", "place": "", "position": [0.0] * 3}
+DEVICE_KEYS: Mapping[str, Mapping[str, Any]] = {
+    SENSOR: {
+        **_PLACE,
+        "kind": "",
+        "axes": [[0.0] * 3],
+        **dict.fromkeys(("noise", "bias", "step", "range"), 0.0),
+    },
+    ACTUATOR: {**_PLACE, "axis": [0.0] * 3, **dict.fromkeys(MECHANICS, 0.0), "inertia": [0.0] * 3},
+}
+"""Keys of each kind of table, each with a value of the kind that it must have."""
+
+UNIT_WITHIN = 1e-3
+"""Of the length of an axis from 1; it is brought to 1."""
+
+
+def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
+    """Refuse places that are none, axes that are no unit vectors, kinds and limits that cannot be.
+
+    Raises
+    ------
+    ValueError
+        The message names file, line and key.
+    """
+    for kind in DEVICES:
+        for i, table in enumerate(whole.get(kind, ())):
+            name = f"{kind}[{i}]"
+            _check_place(name, kind, table, whole, file)
+            _check_axes(name, kind, table, file)
+            if kind == SENSOR:
+                _check_sensor(name, table, file)
+            elif any(not entry > 0.0 for entry in table.get("inertia", ())):
+                raise file.error(f"{name}.inertia", f"must be positive, got {table['inertia']}")
+
+
+def _check_place(name: str, kind: str, table: Mapping[str, Any], whole: Mapping[str, Any], file: ParameterFile) -> None:
+    if not table.get("place"):
+        raise file.error(name, "has no 'place'")
+    places = (*([REFERENCE_POINT] if kind == SENSOR else []), *points(whole))
+    if table["place"] not in places:
+        raise file.error(f"{name}.place", f"must be one of {', '.join(places)}, got {table['place']!r}")
+
+
+def _check_axes(name: str, kind: str, table: Mapping[str, Any], file: ParameterFile) -> None:
+    if kind == ACTUATOR and "axis" not in table:
+        raise file.error(name, "has no 'axis'")
+    axes = [table["axis"]] if kind == ACTUATOR else table.get("axes", [])
+    if "axes" in table and not 1 <= len(axes) <= 3:
+        raise file.error(f"{name}.axes", f"must be one to three unit vectors, got {len(axes)}")
+    for axis in axes:
+        length = math.sqrt(sum(entry**2 for entry in axis))
+        if abs(length - 1.0) > UNIT_WITHIN:
+            key = f"{name}.{'axis' if kind == ACTUATOR else 'axes'}"
+            raise file.error(key, f"must be of length 1, got {axis} of length {length:.4g}")
+
+
+def _check_sensor(name: str, table: Mapping[str, Any], file: ParameterFile) -> None:
+    kind = table.get("kind", ACCELEROMETER)
+    if kind not in SENSOR_UNITS:
+        raise file.error(f"{name}.kind", f"must be one of {', '.join(SENSOR_UNITS)}, got {kind!r}")
+    for key in ("noise", "step"):
+        if not table.get(key, 0.0) >= 0.0:
+            raise file.error(f"{name}.{key}", f"must not be negative, got {table[key]}")
+    if not table.get("range", 1.0) > 0.0:
+        raise file.error(f"{name}.range", f"must be positive, got {table['range']}")
