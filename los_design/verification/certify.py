@@ -23,6 +23,7 @@ import numpy as np
 
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.above import windows_above
+from lftkit.proofs.sampled_loop.bounds import DEEPEST
 from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
@@ -119,6 +120,8 @@ class ProofPart:
     file: Path
     others: tuple[Path, ...] = ()
     """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
+    deepest: int = DEEPEST
+    """Most bisections of the box."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,8 @@ class PartTask:
         After which it stops.
     others : tuple of tuple of Strip
         The same part of other proofs, the best one first.
+    deepest : int
+        Most bisections of the box.
     """
 
     model: LoopModel
@@ -155,6 +160,7 @@ class PartTask:
     level: float
     seconds: float
     others: tuple[tuple[Strip, ...], ...] = ()
+    deepest: int = DEEPEST
 
 
 Prover = Callable[[Sequence[ProofPart]], Iterable[PartResult]]
@@ -185,14 +191,15 @@ def kept_part(part: ProofPart) -> PartResult | None:
 def task_of(part: ProofPart) -> PartTask:
     """What has to be known to prove a part now."""
     others = tuple(map(_strips, part.others))
-    return PartTask(part.model, part.box, part.band, part.level, part.until - time.monotonic(), others)
+    return PartTask(part.model, part.box, part.band, part.level, part.until - time.monotonic(), others, part.deepest)
 
 
 def prove_task(task: PartTask) -> PartResult:
     """Prove a part; no file is read or written."""
     until = time.monotonic() + task.seconds
     known = next((strips for strips in task.others if _useful(task, strips)), ())
-    found = prove_level(task.model, task.box, task.band, task.level, until=until, known=known)
+    claim = task.model, task.box, task.band, task.level
+    found = prove_level(*claim, until=until, known=known, deepest=task.deepest)
     return PartResult(
         tuple(found.strips),
         sorted({band for _, band in found.uncovered}),

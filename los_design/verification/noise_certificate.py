@@ -34,25 +34,29 @@ from los_design.verification.certify import (
     stable_above,
 )
 from los_design.verification.loop_models import NYQUIST, Box, box_of, noise_model
+from los_loop.figures_of_merit import figure
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import DT
+from titop_plant.interface import DT, MIRROR_STAGES
 
 NOISE = "noise"
 """Name of the figure."""
-ABOVE, RAISED, ROUNDS = 1.007, 0.02, 9
+ABOVE, RAISED, ROUNDS = 1.004, 0.01, 9
 """Level of a part over the largest gain seen, first raise where that was not proven (each further one is twice the
 one before), and most times."""
 LEAST = 0.05
 """Least level of a part, over that of white noise with the same mean square, of the absolute and of the relative error:
 lower ones would add less than 0.2 %."""
-EXCESS, MOST_PARTS = 0.01, 160
-"""What the largest gains of parts add to the mean squares, at the nominal member, and most parts."""
-PLAIN = 0.15
+EXCESS, MOST_PARTS = 0.022, 400
+"""What the largest gains of parts add to the mean squares, at the nominal member, and most parts. That of the relative
+error counts by the square of the finest limit over that of the stage."""
+PLAIN = 0.4
 """How much of that counts for the absolute error, which is far from its limit."""
-USEFUL = 5e-4
-"""What the bounds of a part's single rows must lower a mean square by, to be proven beside that of all rows."""
+WHOLE = 0
+"""Bisections of the box: noise hardly depends on the parameters, and a level that is raised is found sooner."""
+USEFUL = 0.004
+"""What the mean squares may gain by parts whose single rows have no bounds of their own beside that of all rows."""
 WIDEST, GRID = 0.16, 0.01
 """Widths of the widest parts and of the steps in which they are cut, of log frequency."""
 MEMBERS, FREQUENCIES, LOWEST = 12, 3, 1e-4
@@ -91,7 +95,9 @@ def certify_noise(
     kept = folder / "parts" / f"{loop.stage}-{NOISE}-{model_digest(model, box)}"
     kept.mkdir(parents=True, exist_ok=True)
     window = float(loop.parameters["weights"]["rpe_window"])
-    levels = _first_levels(model, box, noise_parts(model, window), window)
+    limits = [figure("RPE").limit(loop.parameters, stage) for stage in MIRROR_STAGES]
+    relative = (min(limits) / figure("RPE").limit(loop.parameters, loop.stage)) ** 2
+    levels = _first_levels(model, box, noise_parts(model, window, relative), window)
     done: dict[tuple[Rows, Interval], PartResult] = {}
     for turn in range(ROUNDS):
         open_parts = [key for key in levels if key not in done or done[key].uncovered]
@@ -165,7 +171,7 @@ def seen_gain(model: LoopModel, box: Box, band: Interval) -> float:
     return max(float(member_gains(model, float(w), members).max()) for w in omega)
 
 
-def noise_parts(model: LoopModel, window: float) -> list[Interval]:
+def noise_parts(model: LoopModel, window: float, relative: float = 1.0) -> list[Interval]:
     """Parts of the band in which the largest gains of the nominal member add little to its mean squares.
 
     Parameters
@@ -173,6 +179,8 @@ def noise_parts(model: LoopModel, window: float) -> list[Interval]:
     model : LoopModel
     window : float
         Of the relative error [s].
+    relative : float
+        How much of what is added counts for the relative error.
     """
     first = LOWEST * 100.0
     steps = math.ceil(math.log(NYQUIST / first) / GRID)
@@ -184,7 +192,7 @@ def noise_parts(model: LoopModel, window: float) -> list[Interval]:
 
     def excess(low: int, high: int) -> float:
         largest = squares[low : high + 1].max(axis=0)[:, None] * width[low:high].sum(axis=0)
-        return float(((largest - pieces[low:high].sum(axis=0)) / total * [PLAIN, 1.0]).max())
+        return float(((largest - pieces[low:high].sum(axis=0)) / total * [PLAIN, relative]).max())
 
     cuts = [0, 8, *range(8 + round(WIDEST / GRID), len(grid) - 1, round(WIDEST / GRID)), len(grid) - 1]
     parts = {ends: excess(*ends) for ends in itertools.pairwise(cuts)}
@@ -221,14 +229,16 @@ def _first_levels(
         for band in bands:
             power = np.maximum(widths[band] / (band[1] - band[0]), 1e-12)
             levels[rows, band] = max(ABOVE * seen[rows, band], LEAST * float(np.sqrt(mean / power).min()))
-    singles = [(row,) for row in model.rows]
+    singles: list[Rows] = [(row,) for row in model.rows] if len(model.rows) > 1 else []
     total = np.sum([levels[rows, band] ** 2 * widths[band] for rows in singles for band in bands], axis=0)
-    for band in bands:
-        saved = len(singles) * levels[model.rows, band] ** 2 - sum(levels[rows, band] ** 2 for rows in singles)
-        if len(singles) == 1 or float((saved * widths[band] / total * [PLAIN, 1.0]).max()) < USEFUL:
-            for rows in singles:
-                if rows != model.rows:
-                    del levels[rows, band]
+    saved = {}
+    for band in bands if singles else ():
+        less = len(singles) * levels[model.rows, band] ** 2 - sum(levels[rows, band] ** 2 for rows in singles)
+        saved[band] = float((less * widths[band] / total * [PLAIN, 1.0]).max())
+    ordered = sorted(saved, key=lambda band: saved[band])
+    for band, lost in zip(ordered, itertools.accumulate(max(saved[band], 0.0) for band in ordered)):
+        for rows in singles if lost < USEFUL else ():
+            del levels[rows, band]
     return levels
 
 
@@ -237,4 +247,4 @@ def _part(
 ) -> ProofPart:
     rows, band = key
     file = folder / f"{'-'.join(map(str, rows))}-{band[0]:.9g}-{band[1]:.9g}-{level!r}.npz"
-    return ProofPart(replace(model, rows=rows), box, band, level, until, file)
+    return ProofPart(replace(model, rows=rows), box, band, level, until, file, deepest=WHOLE)

@@ -99,6 +99,7 @@ def prove_level(
     seed: int = 0,
     known: Sequence[Strip] = (),
     part: float = PART,
+    deepest: int = DEEPEST,
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
@@ -118,6 +119,8 @@ def prove_level(
         Of a proof for another level that covers this box and band: what also holds for this level is kept.
     part : float
         Part of the band, relative to its frequency, for which a box is bisected.
+    deepest : int
+        Most bisections of the box, but for frequencies near zero; what is left then is `uncovered`.
 
     Raises
     ------
@@ -128,7 +131,15 @@ def prove_level(
     start = time.process_time()
     slow = SLOW * model.slowest
     state = _State(
-        model, level, until, np.random.default_rng(seed), LoopBounds(), slow, part, Branching(model, level, until)
+        model,
+        level,
+        until,
+        np.random.default_rng(seed),
+        LoopBounds(),
+        slow,
+        part,
+        Branching(model, level, until),
+        deepest,
     )
     with one_thread():
         if known:
@@ -150,6 +161,7 @@ class _State:
     slow: float
     part: float
     branching: Branching
+    deepest: int
 
     @property
     def lowest(self) -> float:
@@ -218,7 +230,7 @@ class _State:
             if reached >= high:
                 return
             end = min(high, reached * (1.0 + self.part))
-            if depth == DEEPEST:
+            if depth >= self.deepest:
                 self.found.uncovered.append((box, (reached, end)))
             else:
                 self._look(box, reached, end)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs.sampled_loop import box_of, loop_model
+from lftkit.proofs.sampled_loop import box_of, loop_model, prove_level
 from lftkit.proofs.sampled_loop.branching import Branching
 
 SLOW, FAST, ZETA = 1.0, 10.0, 0.05
@@ -54,3 +55,12 @@ def test_time_that_is_up_is_kept() -> None:
     branching = Branching(loop_model(system, dt=0.01), 0.9 / (2.0 * ZETA), until=0.0)
     box = box_of(system)
     assert [branching.axis(box, box, 1.0, np.eye(2)[k]) for k in (0, 1)] == [0, 1]
+
+
+def test_a_box_is_bisected_at_most_as_often_as_asked() -> None:
+    """A level that no scalings of the whole box prove: without bisections its parts of the band stay open at once."""
+    system = aligned_modes(2, damping=0.1)
+    claim = loop_model(system, dt=0.1), box_of(system), (0.98, 1.02), 10.0
+    whole, cut = (prove_level(*claim, deepest=deepest) for deepest in (0, 3))
+    assert not whole.strips and {box for box, _ in whole.uncovered} == {box_of(system)}
+    assert len({strip.box for strip in cut.strips}) > 1
