@@ -65,7 +65,7 @@ def contributions(verdict: BudgetVerdict, unit: str) -> Picture:
         axis.set_yticks(y, [*names, "total"])
         axis.invert_yaxis()
         level = f"{100 * verdict.requirement.probability:g} %"
-        axis.set_xlabel(f"{level} level of each alone, and total [{unit}]")
+        axis.set_xlabel(f"{level} level, each alone [{unit}]")
         legend_above(figure, axis)
 
     text = f"Level of each source alone; total {digits(verdict.total)}, limit {digits(verdict.limit)} {unit}"
