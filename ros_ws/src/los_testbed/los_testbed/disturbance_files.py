@@ -294,7 +294,11 @@ def _series(entry: Entry, run: Run) -> Made:
         stamps_of(seconds, n, None)
         grid = time_grid(seconds)
         if grid is None or not grid.fits or not np.array_equal(grid.place, np.arange(n)):
-            raise entry.error(f"times of {table.path} must be uniform and without gaps, got others")
+            steps = np.diff(seconds) if n > 1 else np.zeros(1)
+            raise entry.error(
+                f"times of {table.path} must be uniform and without gaps, "
+                f"got steps of {steps.min():g} to {steps.max():g} s"
+            )
         rate = 1.0 / grid.period
     else:
         rate = table.rate or entry.number("rate", None, 0.0)
@@ -385,7 +389,10 @@ def _waterfall(entry: Entry, run: Run) -> Made:
     speeds, bins = np.unique(at), np.unique(frequency)
     values = _axes(entry, table, at.size)
     if speeds.size < 2 or speeds.size * bins.size != at.size:
-        raise entry.error(f"{table.path} must have the same frequencies at each of two or more speeds, got others")
+        raise entry.error(
+            f"{table.path} must have a row for each of its frequencies at each of two or more speeds, "
+            f"got {at.size} rows with {bins.size} frequencies and {speeds.size} speeds"
+        )
     grid = values[np.lexsort((frequency, at))].reshape(speeds.size, bins.size, 6)
     try:
         found, amplitude = lines_at(abs(speed) / (2 * np.pi), speeds, bins, grid)
@@ -403,7 +410,11 @@ def _psd(entry: Entry, run: Run) -> Made:
     frequency = _column(entry, table, "frequency", "f")
     density = _axes(entry, table, frequency.size, squared_units=True)
     if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
-        raise entry.error(f"{table.path} must have ascending frequencies and no negative density, got others")
+        raise entry.error(
+            f"{table.path} must have two or more ascending frequencies and no negative density, got {frequency.size} "
+            f"frequencies, {int((np.diff(frequency) <= 0).sum())} not above the last, and {int((density < 0).sum())} "
+            "negative densities"
+        )
     kept = frequency > 0
     remarks = []
     if frequency[-1] > PASSES:
