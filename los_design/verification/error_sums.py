@@ -64,7 +64,8 @@ class ErrorSum:
         'APE, tone and noise: 9.332 of 12 arcsec'
         """
         value = math.ceil(self.value * 1e3) / 1e3
-        return f"{self.name}: {value:g} of {self.limit:g} {self.unit}" + ("" if self.kept else ", above the limit")
+        above = "" if self.kept else ", bound above the limit"
+        return f"{self.name}: {value:g} of {self.limit:g} {self.unit}{above}"
 
 
 SHARES = 17

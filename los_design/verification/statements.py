@@ -46,7 +46,7 @@ class Statement:
     def text(self) -> str:
         """One line."""
         which = f"bundle {self.bundle}" + ("" if self.checked else ", not checked here")
-        noise = f"; with noise: {', '.join(self.with_noise)}" if self.with_noise else ""
+        noise = f"; with noise: {'; '.join(self.with_noise)}" if self.with_noise else ""
         said = f"{', '.join(self.figures)}{noise} ({which})"
         return f"proven for every telescope of the family and tones of norm 1 in all: {said}"
 

@@ -27,10 +27,12 @@ from lftkit.proofs.sampled_loop import check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.files import read_loop_proof
+from lftkit.proofs.sampled_loop.noise import NoiseProof, noise_bound
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
-from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, open_bundle
+from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
 from los_design.verification.certify import nominal_stable
+from los_design.verification.fast_parts import PARTS
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED
@@ -120,7 +122,11 @@ def test_shipped_statements_are_those_of_the_stored_proofs(bundle: Bundle) -> No
     assert said["name"] == bundle.name and said["subject"] == asdict(bundle.subject)
     for row in said["figures"]:
         assert row["level"] == bundle.proof(row["stage"], row["figure"]).level
-        assert row["text"] in figures_proven(bundle, row["stage"])
+        assert row["figure"] in PARTS or row["text"] in figures_proven(bundle, row["stage"])
+    for stage in bundle.noise:
+        proof = NoiseProof.from_file(bundle.folder / member_of(stage, "noise"))
+        for bound, window in zip(said["noise"][stage], (0.0, 0.02)):
+            assert noise_bound(proof.model, proof.parts, window).rms == pytest.approx(bound["rms"], rel=1e-12)
 
 
 @pytest.mark.slow

@@ -31,9 +31,11 @@ from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.checker import check_strip
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
+from lftkit.proofs.sampled_loop.noise import NoiseProof
 from lftkit.proofs.strips import Strip
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
+from los_design.verification.noise_certificate import NOISE
 from titop_plant.telescope.parameters import load_parameters
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "proofs"
@@ -111,15 +113,22 @@ def is_scaling(name: str, array: NDArray[Any]) -> bool:
 
 def pack(source: Path, target: Path) -> Iterator[int]:
     """Store a proof; yields the bits of each strip."""
-    proof = read_loop_proof(source)
-    strips = []
-    for strip in proof.strips:
-        coarse, bits = rounded_strip(proof, strip)
-        strips.append(coarse)
-        yield bits
+    coarse_file, bits = target.with_suffix(".tmp"), list[int]()
+
+    def rounded_strips(proof: LoopProof) -> tuple[Strip, ...]:
+        found = [rounded_strip(proof, strip) for strip in proof.strips]
+        bits.extend(own for _, own in found)
+        return tuple(strip for strip, _ in found)
+
+    if source.stem.endswith(f"-{NOISE}"):
+        noise = NoiseProof.from_file(source)
+        parts = [replace(part, strips=rounded_strips(noise.of_part(part))) for part in noise.parts]
+        replace(noise, parts=tuple(parts)).to_file(coarse_file)
+    else:
+        proof = read_loop_proof(source)
+        write_loop_proof(replace(proof, strips=rounded_strips(proof)), coarse_file)
+    yield from bits
     plain = io.BytesIO()
-    coarse_file = target.with_suffix(".tmp")
-    write_loop_proof(replace(proof, strips=tuple(strips)), coarse_file)
     with np.load(coarse_file, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     coarse_file.unlink()

@@ -35,7 +35,7 @@ from los_design.verification.bundle import (
     open_bundle,
     write_bundle,
 )
-from los_design.verification.loop_models import box_of, figures_of, noise_model, telescope_model
+from los_design.verification.loop_models import box_of, figures_of, noise_model, provable, telescope_model
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
 from los_design.verification.statements import Statement, statement_of
@@ -347,6 +347,6 @@ def test_shipped_statements_are_of_the_shipped_pair() -> None:
     content = json.loads(statements.SHIPPED.read_text("utf-8"))
     assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
     for row in content["figures"]:
-        limit = figures_of(load_parameters(), row["stage"])[row["figure"]].limit
+        limit = provable(load_parameters(), row["stage"])[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
     assert Statement("0", (), True).text.endswith(" (bundle 0)")
