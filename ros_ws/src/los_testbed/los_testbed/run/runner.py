@@ -147,12 +147,13 @@ class Runner:
             if self._live is not None:
                 self._commands[LIVE] = [*node_command(LIVE), *self._live.arguments()]
             try:
-                self._perform()
+                try:
+                    self._perform()
+                finally:
+                    self._end_all()  # the recorder writes what it has when it ends
             except RunError as error:
                 told = "; ".join(dict.fromkeys([*self.results.failures, str(error)]))
                 raise RunError(f"{told}{recorded(self._config.bag)}", error.code) from None
-            finally:
-                self._end_all()
         return self.results
 
     def _unlisted(self) -> str:
