@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from los_testbed.loop.members import OPEN, PENDING
+from los_testbed.loop.members import OPEN, OWN, PENDING
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 
 UNKNOWN_NODE, SAME_NAME = "unknown", "of the same name"
@@ -61,12 +61,16 @@ class SourceWatch:
         return found
 
     def _second(self, subscription: RawSubscription, count: int) -> list[str]:
-        """Nodes with a publisher beside the matched one; those without a name are waited for."""
+        """Nodes with a publisher beside the matched one; those without a name are waited for.
+
+        A publisher of the run's list needs no name: that of a node that was started again comes late in the graph.
+        """
         guard, name, endpoints = subscription.guard, subscription.name, subscription.endpoints()
-        if not guard.node and any(guard.standing(bytes.fromhex(e.gid)) in (OPEN, PENDING) for e in endpoints):
+        standing = [guard.standing(bytes.fromhex(endpoint.gid)) for endpoint in endpoints]
+        if not guard.node and (OPEN in standing or PENDING in standing):
             return []
         nodes = [_label(subscription, endpoint.node) for endpoint in guard.strangers(endpoints)]
-        if all(endpoint.node for endpoint in endpoints):
+        if all(endpoint.node or kind == OWN for endpoint, kind in zip(endpoints, standing, strict=True)):
             self._settled[name] = count
             return nodes
         self._looks[name] = self._looks.get(name, 0) + 1
