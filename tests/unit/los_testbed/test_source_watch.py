@@ -1,6 +1,7 @@
 """Which publishers of the graph are reported as second ones."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,10 +16,10 @@ TOPIC, NODE = "/telescope/fsm/command", "/telescope/controller"
 def watch_of(endpoints, standing):
     """A watch of one topic whose publishers are these."""
     guard = SourceGuard(NODE, lambda gid: standing[gid.hex()], node=NODE)
-    subscription = SimpleNamespace(
+    subscription: Any = SimpleNamespace(
         name=TOPIC, guard=guard, endpoints=lambda: endpoints, decide=lambda now_ns: guard.decide(endpoints, now_ns)
     )
-    node = SimpleNamespace(count_publishers=lambda name: len(endpoints))
+    node: Any = SimpleNamespace(count_publishers=lambda name: len(endpoints))
     return SourceWatch(node, [subscription])
 
 
