@@ -29,9 +29,9 @@ from titop_plant.structures.residual_mass import (
     repair_residual_mass,
 )
 from titop_plant.telescope.layout import ANGLE, ARRAYS, MountedBody, reaction_wheels
-from titop_plant.telescope.mechanism_tables import made_stepper
 from titop_plant.telescope.optics import TwoMirrorTelescope
 from titop_plant.telescope.parameters import Parameters, uncertain_parameters
+from titop_plant.telescope.tables.mechanisms import made_stepper
 
 _ROUNDING = 1e-3
 """Part of the rigid mass that may be missing by rounding of the printed participation."""

@@ -113,7 +113,7 @@ class WheelOnBoard:
     maximum_speed, default_speed : float
         rad/s.
     bearing, broadband : mapping, optional
-        See :mod:`titop_plant.telescope.mechanism_tables`.
+        See :mod:`titop_plant.telescope.tables.mechanisms`.
     """
 
     name: str

@@ -69,7 +69,7 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
         without names are replaced. A relative ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or
         ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
         its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
-        motors of drives are tables of :mod:`titop_plant.telescope.mechanism_tables`. Tables ``[[solar_array]]``,
+        motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
         ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`,
         ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.placed.devices`.
         Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
@@ -85,8 +85,8 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
     reference, text = _read(REFERENCE)
     if Path(path) == REFERENCE:
         return MappingProxyType(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
-    from titop_plant.telescope.mechanism_tables import take_mechanisms, with_mechanisms
-    from titop_plant.telescope.mounted_tables import checked_layout, take_mounted  # loads scipy
+    from titop_plant.telescope.tables.mechanisms import take_mechanisms, with_mechanisms
+    from titop_plant.telescope.tables.mounted import checked_layout, take_mounted  # loads scipy
 
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)

@@ -29,8 +29,8 @@ from titop_plant.simulation.sources.places import place_matrix, source_ports
 from titop_plant.simulation.sources.signals import NO_LINES, JointSignal, Signal, noise_of_density
 from titop_plant.telescope.assembly import MOTOR_TORQUE
 from titop_plant.telescope.layout import DENSITIES, SADM_TORQUE, WheelOnBoard, driven_arrays, motors, reaction_wheels
-from titop_plant.telescope.mechanism_tables import made_stepper
 from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.tables.mechanisms import made_stepper
 
 WHEEL_BROADBAND, ARRAY_DRIVE = "wheel broadband", "array drive"
 """Names of the sources."""

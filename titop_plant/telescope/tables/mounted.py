@@ -22,10 +22,10 @@ from titop_plant.telescope.layout import (
     solar_arrays,
     wheel_axes,
 )
-from titop_plant.telescope.mechanism_tables import OF_LISTS, check_mechanisms
 from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.placed.devices import ACTUATOR, SENSOR
 from titop_plant.telescope.placed.tables import DEVICE_KEYS, DEVICES, check_devices
+from titop_plant.telescope.tables.mechanisms import OF_LISTS, check_mechanisms
 
 Table = dict[str, Any]
 
