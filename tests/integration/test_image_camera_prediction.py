@@ -51,7 +51,7 @@ def test_the_worst_tone_is_the_predicted_one(tmp_path: Path) -> None:
 
 
 def test_the_relative_error_of_noise_is_the_predicted_one(tmp_path: Path) -> None:
-    """9000 windows: 0.01 of their rms is a standard error where all are independent on both axes."""
+    """Over 180 s the error of the mean is 1.5 % (from batches of 2 s): of this draw, less; of eight seeds, 0.1 %."""
     config = settings(tmp_path, duration=180.0, disturbance=False, seed=3)
     parts = RunParts(config)
     model = parts.tone_model().loop
