@@ -215,7 +215,8 @@ def test_a_sensor_is_sampled_designed_and_predicted(guided: tuple[PackageCopy, l
     np.testing.assert_allclose(samples["sigma"], 3e-8, rtol=5.0 / np.sqrt(2.0 * 300))
     assert max(found["prediction"].values()) < 1e-8
     assert found["gains"]["tuner"] < 1e-10 and found["gains"]["proof"] < 1e-10 and found["gains"]["tuned"]
-    assert found["gains"]["tuned noise"] == pytest.approx(noise["shared"], rel=1e-3)
+    # the tuner knows a hold by its fundamental: -1.6e-4 with the camera's of 20 ticks alone, -1.1e-3 with one of 100
+    assert found["gains"]["tuned noise"] == pytest.approx(noise["shared"], rel=2e-3)
     assert noise["stored"] == noise["stored, louder"] and noise["budget, stored"]["noise, guide camera"] == 0.0
     assert noise["shared, louder"] > 1.2 * noise["shared"]
     assert list(noise["budget, shared"]) == list(noise["budget, stored"])
