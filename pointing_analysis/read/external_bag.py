@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
 from pointing_analysis.read.series import Series, make_series
 
-TimeSource = Literal["auto", "header", "log"]
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
 Samples = tuple[FloatArray, IntArray, BoolArray]

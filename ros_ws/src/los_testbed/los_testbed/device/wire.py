@@ -35,7 +35,6 @@ MAGIC, VERSION = b"LOSR", 1
 HEAD = struct.Struct("<4sBBHIqHH")
 CHECK = struct.Struct("<I")
 KEY_BYTES, MOST_VALUES = 8, 64
-NO_KEY = bytes(KEY_BYTES)
 SAFE, LIMITED, RESTARTED = 1, 2, 4
 
 
