@@ -46,7 +46,8 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise
 from lftkit.proofs.sampled_loop.nominal import whole_axis
 from lftkit.proofs.verdict import ProofError
 from los_design.synthesis.provenance import commit
-from los_design.verification.error_sums import ErrorSum, error_sums
+from los_design.verification.error_sum import ErrorSum
+from los_design.verification.error_sums import error_sums
 from los_design.verification.fast_parts import PARTS
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.loop_models import provable

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
 from lftkit.proofs.sampled_loop.noise import NoiseBound
+from los_design.verification.error_sum import WITH_NOISE, ErrorSum
 from los_design.verification.fast_parts import FAST, NEAR_EDGE, PARTS
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -29,44 +29,6 @@ from titop_plant.telescope.budget import LEAST_ON_AXIS, combined_level, two_tone
 from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
-
-
-@dataclass(frozen=True)
-class ErrorSum:
-    """A sum of contributions against its limit.
-
-    Parameters
-    ----------
-    name : str
-        What acts.
-    value, limit : float
-        In `unit`.
-    unit : str
-    """
-
-    name: str
-    value: float
-    limit: float
-    unit: str
-
-    @property
-    def kept(self) -> bool:
-        """Whether it is within the limit."""
-        return self.value <= self.limit
-
-    @property
-    def text(self) -> str:
-        """With its limit.
-
-        Examples
-        --------
-        >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec").text
-        'APE, tone and noise: 9.332 of 12 arcsec'
-        """
-        value = math.ceil(self.value * 1e3) / 1e3
-        above = "" if self.kept else ", bound above the limit"
-        return f"{self.name}: {value:g} of {self.limit:g} {self.unit}{above}"
-
 
 SHARES = 17
 """Shares of slow and fast tones between which the largest sum is searched."""
@@ -93,23 +55,16 @@ def error_sums(
     slow = tones.get("slow", math.nan) / RAD_PER_MAS
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
     fast = fast_pieces(parameters, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
-    found = []
+    found: list[tuple[str, float, float, str]] = []
     if noise is not None:
         rules = telescope_requirements(parameters)
         wide, fine = _scaled(noise[0], RAD_PER_ARCSEC), _scaled(noise[1], RAD_PER_MAS)
         windows = window_probability(rules)
         alone = max((_level(bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
-        found += [
-            ("APE, tone of norm 1 and noise", _level(absolute, wide, instant_probability(rules)), arcsec, "arcsec"),
-            ("RPE, slow tone of norm 1 and noise", _level(slow, fine, windows), mas, "mas"),
-            ("RPE, fast tone of norm 1 and noise", alone, mas, "mas"),
-            (
-                "RPE, slow and fast tone, norm 1 in all, and noise",
-                max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan),
-                mas,
-                "mas",
-            ),
-        ]
+        both = max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
+        values = (_level(absolute, wide, instant_probability(rules)), _level(slow, fine, windows), alone, both)
+        limits = ((arcsec, "arcsec"), (mas, "mas"), (mas, "mas"), (mas, "mas"))
+        found = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
     sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
     inputs = channels(parameters)
     norm = math.sqrt(inputs)

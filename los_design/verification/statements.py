@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from los_design.verification.error_sum import WITH_NOISE, ErrorSum
 from los_design.verification.fast_parts import PARTS
 from los_design.verification.subject import BUNDLE, Subject
 
@@ -44,11 +45,21 @@ class Statement:
 
     @property
     def text(self) -> str:
-        """One line."""
+        """One line on tones."""
         which = f"bundle {self.bundle}" + ("" if self.checked else ", not checked here")
-        noise = f"; with noise: {'; '.join(self.with_noise)}" if self.with_noise else ""
-        said = f"{', '.join(self.figures)}{noise} ({which})"
+        said = f"{', '.join(self.figures)} ({which})"
         return f"proven for every telescope of the family and tones of norm 1 in all: {said}"
+
+    @property
+    def noise_text(self) -> str:
+        """One line on the same tones with noise; empty where the noise was not proven.
+
+        Examples
+        --------
+        >>> Statement("0", (), True, with_noise=("APE 9.947 of 10 arcsec", "slow tone 65.581 of 100 mas")).noise_text
+        'with noise, proven: APE 9.947 of 10 arcsec, slow tone 65.581 of 100 mas'
+        """
+        return f"with noise, proven: {', '.join(self.with_noise)}" if self.with_noise else ""
 
 
 TONES = ("slow", "fast")
@@ -84,7 +95,11 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
         rows = [row for row in shipped["figures"] if row["stage"] == stage]
         found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
-        sums = tuple(str(row["text"]) for row in shipped["sums"].get(stage, ()) if row["name"].endswith("and noise"))
+        sums = tuple(
+            ErrorSum(row["name"], row["value"], row["limit"], row["unit"]).short_text
+            for row in shipped["sums"].get(stage, ())
+            if row["name"] in WITH_NOISE
+        )
         return Statement(shipped["name"], found, True, relative_error(levels), sums) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None

@@ -329,6 +329,8 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
     telescope_name = parameters_hash(loop.parameters)
     shipped = statement_of(Subject.of(k_fsm, k_pma, telescope_name), STAGE, None)
     assert shipped is not None and shipped.checked and shipped.text.startswith("proven for every telescope")
+    assert shipped.noise_text.startswith("with noise, proven: APE ") and "noise" not in shipped.text
+    assert len(shipped.with_noise) == 4 and shipped.with_noise[-1].startswith("both ")
     other = replace(k_pma, C=1.001 * k_pma.C)
     assert statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, written.parent) is None
     assert statement_of(Subject.of(replace(k_fsm, C=1.001 * k_fsm.C), k_pma, telescope_name), "fsm", None) is None
@@ -339,6 +341,7 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
     found = statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, tmp_path)
     assert found is not None
     assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.bundle}, not checked here)")
+    assert found.noise_text == ""
     alone = statement_of(Subject.of(k_fsm, other, telescope_name), "fsm", tmp_path)
     assert alone is not None and alone.checked  # the mirror alone flies without K_PMA
 

@@ -108,7 +108,7 @@ def _sources(parts: RunParts) -> dict[str, str]:
 
 
 def proof_of(parts: RunParts) -> dict[str, str]:
-    """What is proven of the loop of a run: one line under ``proof``, the bound of the RPE under ``proof_rpe``.
+    """What is proven of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
 
     Nothing for a stage without fine control.
 
@@ -127,10 +127,13 @@ def proof_of(parts: RunParts) -> dict[str, str]:
         found = statement_of(
             Subject.of(**parts.models, telescope=parameters_hash(parts.parameters)), config.loop, folder
         )
-    if found is None or found.relative is None:
-        return {"proof": NO_PROOF if found is None else found.text}
+    if found is None:
+        return {"proof": NO_PROOF}
+    said = {"proof": found.text} | ({"proof_noise": found.noise_text} if found.noise_text else {})
+    if found.relative is None:
+        return said
     window = float(parts.parameters["weights"]["rpe_window"])
-    return {"proof": found.text, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
+    return {**said, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
 
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
