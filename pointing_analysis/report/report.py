@@ -42,8 +42,9 @@ from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
-from pointing_analysis.spectra.line_search import FALSE_LINES, FoundLine
+from pointing_analysis.spectra.line_search import FALSE_LINES
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+from pointing_analysis.spectra.sidebands import FoundLine
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 #: topic -> largest value that its actuator can do, a name of `telescope_value`

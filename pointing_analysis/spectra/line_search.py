@@ -21,9 +21,7 @@ Where the noise on both sides differs, the larger one counts (the noise of a dri
 noise has in a band of :data:`BAND`, the resolution bandwidth of the report's spectrum (Hann, 4 s): there its peak is
 L dB above the noise. Strong lines are fitted and taken away, so that weaker ones beside them come out.
 
-**Sidebands.** A tone that moves (a wheel whose speed is not constant) is a carrier with sidebands. Lines in pairs at
-equal distances from a stronger one with equal amplitudes and the phases of a modulation, and what is left within
-:data:`CLOSE` / T of a line ten times stronger in power, name that carrier.
+**Sidebands** of a tone that moves name their carrier (:mod:`pointing_analysis.spectra.sidebands`).
 
 Bounds of an amplitude are those of its noncentral distribution with the noise beside the line. Samples that are missing
 are left out of the fits and are zero in the transforms.
@@ -34,13 +32,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft, special
 
 from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from pointing_analysis.spectra.sidebands import FittedRecord, FoundLine, with_carriers
 from pointing_analysis.spectra.sinusoid_fit import Sinusoids, fit_sinusoids
 
 FALSE_LINES = 2e-3
@@ -70,11 +69,6 @@ CAP = 4.0
 EDGES = 0.25
 """Part of the record over which the taper rises and falls (Tukey)."""
 
-CLOSE, TEN = 4.0, 10.0
-SAME, ALIKE, IN_PHASE, HARMONICS = 0.5, 1.4, 0.5, 20.0
-"""Of a pair of sidebands: largest error of the middle, in 1 / T; ratio of amplitudes to their mean; angle [rad] from
-that of a modulation; orders up to which lines at multiples of their distance are harmonics."""
-
 MOST_LINES, MOST_ASKED, PASSES = 60, 2000, 8
 BLOCK = 1 << 16
 """Frequencies of the spectrum at a time."""
@@ -83,48 +77,6 @@ MOST_MISSING = 0.25
 FEWEST_SAMPLES = 64
 
 EULER = 0.5772156649015329
-
-
-@dataclass(frozen=True)
-class FoundLine:
-    """A line that was found.
-
-    Attributes
-    ----------
-    omega : [rad/s]
-    phasor : (2,) complex, of each axis; the line is the real part of phasor times exp(i omega (t - t_middle))
-    lower, upper : (2,) bounds of the amplitude of each axis at the stated confidence
-    level : dB by which it is above the noise, see the module
-    chance : expected number of lines as strong as this one in noise alone
-    carrier : frequency [rad/s] of the line whose sideband this one is; NaN for none
-    """
-
-    omega: float
-    phasor: ComplexArray
-    lower: FloatArray
-    upper: FloatArray
-    level: float
-    chance: float
-    carrier: float = math.nan
-
-    @property
-    def amplitude(self) -> FloatArray:
-        """(2,) amplitude of each axis."""
-        return np.asarray(np.abs(self.phasor))
-
-    @property
-    def power(self) -> float:
-        """Mean square, both axes."""
-        return 0.5 * float(np.sum(self.amplitude**2))
-
-    def times(self, unit: float) -> FoundLine:
-        """The line of a record in another unit."""
-        return replace(self, phasor=unit * self.phasor, lower=unit * self.lower, upper=unit * self.upper)
-
-    @property
-    def is_sideband(self) -> bool:
-        """Whether it belongs to a stronger line."""
-        return not math.isnan(self.carrier)
 
 
 def find_lines(
@@ -174,7 +126,9 @@ def find_lines(
         fitted = _significant(fitted, e, present, dt, false_lines)
         if fitted.omega.size <= before:
             break
-    lines = with_carriers(_lines(fitted, dt, confidence, present), n * dt)
+    lines = _lines(fitted, dt, confidence, present)
+    noise_of = _Background.of(fitted.rest, dt).noise_of
+    lines = with_carriers(lines, FittedRecord(e, present, dt, fitted, noise_of))
     return tuple(line.times(unit) for line in lines)
 
 
@@ -255,6 +209,14 @@ class _Background:
         steep = np.maximum(sizes[0], sizes[1]) > STEEP * np.minimum(sizes[0], sizes[1])
         found = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
         return found, np.maximum(self.each * counts.sum(axis=0), 2.0)
+
+    def noise_of(self, line: FoundLine) -> tuple[ComplexArray, float]:
+        """Covariance (2, 2) that the phasor of a line has from the noise beside it, and its transforms."""
+        index = min(round(line.omega / self.step), len(self.power) - 1)
+        noise, number = self.noise(index, index + 1, WIDE)
+        x, y, re, im = noise[0]
+        matrix = np.array([[x, re + 1j * im], [re - 1j * im, y]]) + 1e-12 * (x + y) * np.eye(2) + 1e-60 * np.eye(2)
+        return 2.0 * matrix / self.duration, float(number[0])
 
     def candidates(self, known: FloatArray, false_lines: float) -> FloatArray:
         """Frequencies [rad/s] of new lines, the clearest first."""
@@ -374,55 +336,3 @@ def amplitude_bounds(
         np.where(far, ratio - normal, np.sqrt(low)) * s,
         np.where(far, ratio + normal, np.sqrt(high)) * s,
     )
-
-
-def with_carriers(lines: Sequence[FoundLine], duration: float) -> tuple[FoundLine, ...]:
-    """The lines of a record, each sideband with its carrier.
-
-    Parameters
-    ----------
-    lines : found in the record
-    duration : of the record [s]
-    """
-    strongest = sorted(lines, key=lambda line: -line.power)
-    carriers: dict[float, float] = {}
-    for i, carrier in enumerate(strongest):
-        if carrier.omega in carriers:
-            continue
-        weaker = [line for line in strongest[i + 1 :] if line.omega not in carriers]
-        for line in weaker:
-            near = abs(line.omega - carrier.omega) * duration < CLOSE * 2.0 * math.pi
-            if near and TEN * line.power < carrier.power:
-                carriers[line.omega] = carrier.omega
-        for lower, upper in _pairs(weaker, carrier, duration):
-            carriers[lower.omega] = carriers[upper.omega] = carrier.omega
-    return tuple(replace(line, carrier=carriers.get(line.omega, math.nan)) for line in lines)
-
-
-def _pairs(weaker: Sequence[FoundLine], carrier: FoundLine, duration: float) -> list[tuple[FoundLine, FoundLine]]:
-    """Lines at equal distances below and above a carrier that modulate it."""
-    above = [line for line in weaker if line.omega > carrier.omega]
-    below = [line for line in weaker if line.omega < carrier.omega]
-    tolerance = 2.0 * math.pi * SAME / duration
-    return [
-        (lower, upper)
-        for upper in above
-        for lower in below
-        if abs(lower.omega + upper.omega - 2.0 * carrier.omega) < tolerance and _modulates(lower, upper, carrier)
-    ]
-
-
-def _modulates(lower: FoundLine, upper: FoundLine, carrier: FoundLine) -> bool:
-    """Whether two lines have the equal amplitudes and the phases of a modulation in amplitude or in angle.
-
-    Harmonics of one fundamental are as far apart, too: lines at whole multiples of their distance are no sidebands.
-    """
-    distance = 0.5 * (upper.omega - lower.omega)
-    order = carrier.omega / distance
-    if order < HARMONICS and abs(order - round(order)) < 1e-3 * order:
-        return False
-    size = math.sqrt(lower.power * upper.power)
-    if not max(lower.power, upper.power) < ALIKE**2 * size:
-        return False
-    phase = np.sum(lower.phasor * upper.phasor * np.conj(carrier.phasor) ** 2)
-    return bool(abs(phase.imag) < math.tan(IN_PHASE) * abs(phase.real))

@@ -13,7 +13,8 @@ import numpy as np
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.mapped_arrays import empty, release
-from pointing_analysis.spectra.line_search import FoundLine, find_lines
+from pointing_analysis.spectra.line_search import find_lines
+from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.spectra import without_lines
 
 LONGEST = 1 << 19

@@ -16,7 +16,7 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices import weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
-from pointing_analysis.spectra.line_search import FoundLine
+from pointing_analysis.spectra.sidebands import FoundLine
 
 NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time

@@ -25,8 +25,8 @@ from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.spectra import spectra
-from pointing_analysis.spectra.line_search import FoundLine
 from pointing_analysis.spectra.record_lines import unnamed_lines
+from pointing_analysis.spectra.sidebands import FoundLine
 
 BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
