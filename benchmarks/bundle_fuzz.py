@@ -11,6 +11,8 @@ models made anew. Outcomes:
 ``refused``     with a ``ProofError``
 ``same``        accepted, and subject, figures, levels, limits, bands, box and stability are those of the bundle
 ``subject``     opened, but it names another telescope or other controllers: not the statement of this pair
+``fewer``       accepted without a proof that was taken out: what it still says the bundle says, too, and its name
+                is another one
 ``wording``     accepted, but the requirements have other names, probabilities or confidence: the limits are the same,
                 and what is proven has none of these
 ``proven``      accepted with another level, which the strips prove: it is above the largest value known
@@ -29,6 +31,7 @@ import copy
 import hashlib
 import io
 import json
+import math
 import random
 import sys
 import tempfile
@@ -236,12 +239,25 @@ def outcome(path: Path, own: dict[str, Any], each: Callable[..., Iterable[int | 
         return "same"
     if {**said, "requirements": own["requirements"]} == own:
         return "wording"
+    if fewer(said, own):
+        return "fewer"
     other = copy.deepcopy(said)
     for row, first in zip(other["figures"], own["figures"]):
         row[2] = first[2]
     known = {(p.stage, p.requirement): p.gamma for t in load_worst_points(None).values() for p in t.values()}
     above = all(row[2] > known.get((row[0], row[1]), 0.0) for row in said["figures"])
     return "proven" if other == own and above else "FORGED"
+
+
+def fewer(said: dict[str, Any], own: dict[str, Any]) -> bool:
+    """Whether a statement is a part of another one: some of its figures and noise, stability no further."""
+    reach = {s: math.inf if at is None else at for s, at in own["stable_below"].items()}
+    stable = all((math.inf if at is None else at) <= reach[s] for s, at in said["stable_below"].items())
+    noise = all(own["noise"].get(stage) == bounds for stage, bounds in said["noise"].items())
+    rows = len(said["figures"]) < len(own["figures"]) and all(row in own["figures"] for row in said["figures"])
+    without = len(said["noise"]) < len(own["noise"])
+    same = all(said[name] == own[name] for name in ("subject", "box", "requirements"))
+    return (rows or (without and said["figures"] == own["figures"])) and stable and noise and same
 
 
 def reduced(path: Path, figures: list[str], target: Path) -> Path:
@@ -252,6 +268,26 @@ def reduced(path: Path, figures: list[str], target: Path) -> Path:
     return target
 
 
+def attacked(
+    source: Path, count: int, seed: int, each: Callable[..., Iterable[int | str]], target: Path
+) -> collections.Counter[tuple[str, str]]:
+    """Kinds and outcomes of some mutations; what is accepted with another statement is left as a file."""
+    counts: collections.Counter[tuple[str, str]] = collections.Counter()
+    chance = random.Random(seed)
+    with open_bundle(source) as bundle:
+        own = stated(check_bundle(bundle, each))
+    members, data = members_of(source), source.read_bytes()
+    for number in range(count):
+        kind = mutated(members, data, target, chance)
+        found = outcome(target, own, each)
+        counts[kind, found] += 1
+        if found == "FORGED":
+            Path(f"forged-{seed}-{number}.zip").write_bytes(target.read_bytes())
+        if number % 50 == 49:
+            sys.stderr.write(f"{number + 1} of {count}: {dict(counts)}\n")
+    return counts
+
+
 def main() -> None:
     """Mutate and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -260,21 +296,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", action="append", default=[], help="STAGE,FIGURE")
     options = parser.parse_args()
-    chance, each = random.Random(options.seed), remember()
-    counts: collections.Counter[tuple[str, str]] = collections.Counter()
+    each = remember()
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         source = reduced(options.bundle, options.figure, Path(folder) / "bundle.zip")
-        with open_bundle(source) as bundle:
-            own = stated(check_bundle(bundle, each))
-        members, data, target = members_of(source), source.read_bytes(), Path(folder) / "mutated.zip"
-        for number in range(options.count):
-            kind = mutated(members, data, target, chance)
-            found = outcome(target, own, each)
-            counts[kind, found] += 1
-            if found == "FORGED":
-                Path(f"forged-{options.seed}-{number}.zip").write_bytes(target.read_bytes())
-            if number % 50 == 49:
-                sys.stderr.write(f"{number + 1} of {options.count}: {dict(counts)}\n")
+        counts = attacked(source, options.count, options.seed, each, Path(folder) / "mutated.zip")
     print(json.dumps({f"{kind}, {found}": n for (kind, found), n in sorted(counts.items())}, indent=1))
     sys.exit(any(found == "FORGED" for _, found in counts))
 

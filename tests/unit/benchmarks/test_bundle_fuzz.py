@@ -1,0 +1,56 @@
+"""A sample of the mutations of ``benchmarks/bundle_fuzz.py``, with a proof of one window band that ships."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+from support.stored_proofs import FOLDER, SUFFIX, unpack
+
+from lftkit.proofs.sampled_loop import checker
+from los_design.synthesis.store import load_designs
+from los_design.verification import bundle as bundles
+from los_design.verification.bundle import write_bundle
+from titop_plant.telescope.parameters import load_parameters
+
+PATH = Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py"
+SPEC = importlib.util.spec_from_file_location("bundle_fuzz", PATH)
+assert SPEC is not None and SPEC.loader is not None
+script = importlib.util.module_from_spec(SPEC)
+sys.modules["bundle_fuzz"] = script
+SPEC.loader.exec_module(script)
+
+STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
+
+
+def test_no_mutation_is_accepted_with_another_statement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for place, names in ((checker, ["stable_below"]), (bundles, ["OpenLoop", "build_telescope", "control_loop_plant"])):
+        for name in names:
+            monkeypatch.setattr(place, name, getattr(place, name))  # put back at the end
+    monkeypatch.chdir(tmp_path)
+    proof = unpack(FOLDER / f"{STAGE}-{FIGURE}{SUFFIX}", tmp_path / "proof.npz")
+    write_bundle(tmp_path / "bundle.zip", load_parameters(), load_designs("implemented"), {(STAGE, FIGURE): proof})
+    counts = script.attacked(tmp_path / "bundle.zip", 40, 5, script.remember(), tmp_path / "mutated.zip")
+    outcomes = {found for _, found in counts}
+    assert {"refused", "same"} <= outcomes <= {"refused", "same", "subject", "wording", "proven", "fewer"}
+
+
+def test_a_bundle_that_says_more_is_not_one_that_says_less() -> None:
+    row, other = ["fsm", "slow", 0.5, 1.0, [0.0, 85.0]], ["fsm", "fast", 0.6, 1.0, [85.0, 3000.0]]
+    own = {
+        "subject": {},
+        "box": {},
+        "requirements": [],
+        "stable_below": {"fsm": 90.0},
+        "figures": [row, other],
+        "noise": {"fsm": [1.0]},
+    }
+    assert script.fewer({**own, "figures": [row]}, own)
+    assert script.fewer({**own, "noise": {}}, own)
+    assert not script.fewer(own, own)
+    assert not script.fewer({**own, "figures": [["fsm", "slow", 0.4, 1.0, [0.0, 85.0]]]}, own)
+    assert not script.fewer({**own, "figures": [row], "stable_below": {"fsm": None}}, own)
+    assert not script.fewer({**own, "figures": [row], "box": {"a": [0.0, 1.0]}}, own)
+    assert not script.fewer({**own, "figures": [row], "noise": {"fsm": [0.9]}}, own)
