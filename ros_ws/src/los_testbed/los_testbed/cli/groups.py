@@ -8,6 +8,7 @@ from los_testbed.cli.bags.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.designs.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.designs.design import design_app
 from los_testbed.cli.designs.proofs import CERTIFY_EXAMPLES, certify
+from los_testbed.cli.designs.sensitivity import sensitivity
 
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
 bag_app.command(name="info", help=INFO_EXAMPLES)(info)
@@ -15,5 +16,6 @@ bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
 bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)
 design_app.command("certify", help=CERTIFY_EXAMPLES)(certify)
 design_app.command("check-proof", help=CHECK_PROOF_EXAMPLES)(check_proof)
+design_app.command()(sensitivity)
 
 __all__ = ["bag_app", "design_app"]

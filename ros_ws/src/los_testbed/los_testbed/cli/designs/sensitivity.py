@@ -1,0 +1,69 @@
+"""Command ``los-testbed design sensitivity``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from los_testbed.cli.designs.proofs import loops_of
+from los_testbed.cli.designs.redesign import designs_in
+from los_testbed.cli.options.options import Json
+from los_testbed.cli.output import print_json
+from los_testbed.run.summary.screen import Screen, numbers
+from titop_plant.interface import MIRROR_STAGES
+
+if TYPE_CHECKING:
+    from los_design.search.parameter_sensitivity import ParameterEffect
+
+
+def sensitivity(
+    *,
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
+    of: Annotated[
+        list[str] | None,
+        typer.Option("--of", metavar="TABLE.KEY", help="Entry of the parameter file, times 0.99 and 1.01. Repeatable."),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Which parameter drives each worst case: derivatives at the worst point, and one parameter at a time.
+
+    Each parameter of the box goes through its range while the others stay at the worst point of the figure. With --of
+    entries of the parameter file change by one per cent: they are constants of the model, and no proof covers their
+    changes. Peaks are followed within 5 % of the frequency.
+
+    Example: los-testbed design sensitivity --of isolator.stiffness --of isolator.damping
+    """
+    from lftkit.support.threads import one_thread
+    from los_design.search.parameter_sensitivity import changed_entry, effects_of_box, effects_of_entries
+    from los_design.verification.loop_models import figures_of
+    from titop_plant.telescope.parameters import load_parameters
+
+    parameters = load_parameters() if folder is None else designs_in(folder)[0]
+    for entry in of or ():
+        changed_entry(parameters, entry, 1.0)
+    with one_thread():
+        loops, points = loops_of(folder, list(MIRROR_STAGES))
+        metrics = {stage: figures_of(parameters, stage) for stage in loops}
+        points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
+        if not points:
+            raise ValueError(f"{folder} must hold worst points of figures, made by `los-testbed design all`, got none")
+        box = [e for p in points for e in effects_of_box(loops[p.stage], metrics[p.stage][p.requirement], p)]
+        entries = effects_of_entries(list(loops.values()), metrics, points, of or [])
+    if json_:
+        print_json({"box": [vars(effect) for effect in box], "entries": [vars(effect) for effect in entries]})
+        return
+    _show(box, "One parameter of the box at a time, the others at the worst point", "slope, range")
+    if entries:
+        _show(entries, "Entries of the parameter file, one per cent to both sides", "slope, per cent")
+
+
+def _show(effects: list[ParameterEffect], title: str, slope: str) -> None:
+    columns = numbers("value", "least", "largest", slope)
+    shown = Table("figure", "parameter", *columns, title=f"{title} (1 is the limit)")
+    for e in effects:
+        values = (f"{e.value:.4f}", f"{e.least:.4f}", f"{e.largest:.4f}", f"{100.0 * e.slope:+.2f} %")
+        shown.add_row(f"{e.stage}, {e.figure}", e.parameter, *values)
+    Screen().print(shown)
