@@ -5,7 +5,9 @@ over their whole range, all others staying at the worst point. Entries of the pa
 are constants of the model: the telescope is assembled anew with the entry one per cent larger and smaller.
 
 The peak moves with a parameter, so each value is the largest one within :data:`NEAR` of the worst point's frequency. A
-peak elsewhere in the band is not seen: these are effects on this worst case, not worst cases.
+peak elsewhere in the band is not seen: these are effects on this worst case, not worst cases. Values of other members
+are read from a grid of frequencies: with eight times as many they are larger by at most 1 % (shipped pair, slow and
+fast tones with both stages).
 """
 
 from __future__ import annotations
