@@ -42,13 +42,13 @@ from titop_plant.interface import DT, MIRROR_STAGES
 
 NOISE = "noise"
 """Name of the figure."""
-ABOVE, RAISED, ROUNDS = 1.004, 0.01, 9
+ABOVE, RAISED, ROUNDS = 1.003, 0.006, 10
 """Level of a part over the largest gain seen, first raise where that was not proven (each further one is twice the
 one before), and most times."""
 LEAST = 0.05
 """Least level of a part, over that of white noise with the same mean square, of the absolute and of the relative error:
 lower ones would add less than 0.2 %."""
-EXCESS, MOST_PARTS = 0.022, 400
+EXCESS, MOST_PARTS = 0.011, 700
 """What the largest gains of parts add to the mean squares, at the nominal member, and most parts. That of the relative
 error counts by the square of the finest limit over that of the stage."""
 PLAIN = 0.4
