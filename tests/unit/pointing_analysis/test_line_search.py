@@ -136,6 +136,15 @@ def judge(seeds: range) -> Score:
     return score
 
 
+def score_of_pairs(seeds: range) -> Score:
+    """Score of records with pairs of lines 1 to 4 / T apart."""
+    score = Score()
+    for seed in seeds:
+        known = record(seed, apart=1.0, pairs=True)
+        score.add(known, find_lines(known.values, DT))
+    return score
+
+
 def test_lines_of_forty_records() -> None:
     judge(range(40))
 
@@ -145,6 +154,14 @@ def test_lines_of_a_thousand_records() -> None:
     """At most 1 % of the found lines are false, 95 % of the lines from 10 dB are found, 95 % of the bounds hold."""
     score = judge(range(1000))
     assert score.false <= 0.01 * score.found
+
+
+@pytest.mark.slow
+def test_close_lines_of_many_records() -> None:
+    """Pairs 1 to 4 / T apart, 400 records of other seeds: 95 % found, at most 1 % false, 95 % of the bounds hold."""
+    score = score_of_pairs(range(10_000, 10_400))
+    assert score.detected >= 0.95 * score.lines and score.false <= 0.01 * score.found, score
+    assert score.inside >= binom.isf(0.999, score.bounds, 0.95), score
 
 
 def test_level_is_that_of_the_peak_over_the_noise_in_the_spectrum_of_the_report() -> None:
@@ -209,10 +226,7 @@ def test_a_weak_line_beside_a_strong_one_is_a_line_of_its_own(offset: float, tur
 
 def test_close_lines_have_their_own_names() -> None:
     """Pairs 1 to 4 / T apart, of any levels from 10 dB: 95 % are found under their own name."""
-    score = Score()
-    for seed in range(40):
-        known = record(seed, apart=1.0, pairs=True)
-        score.add(known, find_lines(known.values, DT))
+    score = score_of_pairs(range(40))
     assert score.detected >= 0.95 * score.lines and score.false <= 1, score
 
 
