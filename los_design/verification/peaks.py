@@ -14,10 +14,10 @@ import numpy as np
 import scipy.optimize
 
 from lftkit.analysis.batched_linalg import singular_values
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import LoopMetric
+from los_loop.implemented_loop import ClosedAt, LoopMetric
 
 NEAR = 0.8
 """Peaks above this part of the largest one of their metric are looked at."""
@@ -30,6 +30,8 @@ LEVELS, SEVERAL, PARTS = 3, 4, 8
 a bracket, and the number of parts."""
 ACCURACY, MOST = 1e-6, 40
 """Of the log frequency of a refined peak, whose value is then exact to better than 1e-6, and slopes that it takes."""
+TOGETHER = 64
+"""Frequencies of brackets whose loops are closed together."""
 CLIP = 0.01
 """Least part of a bracket between a slope's frequency and the next one."""
 
@@ -103,24 +105,30 @@ def _groups(brackets: Sequence[Bracket]) -> list[list[int]]:
 
 def _values(search: Search, metric: LoopMetric, omega: FloatArray, points: FloatArray) -> FloatArray:
     """All normalised singular values at some frequencies and points: shape (frequencies, N, r)."""
-    loop, delta = search.loop, search.loop.delta(points)
+    return _singular_values(search, metric, search.loop.at_each(omega), search.loop.delta(points))
+
+
+def _singular_values(search: Search, metric: LoopMetric, each: Sequence[ClosedAt], delta: ComplexArray) -> FloatArray:
+    """What :func:`_values` gives, of loops that are closed, for N diagonals of Delta (N, 32)."""
+    loop = search.loop
     return np.array(
-        [
-            singular_values(loop.responses(closed, metric, delta)) * loop.scale(metric, closed.omega)
-            for closed in loop.at_each(omega)
-        ]
+        [singular_values(loop.responses(closed, metric, delta)) * loop.scale(metric, closed.omega) for closed in each]
     )
 
 
 def _bounds(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -> FloatArray:
-    """What slopes say of each bracket's peak: those at one frequency together."""
-    found = np.zeros(len(brackets))
-    for own in _groups(brackets):
-        omega, ends = brackets[own[0]].omega, np.clip(brackets[own[0]].ends, *metric.band)
-        both = omega * np.exp([0.0, BESIDE])
-        here, above = _values(search, metric, both, np.array([brackets[k].point for k in own]))
-        below_end, above_end = np.abs(np.log(ends / omega))
-        found[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
+    """What slopes say of each bracket's peak: those at one frequency together, loops closed for many at once."""
+    found, groups, loop = np.zeros(len(brackets)), _groups(brackets), search.loop
+    for start in range(0, len(groups), TOGETHER):
+        part = groups[start : start + TOGETHER]
+        both = np.array([brackets[own[0]].omega * np.exp([0.0, BESIDE]) for own in part])
+        closed = loop.at_each(both.ravel())
+        for k, own in enumerate(part):
+            omega, ends = brackets[own[0]].omega, np.clip(brackets[own[0]].ends, *metric.band)
+            delta = loop.delta(np.array([brackets[place].point for place in own]))
+            here, above = _singular_values(search, metric, closed[2 * k : 2 * k + 2], delta)
+            below_end, above_end = np.abs(np.log(ends / omega))
+            found[own] = rise_bounds(here, above, np.full(len(own), below_end), np.full(len(own), above_end))
     return found
 
 
