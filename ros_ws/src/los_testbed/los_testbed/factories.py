@@ -21,7 +21,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import RAISED, in_one_line, make
-from los_testbed.run_start import AT_REST, RunStart, find_run_start, needs_tone, with_tones
+from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, image_topic, sensor_topics
 from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
 from los_testbed.variants import check_ranges
@@ -227,6 +227,8 @@ class RunParts:
             return self.recorded_start
         if config.other_plant or (config.start == "rest" and not needs_tone(config)):
             return AT_REST
+        if not self.recorded and self.known_family is None and (start := from_runner(config)) is not None:
+            return start
         if self.code:  # no model of the code is known: the tone that is worst without fine control
             opened = "isolator" if config.loop != "none" else "none"
             return RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened)).start

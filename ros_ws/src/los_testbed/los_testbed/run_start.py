@@ -1,17 +1,20 @@
 """How a run starts: its worst-case tone, and the states of plant and controllers at tick 0.
 
-Every process computes this from the configuration alone, the same bits on the same machine; the bag holds it as
-``start.json``, so that replay and report need no second computation.
+Every process can compute this from the configuration alone, the same bits on the same machine. The runner does it once
+and hands it to its nodes (:func:`for_nodes`); the bag holds it as ``start.json``, so that replay and report need no
+second computation.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
@@ -26,6 +29,9 @@ if TYPE_CHECKING:
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
+
+START_VARIABLE = "LOS_TESTBED_START"
+"""File in which the runner hands the start to its nodes."""
 
 FORMAT = "los-testbed/run-start"
 
@@ -101,6 +107,29 @@ class RunStart:
 
 AT_REST = RunStart()
 """The start with all states zero."""
+
+
+def for_nodes(config: RunConfig, start: RunStart) -> bytes:
+    """Content of the file :data:`START_VARIABLE`: the start, and the configuration that it is of."""
+    return json.dumps({"config": _identity(config), "start": start.to_bytes().decode()}).encode()
+
+
+def from_runner(config: RunConfig) -> RunStart | None:
+    """Start that the runner has computed for a node; None without a runner, or where it is of another configuration.
+
+    A plant that is started again has another one, for example: its run is shorter.
+    """
+    try:
+        content = json.loads(Path(os.environ[START_VARIABLE]).read_bytes())
+        known, start = content["config"], content["start"]
+    except (KeyError, TypeError, OSError, ValueError):
+        return None
+    return RunStart.from_bytes(start.encode()) if known == _identity(config) else None
+
+
+def _identity(config: RunConfig) -> Any:
+    """What a start depends on, as it comes back from JSON; the name of the bag is no part of it."""
+    return json.loads(json.dumps({**config.to_plain(), "output": None}))
 
 
 def find_run_start(

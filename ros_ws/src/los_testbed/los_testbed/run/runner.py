@@ -34,7 +34,7 @@ from los_testbed.run.processes.node_launch import (
 from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Results, RunError, counted, late_reports
-from los_testbed.run_start import at_rest
+from los_testbed.run_start import START_VARIABLE, at_rest, for_nodes
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE
 
@@ -94,6 +94,7 @@ class Runner:
         self._ticks_done = 0
         self._before = 0
         self._parameters: MemoryFile | None = None
+        self._start_file: MemoryFile | None = None
         self._statistics: MemoryFile | None = None
         self._members: MemoryFile | None = None
         self._variables: Mapping[str, str] = {}
@@ -128,19 +129,23 @@ class Runner:
         check_ros()
         check_address_space(self._live is not None)
         check_new_bag(self._config.bag)
-        self.results.warnings += RunParts(self._config).check()
+        parts = RunParts(self._config)
+        self.results.warnings += parts.check()
         text = parameter_text(self._config).encode()
+        start = for_nodes(self._config, parts.start)
         with (
             domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
             output_lock(self._config.bag),
             network_of_nodes(self._isolated) as self._network,
             self._network.server(self._live) as self._live,
             memory_file(text, "run.yaml") as self._parameters,
+            memory_file(start, "start.json") as self._start_file,
             memory_file(b"", "statistics.json") as self._statistics,
             memory_file(self._unlisted().encode(), "members") as self._members,
         ):
             self._variables = {
                 **self._network.environment(environment(self._config)),
+                START_VARIABLE: self._start_file.path,
                 STATISTICS_VARIABLE: self._statistics.path,
                 MEMBERS_VARIABLE: self._members.path,
             }
@@ -237,13 +242,14 @@ class Runner:
             self.results.failures[:] = [*kept, what]
 
     def _start(self, name: str) -> None:
-        assert self._parameters is not None and self._statistics is not None and self._members is not None
+        shared = [self._parameters, self._start_file, self._statistics, self._members]
+        assert self._parameters is not None
         command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path, name)]
         if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end
             command += ["-p", f"duration:={(self._config.ticks - self._before) / RATE:.3f}"]
-        files = [self._parameters.descriptor, self._statistics.descriptor, self._members.descriptor]
+        files = [file.descriptor for file in shared if file is not None]
         files += self._live.sockets if name == LIVE and self._live is not None else ()
         files += self._network.descriptors
         node = self._nodes[name] = NodeProcess(name, self._network.command(command), self._variables, files)
