@@ -20,7 +20,7 @@ from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for
-from support import headless_browser
+from support import axe, headless_browser
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.run import Run
@@ -101,12 +101,16 @@ def use_page(page, found):
     found["samples"].append(read(page))
     found["pressed"] = page.value("document.querySelector('button[data-value=\\'\"isolator\"\\']').ariaPressed")
     found["spectrum"] = page.value("document.querySelectorAll('.uplot').length")
-    found["widths"] = {}
+    found["widths"], found["axe"] = {}, {}
     for width in (1280, 390):
         size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500}
         page.call("Emulation.setDeviceMetricsOverride", **size)
         time.sleep(0.5)
         found["widths"][width] = page.value("document.documentElement.scrollWidth")
+        for scheme in ("light", "dark"):
+            page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            found["axe"][width, scheme] = axe.findings_here(page)
+        page.call("Emulation.setEmulatedMedia", features=[])
     rows = page.value("JSON.stringify([...document.querySelectorAll('button')].map(b => b.getBoundingClientRect()))")
     found["buttons"] = json.loads(rows)
     reached = []
@@ -199,6 +203,7 @@ def test_a_stage_is_switched_by_keyboard_and_seen_within_a_second(watched):
 def test_the_page_has_no_errors_and_fits_a_desk_and_a_telephone(watched):
     found = watched[0]
     assert found["widths"][1280] <= 1280 and found["widths"][390] <= 390
+    assert not {key: value for key, value in found["axe"].items() if value}
     assert found["errors"] == [] and found["spectrum"] >= 6
     assert all(box["height"] >= 44 and box["width"] >= 44 and box["right"] <= 390 for box in found["buttons"])
     assert {"stage", "noise", "disturbance", "deactivate", "activate", "start", "stop", "reset"} <= found["reached"]

@@ -26,7 +26,13 @@ def findings(browser: Page, page: Path, width: int, scheme: str) -> Any:
     """Violations [rule, elements] of a page at a width in CSS pixels, in the light or dark scheme."""
     browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
     browser.open(page, width, phone=width < 500)
+    found = findings_here(browser)
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    return found
+
+
+def findings_here(browser: Page) -> Any:
+    """Violations [rule, elements] of the page that is open, as it is."""
     browser.value(rules() + "; 0")
     answer = browser.call("Runtime.evaluate", expression=SCRIPT, awaitPromise=True, returnByValue=True)
-    browser.call("Emulation.setEmulatedMedia", features=[])
     return json.loads(answer["result"]["value"])

@@ -1,12 +1,17 @@
 """The command line: a mistake is one line and exit code 2, and leaves nothing behind."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import CommandLine
+from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
+from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -201,3 +206,25 @@ def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):
 def test_options_of_all_commands_are_checked(run, given, message):
     code, out, err = run("stages", *given)
     assert code == 2 and out == "" and message in err and len(err.splitlines()) == 1
+
+
+def test_verbose_shows_where_an_error_that_no_check_has_foreseen_came_from(run, monkeypatch):
+    monkeypatch.setenv(TRACEBACK, "")  # put back at the end, whatever the option makes of it
+    monkeypatch.setattr(RunParts, "check", lambda parts: {}["absent"])  # type: ignore[index]
+    code, _, short = run("run", "--mode=inprocess", "--duration=1", *run.controllers)
+    assert code == ExitCode.FAILED and "unexpected KeyError" in short and len(short.splitlines()) == 1
+    code, _, long = run("run", "--verbose", "--mode=inprocess", "--duration=1", *run.controllers)
+    assert code == ExitCode.FAILED and "Traceback" in long and long.splitlines()[-1] == short.strip()
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("los-testbed re", {"replay", "report"}), ("los-testbed --ver", {"--verbose", "--version"})],
+)
+def test_the_shell_completes_commands_and_options(words, expected):
+    """With the variables that bash sets."""
+    variables = {"_LOS_TESTBED_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "1"}
+    code = "import sys; from los_testbed.cli.app import main; sys.argv[0] = 'los-testbed'; sys.exit(main())"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env={**os.environ, **variables}, capture_output=True, text=True, check=False)
+    assert set(done.stdout.split()) == expected, done.stderr

@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.source_table import COLUMNS
 from pointing_analysis.budget.total import evaluate
+from pointing_analysis.report import budget_page
 
 HEAD = "source, type, unit, value, half_range, sigma, amplitude, frequency, correlation_time, rate, duration, random"
 TABLE = f"""{HEAD}, transfer, text
@@ -124,3 +127,18 @@ def test_what_no_row_can_hold_is_refused(
         main(["budget", str(tmp_path / "a.toml"), "--sources", str(tmp_path / "out.csv")])
     assert caught.value.code == 2
     assert message in capsys.readouterr().err and not (tmp_path / "out.csv").exists()
+
+
+def test_every_source_has_a_bar_that_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one of a hundredth of the largest: the bars were of a linear axis, on which all but one vanished."""
+    text = 'unit = "mas"\n[[requirement]]\nname = "APE"\ntext = "prob(|APE| < 1 arcsec) >= 0.997 at 95 % confidence"\n'
+    sources = "".join(f'[sources.s{k}]\ntype = "random"\nsigma = {100.0 / 10**k}\n' for k in range(3))
+    (tmp_path / "budget.toml").write_text(text + sources)
+    (verdict,) = evaluate(load_budget(tmp_path / "budget.toml"))
+    monkeypatch.setattr(budget_page, "picture", lambda *parts: parts[-1])
+    drawn = Figure()
+    budget_page.contributions(verdict, "mas")(drawn)  # type: ignore[operator]
+    (axis,) = drawn.axes
+    low, high = np.log(axis.get_xlim())
+    ends = [np.log(bar.get_x() + bar.get_width()) for bar in axis.patches if isinstance(bar, Rectangle)]
+    assert len(ends) == 4 and all(end - low > 0.05 * (high - low) for end in ends)

@@ -14,6 +14,7 @@ from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.report import figures
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import LaidOutFigure, by_line
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
@@ -21,6 +22,7 @@ from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+from pointing_analysis.units import RAD_PER_ARCSEC
 from titop_plant.telescope.parameters import load_parameters
 
 MAS = np.pi / 648_000_000
@@ -178,6 +180,18 @@ def test_the_cumulative_rms_steps_up_by_the_tone(stages) -> None:
         assert above - below == pytest.approx(STAGES["none"] ** 2, rel=0.05)
     picture = cumulative([seen])
     assert picture.svg.count(b'id="run-0"') == 4  # two curves, two named steps
+
+
+def test_the_axis_of_the_ape_begins_at_the_errors_and_not_where_they_pass_zero(tmp_path, monkeypatch) -> None:
+    t = 1e-3 * np.arange(3000)
+    los = 5.0 * RAD_PER_ARCSEC * np.column_stack([np.sin(88.0 * t), 0.0 * t])
+    los[:3] = 1e-8 * RAD_PER_ARCSEC
+    run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, parameters={"loop": "fsm"}))
+    monkeypatch.setattr(figures, "picture", lambda *parts: parts[-1])
+    drawn = Figure()
+    figures.exceedance([view(run, "fsm")], "APE", [10.0 * RAD_PER_ARCSEC])(drawn)
+    lowest, highest = drawn.axes[0].get_xlim()
+    assert 1e-3 < lowest < 0.1 and highest > 10.0
 
 
 def test_headings_ids_and_links(page) -> None:
