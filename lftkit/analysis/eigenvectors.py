@@ -135,6 +135,8 @@ def balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, F
     if len(A) == 0:
         return A, B, C
     scale = linalg.lapack.dgebal(A, scale=1, permute=0)[3]
+    if scale.tolist() == [1.0] * len(A):
+        return A, B, C
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 

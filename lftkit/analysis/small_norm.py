@@ -8,13 +8,16 @@ other way.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
-from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, refined_response
+from lftkit.analysis.eigenvectors import EPS
+from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
@@ -24,6 +27,7 @@ SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of th
 TRUSTED = 0.1  # relative rounding of the modal form over `rtol`, at most, where it alone says that there is no peak
 CANCELLATION = 1e-12  # smallest norm over the bound of the sum of the modal terms
 SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
+LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
 DIRECT = 1e-2  # relative rounding of a direct solution without refinement over `rtol`, at most
 
 
@@ -49,45 +53,57 @@ def small_hinf_norm(system: Matrices, rtol: float) -> NormPeak | None:
     form = _ModalForm.of(system)
     if form is None or form.rounding > SEPARATION * rtol**0.5 * form.decay:
         return None
-    omega, gain = form.best(form.seeds())
-    direct = float(lapack.dgesdd(system[3], compute_uv=0)[1][0])
-    smallest = CANCELLATION * form.terms()
+    if not form.terms + float(abs(system[3]).max()) < LARGE:
+        return None
+    omega, gain, direct = form.best(form.seeds())
+    smallest = max(CANCELLATION * form.terms, 1.0 / LARGE)
     for _ in range(MAX_LEVELS):
         omega, gain = form.climbed(omega, gain, rtol)
-        value = _direct_gain(system, omega, form, rtol)
+        value = form.direct_gain(system, omega, rtol)
         if abs(value - gain) > TRUSTED * rtol * value or value <= smallest:
             return None
         upper = value * (1.0 + rtol)
         gap = 1.0 - (direct / upper) ** 2
         crossings = form.crossings(system, upper, gap)
-        if not len(crossings):
+        if not crossings:
             return NormPeak(value, upper, omega)
-        omega, gain = form.best(np.concatenate([crossings, 0.5 * (crossings[:-1] + crossings[1:])]))
+        middles = [0.5 * (low + high) for low, high in pairwise(crossings)]
+        omega, gain, _ = form.best(np.array(crossings + middles))
         if gain <= upper:  # the crossings are rounding, provided that the modal form tells so little apart
             sound = form.rounding <= TRUSTED * rtol * form.decay and gap > SMALL_GAP
             return NormPeak(value, upper, omega) if sound else None
     return None
 
 
-@dataclass(frozen=True)
-class _ModalForm:
+class _ModalForm(NamedTuple):
     """The response in modal form and what rounding may have done to its poles.
 
     Parameters
     ----------
-    response : FrequencyResponse
+    poles : ndarray, shape (n,), complex
+        Eigenvalues of A [rad/s].
+    residues : ndarray, shape (n, p m), complex
+    D : ndarray, shape (p, m)
+    values : list of complex
+        The poles once more.
     decay : float
         Slowest decay of a pole [rad/s].
     condition : float
         Of the eigenvectors.
     rounding : float
         Rounding error of a pole [rad/s].
+    terms : float
+        Bound of the sum of the magnitudes of the modal terms.
     """
 
-    response: FrequencyResponse
+    poles: ComplexArray
+    residues: ComplexArray
+    D: FloatArray
+    values: list[complex]
     decay: float
     condition: float
     rounding: float
+    terms: float
 
     @classmethod
     def of(cls, system: Matrices) -> _ModalForm | None:
@@ -95,56 +111,71 @@ class _ModalForm:
         A, B, C, D = system
         n = len(A)
         real, imaginary, _, vectors, info = lapack.dgeev(A, compute_vl=0)
-        decay = -float(real.max())
+        parts, heights = real.tolist(), imaginary.tolist()
+        decay = -max(parts)
         if info or not decay > 0.0:
             return None
-        lu, pivots, info = lapack.dgetrf(vectors)
-        reciprocal = 0.0 if info else float(lapack.dgecon(lu, np.sqrt(n))[0])  # a column has the norm 1 or less
+        lu, _, right, info = lapack.dgesv(vectors, B)
+        reciprocal = 0.0 if info else float(lapack.dgecon(lu, n**0.5)[0])  # a column has the norm 1 or less
         if reciprocal < n * EPS:
             return None
-        poles = real + 1j * imaginary
-        left, right = C @ vectors, lapack.dgetrs(lu, pivots, B)[0]
-        if imaginary.any():
-            left, right = complex_columns(poles, left), complex_rows(poles, right)
-        rounding = EPS * float(np.abs(poles).max()) / reciprocal
-        return cls(FrequencyResponse(poles, left, right, D, None), decay, 1.0 / reciprocal, rounding)
-
-    @property
-    def poles(self) -> ComplexArray:
-        """Eigenvalues of A [rad/s]."""
-        return self.response.poles
-
-    def terms(self) -> float:
-        """Bound of the sum of the magnitudes of the modal terms."""
-        return len(self.poles) * float(np.abs(self.response.residues).max()) / self.decay
+        poles: ComplexArray = real.astype(complex)
+        poles.imag = imaginary
+        residues = _residues((C @ vectors).T, right, heights)
+        values = list(map(complex, parts, heights))
+        rounding = EPS * max(map(abs, values)) / reciprocal
+        terms = n * float(abs(residues).max()) / decay
+        return cls(poles, residues, D, values, decay, 1.0 / reciprocal, rounding, terms)
 
     def seeds(self) -> FloatArray:
         """Frequencies of possible peaks: zero, resonances, magnitudes of the poles."""
-        poles = self.poles[self.poles.imag >= 0.0]
-        x, y = poles.real, poles.imag
-        return np.concatenate([np.zeros(1), np.sqrt(np.maximum((y - x) * (y + x), 0.0)), np.abs(poles)])
+        seeds = [0.0]
+        for pole in self.values:
+            x, y = -pole.real, pole.imag
+            if y >= 0.0:
+                seeds.append(abs(pole))
+                if y > x:
+                    seeds.append(((y - x) * (y + x)) ** 0.5)
+        return np.array(seeds)
 
-    def best(self, seeds: FloatArray) -> tuple[float, float]:
-        """Frequency of the largest gain at the `seeds` and at infinity, and that gain."""
-        D = self.response.D
-        response = np.empty((len(seeds) + 1, D.size), dtype=complex)
-        np.matmul(1.0 / (1j * seeds[:, None] - self.poles), self.response.residues, out=response[:-1])
-        response[-1] = 0.0
-        gains = largest_gains(np.asarray(response.reshape(-1, *D.shape) + D, dtype=complex))
-        index = int(gains.argmax())
-        return (np.inf if index == len(seeds) else float(seeds[index])), float(gains[index])
+    def best(self, seeds: FloatArray) -> tuple[float, float, float]:
+        """Frequency of the largest gain at the `seeds` and at infinity, that gain, and the one at infinity."""
+        k = len(seeds)
+        weights = np.zeros((k + 1, len(self.poles)), dtype=complex)
+        np.divide(1.0, 1j * seeds[:, None] - self.poles, out=weights[:k])
+        response = weights @ self.residues
+        response += self.D.ravel()
+        gains = _gains(response, self.D.shape)
+        gain = max(gains)
+        index = gains.index(gain)
+        return (float(seeds[index]) if index < k else np.inf), gain, gains[k]
 
     def climbed(self, omega: float, gain: float, rtol: float) -> tuple[float, float]:
         """Peak near `omega`."""
         if omega == np.inf or omega == 0.0:
             return omega, gain
-        return climb(self.response.with_derivatives, omega, gain, self.distance(omega), rtol)
+        return climb(self.with_derivatives, omega, gain, self.distance(omega), rtol)
+
+    def with_derivatives(self, omega: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response (p, m) at a finite frequency [rad/s] and its first and second derivative with respect to it."""
+        term = 1.0 / (1j * omega - self.poles)
+        first = -1j * term * term
+        G, G1, G2 = (np.array((term, first, -2j * first * term)) @ self.residues).reshape(3, *self.D.shape)
+        return G + self.D, G1, G2
 
     def distance(self, omega: float) -> float:
         """Distance from j omega to the nearest pole [rad/s]."""
-        return float(np.abs(self.poles - 1j * omega).min())
+        return min(abs(pole - 1j * omega) for pole in self.values)
 
-    def crossings(self, system: Matrices, level: float, gap: float) -> FloatArray:
+    def direct_gain(self, system: Matrices, omega: float, rtol: float) -> float:
+        """Gain by a direct solution, refined where rounding could be felt."""
+        if omega == np.inf:
+            return _norm(system[3])
+        if self.rounding > DIRECT * rtol * self.distance(omega):
+            return _norm(refined_response(*system, omega))
+        return _norm(_response(system, 1j * omega))
+
+    def crossings(self, system: Matrices, level: float, gap: float) -> list[float]:
         """Frequencies at which the gain may equal `level` [rad/s], ascending; none: the gain stays below.
 
         `gap`: smallest eigenvalue of ``I - D' D / level^2``, by whose inverse rounding grows.
@@ -153,46 +184,86 @@ class _ModalForm:
         double one, of a peak that just reaches the level, moves by the square root of the rounding times the distance
         of the pole.
         """
-        values = _hamiltonian_eigenvalues(*system, level)
-        size = np.abs(values)
-        rounding = EPS * self.condition * float(size.max()) / gap
-        decays = np.abs(values.real)
-        near = decays <= 2.0 * np.sqrt(rounding * size) + rounding
-        if not near.any():
-            return _NONE
-        values, decays = values[near], decays[near]
-        distance = np.abs(1j * values.imag[:, None] - self.poles).min(axis=1)
-        values = values[decays <= 2.0 * np.sqrt(rounding * distance) + rounding]
-        return np.unique(np.abs(values.imag)) if len(values) else _NONE
+        real, imaginary = _hamiltonian_eigenvalues(*system, level)
+        sizes = list(map(hypot, real, imaginary))
+        rounding = EPS * self.condition * max(sizes) / gap
+        found = {
+            abs(y)
+            for x, y, size in zip(real, imaginary, sizes)
+            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
+            and abs(x) <= 2.0 * (rounding * self.distance(y)) ** 0.5 + rounding
+        }
+        return sorted(found)
 
 
-_NONE = np.zeros(0)
+def _residues(left: FloatArray, right: FloatArray, heights: list[float]) -> ComplexArray:
+    """Residues (n, p m) from factors (n, p) and (n, m) in the real form of LAPACK, poles of the imaginary parts given.
+
+    For a pair of poles with the factors ``lx + j ly`` and ``(rx - j ry) / 2`` the residue is half of
+    ``lx rx + ly ry + j (ly rx - lx ry)``.
+    """
+    n = len(heights)
+    left, right = left[:, :, None], right[:, None, :]
+    own = (left * right).reshape(n, -1)
+    residues = own.astype(complex)
+    if any(heights):
+        partner = [k + (y > 0.0) - (y < 0.0) for k, y in enumerate(heights)]
+        across = (left * right[partner]).reshape(n, -1)
+        residues += own[partner]
+        residues.imag = across[partner] - across
+        residues *= 0.5
+    return residues
 
 
-def _hamiltonian_eigenvalues(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> ComplexArray:
+def _gains(responses: ComplexArray, shape: tuple[int, ...]) -> list[float]:
+    """Largest singular value of each response, a row (p m) of the stack."""
+    gains: list[float]
+    if 1 in shape:
+        parts = responses.view(float)
+        gains = np.sqrt(np.einsum("ij,ij->i", parts, parts)).tolist()
+    else:
+        gains = largest_gains(responses.reshape(-1, *shape)).tolist()
+    return gains
+
+
+def _hamiltonian_eigenvalues(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float
+) -> tuple[list[float], list[float]]:
     """Eigenvalues of the Hamiltonian matrix, imaginary where the gain equals `level`, which exceeds the norm of D."""
     n = len(A)
+    scale = level**-0.5
+    b, c = B * scale, C * scale
     H = np.empty((2 * n, 2 * n), order="F")
     H[:n, :n] = A
-    b, c = B * level**-0.5, C * level**-0.5
+    H[n:, n:] = -A.T
     if D.any():
         d = D / level
-        inputs = lapack.dposv(np.eye(D.shape[1]) - d.T @ d, np.hstack([d.T @ c, b.T]))[1]
-        H[:n, :n] += b @ inputs[:, :n]
-        H[:n, n:] = b @ inputs[:, n:]
-        H[n:, :n] = -c.T @ lapack.dposv(np.eye(len(D)) - d @ d.T, c)[1]
+        across = d.T @ c
+        both = np.concatenate((across, b.T), axis=1)
+        H[:n, n:] = 0.0
+        H[n:, :n] = -(c.T @ c)
+        gap = d.T @ -d
+        gap.flat[:: len(gap) + 1] += 1.0
+        H += np.concatenate((b, -across.T)) @ lapack.dposv(gap, both)[1]
     else:
         H[:n, n:] = b @ b.T
-        H[n:, :n] = -c.T @ c
-    H[n:, n:] = -H[:n, :n].T
-    real, imaginary, _, _, info = lapack.dgeev(H, compute_vl=0, compute_vr=0, overwrite_a=True)
+        H[n:, :n] = -(c.T @ c)
+    real, imaginary, _, _, info = lapack.dgeev(H, compute_vl=0, compute_vr=0, overwrite_a=1)
     if info:
         raise ArithmeticError(f"the eigenvalues of a Hamiltonian matrix of order {2 * n} did not converge")
-    return np.asarray(real + 1j * imaginary)
+    return real.tolist(), imaginary.tolist()
 
 
-def _direct_gain(system: Matrices, omega: float, form: _ModalForm, rtol: float) -> float:
-    """Gain by a direct solution, refined where rounding could be felt."""
-    exact = omega == np.inf or form.rounding <= DIRECT * rtol * form.distance(omega)
-    response = direct_response(*system, omega) if exact else refined_response(*system, omega)
+def _response(system: Matrices, point: complex) -> ComplexArray:
+    """``D + C (point I - A)^-1 B``."""
+    A, B, C, D = system
+    shifted = np.multiply(A, -1.0 + 0.0j, order="F")
+    shifted.flat[:: len(A) + 1] += point
+    return np.asarray(C @ lapack.zgesv(shifted, B, overwrite_a=1)[2] + D)
+
+
+def _norm(response: FloatArray | ComplexArray) -> float:
+    """Largest singular value."""
+    if 1 in response.shape:
+        return float(np.sqrt(np.vdot(response, response).real))
     return float(lapack.zgesdd(response, compute_uv=0)[1][0])

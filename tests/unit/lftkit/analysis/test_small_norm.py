@@ -117,3 +117,14 @@ def test_climbing_ends_on_a_peak_from_both_sides(start: float) -> None:
     assert found >= gain and found == pytest.approx(np.linalg.norm(form.at(omega)[0], 2), rel=1e-9)
     near = np.linalg.norm(form.at(omega * (1.0 + np.linspace(-1e-3, 1e-3, 41))), 2, axis=(1, 2))
     assert near.max() <= found * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-160, 1e-60, 1e60])
+def test_gains_whose_powers_are_no_numbers_are_not_lost(size: float) -> None:
+    """Of one input, where the gain is a root of a sum of squares, and of two; at both ends of the range."""
+    for B in (np.array([[1.0], [-2.0]]), np.array([[1.0, 0.5], [-2.0, 0.3]])):
+        A, C, D = np.array([[-0.1, 1.0], [-1.0, -0.1]]), np.array([[1.0, 0.2], [0.4, -0.7]]), np.zeros((2, B.shape[1]))
+        expected = hinf_norm(A, B, C, D)
+        found = hinf_norm(A, B * size, C, D)
+        assert found.value == pytest.approx(expected.value * size, rel=1e-7)
+        assert found.value <= found.upper <= found.value * (1.0 + 2e-7)
