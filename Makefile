@@ -129,6 +129,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/tuning.py --plants AC4,PSM --seconds 10 --json
 	$(BIN)/python benchmarks/bag_reading.py --seconds 10 --json
 	$(BIN)/python benchmarks/image_quality.py --json
+	$(BIN)/python benchmarks/flight_code.py --steps 1e5 --json
 	$(BIN)/python benchmarks/real_time_loop.py --seconds 10 --json
 	$(BIN)/python benchmarks/image_camera.py --pairs 1 --seconds 5 --json
 	$(BIN)/python benchmarks/lockstep.py --seconds 5 --json

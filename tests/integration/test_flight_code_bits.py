@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,32 +14,23 @@ import numpy as np
 import pytest
 from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
-from los_testbed.flight_code.vectors import magnitudes, run_laws, without_frames
+from los_testbed.flight_code.vectors import run_laws
 from los_testbed.run.replay import LAYOUT, controllers
 from los_testbed.run_start import START_FILE, RunStart
 from support.flight_library import LEVELS, LIBRARY, STRICT, FlightController, build, observer_of, same_bits, write
 
-from fsm_pma_controller.runtime import FsmPmaController
-from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
-from los_estimator.runtime import LosEstimator
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import replay
-from titop_plant.interface import (
-    COMMANDS,
-    DT,
-    ESTIMATES,
-    K_FSM_INPUTS,
-    K_FSM_OUTPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
-    MEASUREMENTS,
-    PLATFORM,
-    STAGES,
-)
+from titop_plant.interface import COMMANDS, ESTIMATES, PLATFORM, STAGES
 
 BAG = Path(__file__).parents[2] / "bags/reference"
-RANDOM_CONTROLLERS, RANDOM_TICKS = 50, 300
+PATH = Path(__file__).parents[2] / "benchmarks" / "flight_code.py"
+SPEC = importlib.util.spec_from_file_location("flight_code_benchmark", PATH)
+assert SPEC is not None and SPEC.loader is not None
+script = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = script  # its dataclasses look for their module
+SPEC.loader.exec_module(script)
 
 with_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
 with_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="no clang")
@@ -72,32 +65,19 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
         assert same_bits(np.ascontiguousarray(values), np.ascontiguousarray(expected)).all(), name
 
 
-def random_system(rng: np.random.Generator, order: int, inputs: tuple, outputs: tuple) -> SampledSystem:
-    """A system whose numbers are of all magnitudes, some of them zero or subnormal."""
-    rows, columns = order + sum(p.size for p in outputs), order + sum(p.size for p in inputs)
-    matrix = rng.standard_normal((rows, columns)) * 10.0 ** rng.uniform(-8, 3, (rows, columns))
-    matrix[rng.random(matrix.shape) < 0.1] = 0.0
-    matrix[rng.random(matrix.shape) < 0.05] = -3e-320
-    A = matrix[:order, :order]
-    A /= max(1.0, 1.1 * np.abs(A).sum(axis=1).max())
-    return SampledSystem(A, matrix[:order, order:], matrix[order:, :order], matrix[order:, order:], inputs, outputs, DT)
-
-
-def random_laws(rng: np.random.Generator, order: int) -> FlightLaws:
-    k_fsm = random_system(rng, order, K_FSM_INPUTS, K_FSM_OUTPUTS)
-    k_pma = random_system(rng, int(rng.integers(1, 13)), K_PMA_INPUTS, K_PMA_OUTPUTS)
-    sensitivity, mirror, force = (float(value) for value in 10.0 ** rng.uniform([-3, -4, 0], [1, 4, 12]))
-    limits = {"los_sensitivity": sensitivity, "fsm_authority": mirror, "pma_authority": force}
-    return FlightLaws.of(LosEstimator(k_fsm), FsmPmaController(k_pma, **limits))
-
-
-def inputs(rng: np.random.Generator) -> FloatArray:
-    """Ordinary values, all magnitudes, sums that overflow, an acceleration that is NaN; no camera at times."""
-    ordinary = rng.standard_normal((RANDOM_TICKS // 2, MEASUREMENTS))
-    odd = magnitudes(rng, RANDOM_TICKS - len(ordinary))
-    odd[-30:] = 1.7e308 * rng.uniform(-1.0, 1.0, (30, MEASUREMENTS))
-    odd[-5, rng.integers(18)] = np.nan
-    return without_frames(np.vstack([ordinary, odd]), rng)
+@with_gcc
+@pytest.mark.parametrize(
+    ("pairs", "steps", "every"),
+    [(0, 100_000, 3), (12, 50_000, 1), pytest.param(50, 5_000_000, 1, marks=pytest.mark.slow)],
+    ids=["shipped", "12 random", "50 random"],
+)
+def test_the_kernel_on_inputs_of_all_magnitudes(pairs: int, steps: int, every: int) -> None:
+    """Subnormal numbers to 1e300, overflow, an absent or infinite camera; random controllers have order 1 to 12."""
+    pytest.importorskip("numba")
+    builds = tuple(build for build in script.BUILDS if shutil.which(build[0]))
+    found = script.compare(pairs, steps, 35, builds[::every])
+    assert found["values_differing"] == 0
+    assert found["steps"] >= steps and 0.9 < found["finite"] < 1.0  # both kinds of ticks
 
 
 def answers_of(library: Path, measurement: FloatArray, stages: list[int]) -> tuple[FloatArray, FloatArray]:
@@ -113,18 +93,32 @@ def answers_of(library: Path, measurement: FloatArray, stages: list[int]) -> tup
 
 
 @with_gcc
-@pytest.mark.parametrize("count", [4, pytest.param(RANDOM_CONTROLLERS, marks=pytest.mark.slow)])
-def test_random_controllers_on_inputs_of_all_magnitudes(count: int, tmp_path: Path) -> None:
-    rng, finite, steps = np.random.default_rng(2035), 0, 0
-    for number in range(count):
-        laws = random_laws(rng, 1 + number % 12)
-        library = build(write(laws, tmp_path / str(number), LIBRARY), "gcc", LEVELS[number % len(LEVELS)])
-        measurement = inputs(rng)
-        stages = np.repeat(rng.integers(0, len(STAGES), RANDOM_TICKS // 20), 20).tolist()
+def test_the_laws_in_numpy_with_all_stages_in_a_run(tmp_path: Path) -> None:
+    """K_PMA starts again where its loop closes; the compiled kernel is not asked, it keeps its stage."""
+    rng = np.random.default_rng(2035)
+    for order in (1, 5, 12):
+        laws, measurement = script.random_laws(rng, order), script.inputs(rng, "all magnitudes", 300)
+        stages = np.repeat(rng.integers(0, len(STAGES), 15), 20).tolist()
+        library = build(write(laws, tmp_path / str(order), LIBRARY), "gcc", "-O2")
         for found, expected in zip(answers_of(library, measurement, stages), run_laws(laws, measurement, stages)):
-            assert same_bits(found, expected).all(), number
-            finite, steps = finite + int(np.isfinite(expected).all(axis=1).sum()), steps + len(expected)
-    assert 0.5 * steps < finite < steps  # both kinds of ticks
+            assert same_bits(found, expected).all(), order
+
+
+@with_gcc
+def test_fused_products_differ_from_the_kernel(tmp_path: Path) -> None:
+    """What the comparison is for: two roundings made one are found."""
+    pytest.importorskip("numba")
+    with_fused_products()
+    exported = script.Exported(laws_of(), tmp_path, "gcc", "-O2", "-mfma", "-ffp-contract=fast")
+    found = script.Comparison()
+    found.block(laws_of(), exported, np.random.default_rng(1), 0)
+    assert found.differing > 1000
+
+
+def with_fused_products() -> None:
+    """Skip the test on a processor without them."""
+    if " fma " not in Path("/proc/cpuinfo").read_text("utf-8"):
+        pytest.skip("this processor has no fused multiply-add of x86")
 
 
 def self_test(folder: Path, compiler: str, *options: str) -> subprocess.CompletedProcess[str]:
@@ -143,8 +137,7 @@ def test_the_self_test_passes_without_a_warning(compiler: str, level: str, shipp
 @with_gcc
 def test_the_self_test_finds_fused_products(shipped: Path) -> None:
     """A compiler that fuses products with sums makes other bits, and the self test says so."""
-    if " fma " not in Path("/proc/cpuinfo").read_text("utf-8"):
-        pytest.skip("this processor has no fused multiply-add of x86")
+    with_fused_products()
     done = self_test(shipped, "gcc", "-O2", "-mfma", "-ffp-contract=fast")
     assert done.returncode == 1 and "values differ" in done.stdout
 
