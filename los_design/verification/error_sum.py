@@ -55,8 +55,8 @@ class ErrorSum:
 
         Examples
         --------
-        >>> ErrorSum("RPE, fast tone of norm 1 and noise", 42.96, 40.0, "mas").short_text
-        'fast tone 42.96 of 40 mas (bound above the limit)'
+        >>> ErrorSum("RPE, fast tone of norm 1 and noise", 42.96, 36.0, "mas").short_text
+        'fast tone 42.96 of 36 mas (bound above the limit)'
         """
         return f"{WITH_NOISE.get(self.name, self.name)} {self._of_limit}{'' if self.kept else f' ({ABOVE})'}"
 

@@ -56,8 +56,8 @@ class Statement:
 
         Examples
         --------
-        >>> Statement("0", (), True, with_noise=("APE 9.947 of 10 arcsec", "slow tone 65.581 of 100 mas")).noise_text
-        'with noise, proven: APE 9.947 of 10 arcsec, slow tone 65.581 of 100 mas'
+        >>> Statement("0", (), True, with_noise=("APE 9.947 of 12 arcsec", "slow tone 65.581 of 90 mas")).noise_text
+        'with noise, proven: APE 9.947 of 12 arcsec, slow tone 65.581 of 90 mas'
         """
         return f"with noise, proven: {', '.join(self.with_noise)}" if self.with_noise else ""
 
