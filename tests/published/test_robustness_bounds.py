@@ -50,6 +50,7 @@ def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
     assert bounds.proof is not None and check_proof(bounds.proof.content).stable
 
 
+@pytest.mark.slow
 def test_the_margin_of_the_two_mass_benchmark() -> None:
     bounds = robust_stability(two_mass_benchmark(), wall_limit=LONG)
     assert bounds.status == "closed" and bounds.lower < 2.8826

@@ -110,6 +110,7 @@ def test_a_node_that_a_stranger_shuts_down_ends_a_run_in_lockstep_with_its_name(
     assert len(Run.open(tmp_path / "bag")["truth/los"]) >= 100
 
 
+@pytest.mark.slow
 def test_in_real_time_the_run_goes_on_without_it_and_says_so(tmp_path):
     case = Case("estimator/change_state", begin=100, rate=20.0, request="shutdown")
     results = attacked(tmp_path, case, mode="realtime", duration=3.0)

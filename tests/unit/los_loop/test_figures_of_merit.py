@@ -93,6 +93,7 @@ def test_an_added_row_is_tuned_for(added, parameters, system) -> None:
         implemented_requirements(parameters, "fsm")
 
 
+@pytest.mark.slow
 def test_an_added_row_is_searched_verified_and_proven(added, parameters, system) -> None:
     """The slow forces of the stored design, by the search's response at their worst point."""
     pair = load_designs("implemented")
@@ -111,6 +112,7 @@ def test_an_added_row_is_searched_verified_and_proven(added, parameters, system)
     assert not [line for line in broken_requirements(check) if line.startswith("fsm: force")]
 
 
+@pytest.mark.slow
 def test_an_added_row_is_a_column_of_campaigns(monkeypatch, parameters, system) -> None:
     before = metric_columns("model", ())
     monkeypatch.setattr(figures_of_merit, "FIGURES", (*FIGURES, ADDED, NOISE))

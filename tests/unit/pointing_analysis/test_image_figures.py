@@ -172,7 +172,7 @@ def test_an_aberrated_pupil_has_its_peak_off_the_axis() -> None:
     assert np.abs(strehl(paths, plain) - strehl(paths, tilted)).max() < 1e-3
 
 
-@pytest.mark.parametrize("sigma_mas", [5.0, 15.0])
+@pytest.mark.parametrize("sigma_mas", [15.0, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_against_poppy(sigma_mas: float) -> None:
     """Gaussian jitter of poppy, a picture convolved with a Gaussian: loss of the peak and profile to 1e-3."""
     poppy: Any = pytest.importorskip("poppy")

@@ -61,6 +61,7 @@ def test_position_alone_with_an_undamped_common_mode_needs_a_dynamic_controller(
     assert static.status == "not_stabilised" and static.certificate is None
 
 
+@pytest.mark.slow
 def test_order_one_is_never_worse_than_static() -> None:
     """The static controller is the start of the first order: same seed, same options."""
     values = [

@@ -137,6 +137,7 @@ def test_unstabilisable_plant() -> None:
     assert result.status == "not_stabilised" and result.abscissa == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_infeasible_gives_the_least_violation() -> None:
     """Effort at most 0.3 and gain at most 0.5 contradict each other: k / (1 + k) <= 0.3, 1 / (1 + k) <= 0.5."""
     hard = [HinfGain("w", "z", bound=0.5, hard=True, name="gain"), HinfGain("w", "effort", bound=0.3, hard=True)]

@@ -16,6 +16,7 @@ def run(name: str) -> Any:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))
 
 
+@pytest.mark.slow
 def test_robust_mass_spring_damper() -> None:
     example = run("robust_mass_spring_damper")
     result = example["main"]()
