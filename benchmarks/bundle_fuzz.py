@@ -44,9 +44,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lftkit.proofs.sampled_loop import LoopModel, checker
-from lftkit.proofs.strips import Strip
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.sampled_loop import LoopModel
+from lftkit.proofs.trusted import checker
+from lftkit.proofs.trusted.proof import ProofError, Strip
 from los_design.search.worst_points import load_worst_points
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import MANIFEST, CheckedBundle, as_mapping, check_bundle, member_of, open_bundle

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from lftkit.proofs.state_space.bounds import Bounds
     from lftkit.proofs.structured.bounds import MuBounds, mu
     from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-    from lftkit.proofs.verdict import CheckedProof, ProofError
+    from lftkit.proofs.trusted.proof import ProofError
+    from lftkit.proofs.verdict import CheckedProof
 
 __all__ = [
     "Bounds",
@@ -53,6 +54,7 @@ __getattr__ = names_on_demand(
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("Bounds",),
-        "verdict": ("CheckedProof", "ProofError"),
+        "trusted.proof": ("ProofError",),
+        "verdict": ("CheckedProof",),
     },
 )

@@ -13,16 +13,16 @@ import numpy as np
 from lftkit.proofs.axis.checker import check_axis_proof
 from lftkit.proofs.axis.proof import FORMAT as AXIS
 from lftkit.proofs.axis.proof import AxisProof
-from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
 from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE
 from lftkit.proofs.sampled_loop.noise import CheckedNoise, NoiseProof, check_noise_proof
-from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.state_space.checker import DISCRETE
 from lftkit.proofs.state_space.checker import FORMAT as CELLS
 from lftkit.proofs.state_space.checker import check_proof as check_cells
-from lftkit.proofs.verdict import CheckedProof, ProofError
+from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
+from lftkit.proofs.trusted.proof import LoopProof, ProofError
+from lftkit.proofs.verdict import CheckedProof
 
 FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.strips import Strip
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError, Strip
 
 
 def packed(strips: Sequence[Strip], parameters: int) -> dict[str, Any]:

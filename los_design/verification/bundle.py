@@ -43,8 +43,8 @@ from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise_proof
-from lftkit.proofs.sampled_loop.nominal import whole_axis
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
 from los_design.verification.error_sum import ErrorSum
 from los_design.verification.error_sums import error_sums

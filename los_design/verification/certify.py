@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
-from lftkit.proofs.sampled_loop.above import windows_above
 from lftkit.proofs.sampled_loop.bounds import DEEPEST
-from lftkit.proofs.sampled_loop.checker import covered, windows_of
 from lftkit.proofs.sampled_loop.files import write_loop_proof
-from lftkit.proofs.sampled_loop.nominal import nominal_windows, whole_axis
 from lftkit.proofs.strip_files import packed, unpacked
-from lftkit.proofs.strips import Interval, Strip
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.checker import covered
+from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
+from lftkit.proofs.trusted.stability import nominal_windows, whole_axis, windows_above
+from lftkit.proofs.trusted.strips import windows_of
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric

@@ -14,7 +14,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
-from lftkit.proofs.strips import Interval
+from lftkit.proofs.trusted.proof import Interval
 from los_design.verification.fast_parts import FAST, PARTS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics

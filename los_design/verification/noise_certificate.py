@@ -22,8 +22,7 @@ from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, noise_bound, power_area
-from lftkit.proofs.strips import Interval
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import Interval, ProofError
 from los_design.verification.certify import (
     FigureBounds,
     PartResult,

@@ -17,8 +17,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
 from lftkit.proofs.sampled_loop.noise import NoiseProof
-from lftkit.proofs.strips import Interval
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import Interval, ProofError
 from los_design.verification.loop_models import NYQUIST, box_of, provable, telescope_model
 from los_design.verification.noise_certificate import noise_of_loop
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric

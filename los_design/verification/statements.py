@@ -103,7 +103,7 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
         return Statement(shipped["name"], found, True, relative_error(levels), sums) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
-    from lftkit.proofs.verdict import ProofError
+    from lftkit.proofs.trusted.proof import ProofError
     from los_design.verification.bundle import figures_proven, levels_proven, open_bundle
 
     try:

@@ -25,9 +25,9 @@ from support.stored_proofs import (
 
 from lftkit.proofs.sampled_loop import check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
-from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseProof, noise_bound
+from lftkit.proofs.trusted.strips import windows_of
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof
-from lftkit.proofs.sampled_loop.checker import check_strip
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseProof
-from lftkit.proofs.strips import Strip
+from lftkit.proofs.trusted.proof import Strip
+from lftkit.proofs.trusted.strips import check_strip
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
 from los_design.verification.noise_certificate import NOISE

@@ -29,7 +29,7 @@ from lftkit.proofs.state_space.search import (
     smallest_unstable_factor,
     worst_member,
 )
-from lftkit.proofs.strips import Interval, Strip
+from lftkit.proofs.trusted.proof import Interval, Strip
 from lftkit.systems.system import System
 
 PART = 0.1

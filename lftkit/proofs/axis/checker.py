@@ -1,6 +1,6 @@
 """Check of a proof over the frequency axis: a gain, or stability, for a box of parameters.
 
-The inequality of a strip is that of :mod:`lftkit.proofs.sampled_loop.checker`, with responses of the system's own
+The inequality of a strip is that of :mod:`lftkit.proofs.trusted.checker`, with responses of the system's own
 matrices (:mod:`lftkit.proofs.axis.model`): negative definite at every frequency of the strip, it bounds the gain there,
 and shows that no member has a pole on the axis. Strips over the inverse of the frequency include infinity, where
 it shows that all members are well posed. With a stable nominal member in the box every member is then stable, as poles
@@ -17,10 +17,10 @@ import numpy as np
 
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
-from lftkit.proofs.sampled_loop.checker import check_strip, require_cover
-from lftkit.proofs.sampled_loop.premises import require_strip
-from lftkit.proofs.strips import Interval, Strip
-from lftkit.proofs.verdict import CheckedProof, ProofError
+from lftkit.proofs.trusted.premises import require_strip
+from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
+from lftkit.proofs.trusted.strips import check_strip
+from lftkit.proofs.verdict import CheckedProof
 
 
 def check_axis_proof(proof: AxisProof | Path, each: Callable[..., Iterable[int | str]] = map) -> CheckedProof:

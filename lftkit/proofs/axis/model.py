@@ -17,7 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.sampled_loop.polynomials import INFLATE, TINY, UNIT, Polynomial, constant, reciprocal, weighted_share
+from lftkit.proofs.sampled_loop.coordinates import coordinates
+from lftkit.proofs.trusted.polynomials import INFLATE, TINY, UNIT, Polynomial, constant, reciprocal, weighted_share
+from lftkit.proofs.trusted.proof import Strip
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class AxisModel:
         response = self.C @ (self.T @ states) + self.D
         return response[:q], response[q:]
 
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
+        """Coordinates in which the form of a strip is about -I: (w, d) by them, square."""
+        return coordinates(self, strip, number, omega, level)
+
     def responses(self, middle: float, half: float, V: ComplexArray) -> tuple[Polynomial, Polynomial]:
         """``z`` and the errors over a window ``middle + half t`` of the variable, as maps from the coordinates of V.
 
@@ -111,7 +117,7 @@ class AxisModel:
         if self.beyond:
             whole = whole * x[:, None]
         whole = whole + constant(self.D) @ constant(V)
-        return whole.rows(slice(0, q)), whole.rows(slice(q, None))
+        return whole[:q], whole[q:]
 
     @cached_property
     def _observed(self) -> Polynomial:

@@ -12,7 +12,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
-from lftkit.proofs.strips import Interval, Strip
+from lftkit.proofs.trusted.proof import Interval, Strip
 
 FORMAT = "lftkit axis proof 1"
 ARRAYS = ("A", "B", "C", "D", "poles", "T", "X")

@@ -7,10 +7,10 @@ from lftkit.support.on_demand import names_on_demand
 if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop.bounds import LoopBounds, prove_level
     from lftkit.proofs.sampled_loop.build import box_of, loop_model
-    from lftkit.proofs.sampled_loop.checker import CheckedLoop, check_loop_proof
     from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
-    from lftkit.proofs.sampled_loop.proof import LoopProof
+    from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
+    from lftkit.proofs.trusted.proof import LoopProof
 
 __all__ = [
     "CheckedLoop",
@@ -30,9 +30,9 @@ __getattr__ = names_on_demand(
     {
         "bounds": ("LoopBounds", "prove_level"),
         "build": ("box_of", "loop_model"),
-        "checker": ("CheckedLoop", "check_loop_proof"),
         "files": ("read_loop_proof", "write_loop_proof"),
         "model": ("LoopModel",),
-        "proof": ("LoopProof",),
+        "lftkit.proofs.trusted.checker": ("CheckedLoop", "check_loop_proof"),
+        "lftkit.proofs.trusted.proof": ("LoopProof",),
     },
 )

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.sampled_loop.checker import is_circle
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
-from lftkit.proofs.strips import Interval
+from lftkit.proofs.trusted.proof import Interval
+from lftkit.proofs.trusted.strips import is_circle
 
 Box = tuple[Interval, ...]
 HELD = 0.02

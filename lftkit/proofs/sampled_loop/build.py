@@ -10,7 +10,7 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.eigenvectors import corrected_modes, modes
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.strips import Interval
+from lftkit.proofs.trusted.proof import Interval
 
 
 def loop_model(

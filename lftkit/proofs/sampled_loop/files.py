@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
+from lftkit.proofs.trusted.proof import LoopProof
 
 FORMAT = "los-testbed loop proof 1"
 HEADER = ("groups", "angle", "rows", "commands", "added", "returned")

@@ -6,7 +6,7 @@ output at the ticks is ::
     dt / pi  integral of |T(w)|^2  from 0 to pi / dt        (H2 norm)
 
 with the row T of its responses. The band is cut into parts; in each the norm of T is below a level for all members of
-the box, by strips as for any gain (:mod:`lftkit.proofs.sampled_loop.checker`). The sum over parts of the squared levels
+the box, by strips as for any gain (:mod:`lftkit.proofs.trusted.checker`). The sum over parts of the squared levels
 bounds the integral. The weight of the relative error grows with frequency: in each of some pieces of a part it counts
 with its value at the upper end.
 
@@ -24,14 +24,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lftkit.proofs.sampled_loop.checker import check_loop_proof, stable_below
 from lftkit.proofs.sampled_loop.files import model_entries, model_of
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.sampled_loop.polynomials import INFLATE
-from lftkit.proofs.sampled_loop.proof import LoopProof
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
-from lftkit.proofs.strips import Interval, Strip
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.checker import check_loop_proof
+from lftkit.proofs.trusted.polynomials import INFLATE
+from lftkit.proofs.trusted.proof import Interval, LoopProof, ProofError, Strip
+from lftkit.proofs.trusted.stability import stable_below
 
 FORMAT = "los-testbed noise proof 2"
 PIECES = 64

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.sampled_loop.polynomials import Polynomial
+from lftkit.proofs.trusted.polynomials import Polynomial
+from lftkit.proofs.trusted.proof import Strip
 
 
 class Responses(Protocol):
@@ -48,4 +49,8 @@ class Responses(Protocol):
 
     def responses(self, middle: float, half: float, V: ComplexArray) -> tuple[Polynomial, Polynomial]:
         """``z`` and the bounded output over a window, as maps from the coordinates of V."""
+        ...
+
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float, /) -> ComplexArray:
+        """Coordinates in which the form of a strip is about -I: (w, d) by them, square. Nobody trusts them."""
         ...

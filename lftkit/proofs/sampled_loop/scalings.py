@@ -11,7 +11,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
-from lftkit.proofs.sampled_loop.checker import is_circle, middle_of
+from lftkit.proofs.sampled_loop.coordinates import middle_of
 from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.state_space.barrier import (
     ANY_REAL,
@@ -24,7 +24,8 @@ from lftkit.proofs.state_space.barrier import (
     newton_step,
 )
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
-from lftkit.proofs.strips import Interval
+from lftkit.proofs.trusted.proof import Interval
+from lftkit.proofs.trusted.strips import is_circle
 
 PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""

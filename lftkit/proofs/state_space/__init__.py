@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from lftkit.proofs.state_space.cells import Cell
     from lftkit.proofs.state_space.checker import check_proof
     from lftkit.proofs.state_space.proof import Proof
-    from lftkit.proofs.verdict import CheckedProof, ProofError
+    from lftkit.proofs.trusted.proof import ProofError
+    from lftkit.proofs.verdict import CheckedProof
 
 __all__ = [
     "Bounds",
@@ -31,6 +32,7 @@ __getattr__ = names_on_demand(
         "cells": ("Cell",),
         "checker": ("check_proof",),
         "proof": ("Proof",),
-        "lftkit.proofs.verdict": ("CheckedProof", "ProofError"),
+        "lftkit.proofs.verdict": ("CheckedProof",),
+        "lftkit.proofs.trusted.proof": ("ProofError",),
     },
 )

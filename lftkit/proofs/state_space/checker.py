@@ -44,7 +44,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.verdict import CheckedProof, ProofError, uncovered
+from lftkit.proofs.trusted.proof import ProofError, uncovered
+from lftkit.proofs.verdict import CheckedProof
 
 FORMAT = "los-testbed proof 1"
 DISCRETE = "los-testbed proof in discrete time 1"

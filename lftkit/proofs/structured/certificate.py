@@ -16,7 +16,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, checked_matrix, parts
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, embedded, number
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError
 
 
 @dataclass(frozen=True)

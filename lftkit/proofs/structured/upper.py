@@ -14,7 +14,7 @@ from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, parts
 from lftkit.proofs.state_space.barrier import BarrierBlock, find_scalings
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
 from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError
 
 LEAST = 1e-9
 """Level, as a part of the norm of M, below which nothing is proven."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.stored_proofs import FOLDER, SUFFIX, unpack
 
-from lftkit.proofs.sampled_loop import checker
+from lftkit.proofs.trusted import checker
 from los_design.synthesis.store import load_designs
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import write_bundle

@@ -20,7 +20,7 @@ from support.stored_proofs import FOLDER, SUFFIX, unpack
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseProof
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError
 from los_design.synthesis.store import load_designs
 from los_design.verification import statements
 from los_design.verification.bundle import (
@@ -288,7 +288,7 @@ def test_the_matrices_of_the_file_are_not_used(loop: ImplementedLoop, proof: Loo
 
 def test_strips_of_a_stored_proof_hold_for_the_loop_made_anew(loop: ImplementedLoop, tmp_path: Path) -> None:
     """And not all of them for 20 % stronger disturbances, at the frequency of the worst case."""
-    from lftkit.proofs.sampled_loop.checker import check_strip
+    from lftkit.proofs.trusted.strips import check_strip
 
     stored = read_loop_proof(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
     rebuilt = proof_of_loop(stored, loop, "APE")
@@ -302,7 +302,7 @@ def test_a_proof_of_weaker_disturbances_is_refused_by_the_model_made_anew_alone(
     loop: ImplementedLoop, tmp_path: Path
 ) -> None:
     """Weights and level times 0.8: with the file's own matrices the inequality is 0.64 times that of before."""
-    from lftkit.proofs.sampled_loop.checker import check_strip
+    from lftkit.proofs.trusted.strips import check_strip
 
     stored = read_loop_proof(unpack(FOLDER / f"{STAGE}-APE{SUFFIX}", tmp_path / "APE.npz"))
     weaker = replace(stored.model, weights=stored.model.weights * [0.8, 1.0, 1.0])

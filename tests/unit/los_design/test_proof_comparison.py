@@ -13,8 +13,8 @@ from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.checking import proof_format
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
-from lftkit.proofs.sampled_loop.checker import windows_of
 from lftkit.proofs.sampled_loop.files import FORMAT, read_loop_proof, write_loop_proof
+from lftkit.proofs.trusted.strips import windows_of
 from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import compare_proof

@@ -19,7 +19,7 @@ from lftkit.proofs import robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof, check_axis_proof
 from lftkit.proofs.axis.bounds import axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
-from lftkit.proofs.verdict import ProofError
+from lftkit.proofs.trusted.proof import ProofError
 
 LONG = 3600.0
 axis_gain, axis_stability = (partial(f, method="axis") for f in (worst_case_gain, robust_stability))

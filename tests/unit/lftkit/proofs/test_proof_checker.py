@@ -15,7 +15,7 @@ from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
 from lftkit.proofs import ProofError, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest, exact_product
-from lftkit.proofs.verdict import uncovered
+from lftkit.proofs.trusted.proof import uncovered
 
 Content = dict[str, Any]
 

@@ -17,16 +17,20 @@ from lftkit.proofs.sampled_loop import (
     LoopProof,
     bounds,
     check_loop_proof,
-    checker,
     loop_model,
-    premises,
     prove_level,
 )
-from lftkit.proofs.sampled_loop.above import beyond, channels, commands_bound, windows_above
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.checker import stable_below
-from lftkit.proofs.sampled_loop.nominal import nominal_windows
-from lftkit.proofs.strips import Strip
+from lftkit.proofs.trusted import checker, premises, stability, strips
+from lftkit.proofs.trusted.proof import Strip
+from lftkit.proofs.trusted.stability import (
+    beyond,
+    channels,
+    commands_bound,
+    nominal_windows,
+    stable_below,
+    windows_above,
+)
 
 DT = 0.01
 NYQUIST = math.pi / DT
@@ -163,30 +167,43 @@ def outside_proof(model: LoopModel, level: float) -> LoopProof:
     return LoopProof(model, ("k",), box, band, level, (strip,))
 
 
-def refused_without(proof: LoopProof, function: str, answer: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def refused_without(
+    proof: LoopProof, place: object, function: str, answer: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Refused, and accepted where one function of the checker is not asked."""
     with pytest.raises(ProofError):
         check_loop_proof(proof)
-    monkeypatch.setattr(checker, function, lambda *_: answer)
+    monkeypatch.setattr(place, function, lambda *_: answer)
     assert check_loop_proof(proof).level == proof.level
 
 
 def test_a_hole_is_refused_by_its_function_alone(proof: LoopProof, monkeypatch: pytest.MonkeyPatch) -> None:
-    refused_without(dataclasses.replace(proof, band=(0.4, 2.0)), "covered", None, monkeypatch)
+    refused_without(dataclasses.replace(proof, band=(0.4, 2.0)), checker, "covered", None, monkeypatch)
 
 
 def test_negative_scalings_are_refused_by_their_function_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without it a level of 5 would be "proven", which the nominal member is above twice."""
     model = resonant()
     assert float(member_gains(model, 1.0, np.zeros((1, 1)))[0]) > 9.9
-    refused_without(outside_proof(model, 5.0), "scalings_allowed", True, monkeypatch)
+    refused_without(outside_proof(model, 5.0), strips, "scalings_allowed", True, monkeypatch)
+
+
+@pytest.mark.parametrize("change", [lambda V: V[:, :-1], lambda V: np.zeros_like(V), lambda V: np.inf * V])
+def test_coordinates_that_are_none_prove_nothing(
+    proof: LoopProof, change: Callable[[np.ndarray], np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody trusts them: with fewer of them than signals a part of the form would be left out."""
+    right = LoopModel.coordinates
+    monkeypatch.setattr(LoopModel, "coordinates", lambda *asked: change(right(*asked)))
+    with pytest.raises(ProofError, match="must hold beyond rounding"), np.errstate(invalid="ignore"):
+        check_loop_proof(proof)
 
 
 def test_a_level_that_is_exceeded_is_refused_by_the_inequality_alone(
     proof: LoopProof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert float(member_gains(proof.model, 1.0, np.zeros((1, 1)))[0]) > 1.0
-    refused_without(dataclasses.replace(proof, level=1.0), "negative", True, monkeypatch)
+    refused_without(dataclasses.replace(proof, level=1.0), strips, "negative", True, monkeypatch)
 
 
 def whole(model: LoopModel, box: tuple[tuple[float, float], ...], band: tuple[float, float]) -> LoopProof:
@@ -216,7 +233,7 @@ def test_unstable_members_are_not_called_stable_by_one_function_alone(
     forged = UNSTABLE[function]()
     checked = check_loop_proof(forged)
     assert not checked.stable and checked.stable_below < math.inf
-    monkeypatch.setattr(checker, function, lambda *_: True)
+    monkeypatch.setattr(stability, function, lambda *_: True)
     assert check_loop_proof(forged).stable
 
 
@@ -256,7 +273,7 @@ def test_the_channels_above_are_enclosed() -> None:
         exact = model.at(float(omega))[0][:, :1]
         assert np.all(np.abs(exact - far.c[0]) <= far.rad)
         window = channels(model, float(omega), float(omega) + 1e-3)
-        assert np.all(np.abs(exact - window.c[0]) <= window.sizes()[1:].sum(axis=0) + window.rad + 1e-13 * abs(exact))
+        assert np.all(np.abs(exact - window.c[0]) <= window.sizes[1:].sum(axis=0) + window.rad + 1e-13 * abs(exact))
 
 
 def test_a_proof_is_checked_as_it_is_returned() -> None:

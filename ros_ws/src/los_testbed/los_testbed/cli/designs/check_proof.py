@@ -51,7 +51,7 @@ def check_proof(
     from lftkit.proofs.checking import proof_format
     from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
     from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
-    from lftkit.proofs.verdict import ProofError
+    from lftkit.proofs.trusted.proof import ProofError
 
     count = processes(workers)
     if not file.exists():
@@ -99,7 +99,7 @@ def _check_system(file: Path, json_: bool) -> None:
 def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
     """Check a proof of a sampled loop, and of which loop it is."""
     from lftkit.proofs.sampled_loop import check_loop_proof, read_loop_proof
-    from lftkit.proofs.verdict import ProofError
+    from lftkit.proofs.trusted.proof import ProofError
     from lftkit.support.threads import one_thread
     from lftkit.support.workers import Workers
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop

@@ -1,20 +1,22 @@
 """Matrix polynomials in t, -1 <= t <= 1, with an elementwise bound of everything that is left out.
 
-Trusted code of :mod:`lftkit.proofs.sampled_loop.checker`: every operation adds its truncation and its rounding to the
-radius.
+Every operation adds its truncation and its rounding to the radius. Roundings that are granted to numpy and LAPACK, with
+their sources, are the table of ``docs/certificates.md``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-9  # covers the rounding of the radii themselves
@@ -38,20 +40,22 @@ class Polynomial:
         self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
         self.c[: len(given)] = given
         self.rad: FloatArray = np.zeros(self.c.shape[1:]) if rad is None else rad
-        self._sizes: FloatArray | None = None
-        self._powers: list[int] | None = None
 
+    @cached_property
     def sizes(self) -> FloatArray:
-        """Magnitudes of the coefficients, shape (ORDER + 1, ...); computed once, as nothing changes them."""
-        if self._sizes is None:
-            self._sizes = np.zeros(self.c.shape)
-            for k in self._terms():
-                self._sizes[k] = np.abs(self.c[k])
-        return self._sizes
+        """Magnitudes of the coefficients, shape (ORDER + 1, ...)."""
+        found: FloatArray = np.zeros(self.c.shape)
+        found[self.powers] = np.abs(self.c[self.powers])
+        return found
+
+    @cached_property
+    def powers(self) -> list[int]:
+        """Those whose coefficients are not zero."""
+        return [k for k in range(ORDER + 1) if np.any(self.c[k])]
 
     def bound(self) -> FloatArray:
         """Elementwise bound of the magnitude."""
-        return np.asarray(INFLATE * (self.sizes().sum(axis=0) + self.rad))
+        return np.asarray(INFLATE * (self.sizes.sum(axis=0) + self.rad))
 
     def __add__(self, other: Polynomial) -> Polynomial:
         if self.rad.ndim != other.rad.ndim:
@@ -59,8 +63,11 @@ class Polynomial:
         c = self.c + other.c
         return Polynomial(c, INFLATE * (self.rad + other.rad + 2.0 * UNIT * np.abs(c).sum(axis=0)))
 
+    def __neg__(self) -> Polynomial:
+        return Polynomial(-self.c, self.rad)
+
     def __sub__(self, other: Polynomial) -> Polynomial:
-        return self + Polynomial(-other.c, other.rad)
+        return self + (-other)
 
     def __mul__(self, other: Polynomial) -> Polynomial:
         """Elementwise product, with broadcasting."""
@@ -70,34 +77,22 @@ class Polynomial:
         return self._product(other, np.matmul, self.c.shape[-1])
 
     def _product(self, other: Polynomial, times: np.ufunc, terms: int) -> Polynomial:
-        a, b = self.sizes(), other.sizes()
-        gamma = 8.0 * (terms + ORDER + 3) * UNIT
-        whole = b.sum(axis=0) + other.rad
+        a, b = self.sizes, other.sizes
+        gamma, whole = 8.0 * (terms + ORDER + 3) * UNIT, b.sum(axis=0) + other.rad
         rad = times(self.rad, whole)
         c = np.zeros((ORDER + 1, *rad.shape), complex)
-        mine, others = self._terms(), other._terms()
-        for i in mine:
+        for i in self.powers:
             rad = rad + times(a[i], b[ORDER + 1 - i :].sum(axis=0) + other.rad + gamma * whole)
-            for k in others:
+            for k in other.powers:
                 if i + k <= ORDER:
                     c[i + k] += times(self.c[i], other.c[k])
         return Polynomial(c, INFLATE * rad + TINY)
-
-    def _terms(self) -> list[int]:
-        """Powers whose coefficients are not zero."""
-        if self._powers is None:
-            self._powers = np.flatnonzero(self.c.reshape(ORDER + 1, -1).any(axis=1)).tolist()
-        return self._powers
-
-    def rows(self, which: slice | Sequence[int]) -> Polynomial:
-        """Some rows."""
-        return Polynomial(self.c[:, which], self.rad[which])
 
     def adjoint(self) -> Polynomial:
         """Conjugate transpose."""
         return Polynomial(self.c.conj().swapaxes(-1, -2), self.rad.swapaxes(-1, -2))
 
-    def __getitem__(self, key: object) -> Polynomial:
+    def __getitem__(self, key: Any) -> Polynomial:
         """Index of the matrix dimensions, as of an ndarray."""
         inner = key if isinstance(key, tuple) else (key,)
         whole = (slice(None), *inner)
@@ -110,20 +105,51 @@ def constant(value: ComplexArray | FloatArray | complex, error: float = 0.0) -> 
     return Polynomial(array[None], error * np.abs(array))
 
 
-def stacked(parts: Sequence[Polynomial]) -> Polynomial:
-    """One below the other."""
-    return Polynomial(np.concatenate([p.c for p in parts], axis=1), np.concatenate([p.rad for p in parts]))
+def span(low: float, high: float) -> tuple[float, float]:
+    """Middle and half of a window that contains [low, high], whatever the rounding."""
+    return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 4.0 * UNIT) + 4.0 * UNIT * high
+
+
+def linear(middle: float, half: float) -> Polynomial:
+    """The variable of a window, ``middle + half t``, (1,)."""
+    return Polynomial(np.array([[middle], [half]], dtype=complex))
+
+
+def windows_with(works: Callable[[float, float], bool], low: float, high: float, deepest: int) -> int:
+    """Windows, bisected as needed, from `low` to `high` in each of which something works; 0 if it does not."""
+    waiting, done = [(low, high, 0)], 0
+    while waiting:
+        low, high, depth = waiting.pop()
+        try:
+            if works(low, high):
+                done += 1
+                continue
+        except (ArithmeticError, linalg.LinAlgError):
+            pass
+        if depth == deepest:
+            return 0
+        middle = 0.5 * (low + high)
+        waiting += [(middle, high, depth + 1), (low, middle, depth + 1)]
+    return done
 
 
 def exponential(middle: NDArray[Any], half: NDArray[Any]) -> Polynomial:
     """``exp(j (middle + half t))``, elementwise."""
-    z = np.exp(1j * middle)
-    c = [z * np.ones_like(half)]
+    c = [np.exp(1j * middle) * np.ones_like(half)]
     for k in range(1, ORDER + 1):
         c.append(c[-1] * (1j * half / k))
     tail = np.abs(half) ** (ORDER + 1) * np.exp(np.abs(half))  # of the series
     rounding = 4.0 * UNIT * (2.0 + np.abs(middle) + np.abs(half)) * (1.0 + np.abs(half))
     return Polynomial(np.asarray(c), INFLATE * (tail / math.factorial(ORDER + 1) + rounding) + TINY)
+
+
+def _inverse_of_one_plus(away: Polynomial, one: Polynomial, times: Callable[..., Polynomial], rest: Any) -> Polynomial:
+    """Neumann series ``1 - away + away^2 - ...``, `rest` its tail."""
+    total = power = one
+    for _ in range(ORDER):
+        power = times(power, -away)
+        total = total + power
+    return Polynomial(total.c, total.rad + INFLATE * rest)
 
 
 def reciprocal(p: Polynomial) -> Polynomial:
@@ -134,17 +160,13 @@ def reciprocal(p: Polynomial) -> Polynomial:
     ArithmeticError
         An entry may be zero.
     """
-    first = 1.0 / np.where(p.c[0] == 0.0, 1.0, p.c[0])
-    away = Polynomial(np.concatenate([0.0 * p.c[:1], p.c[1:]]), p.rad) * constant(first, 8.0 * UNIT)
+    first = constant(1.0 / np.where(p.c[0] == 0.0, 1.0, p.c[0]), 8.0 * UNIT)
+    away = Polynomial(np.concatenate([0.0 * p.c[:1], p.c[1:]]), p.rad) * first
     share = away.bound()
     if not (np.all(p.c[0] != 0.0) and np.all(share < 0.9)):
         raise ArithmeticError("an entry may be zero")
-    total, power = constant(np.ones_like(first)), constant(np.ones_like(first))
-    for _ in range(ORDER):
-        power = power * Polynomial(-away.c, away.rad)
-        total = total + power
-    total = Polynomial(total.c, total.rad + INFLATE * share ** (ORDER + 1) / (1.0 - share))
-    return total * constant(first, 8.0 * UNIT)
+    rest = share ** (ORDER + 1) / (1.0 - share)
+    return _inverse_of_one_plus(away, constant(np.ones(share.shape)), Polynomial.__mul__, rest) * first
 
 
 def weighted_share(bound: FloatArray) -> tuple[float, FloatArray]:
@@ -164,19 +186,14 @@ def inverse(p: Polynomial) -> Polynomial:
     ArithmeticError
         It may be singular.
     """
-    n = p.c.shape[-1]
+    one = constant(np.eye(p.c.shape[-1]))
     factors, pivots, _ = linalg.lapack.zgetrf(p.c[0])
-    first, singular = linalg.lapack.zgetri(factors, pivots)
+    found, singular = linalg.lapack.zgetri(factors, pivots)
     if singular:
         raise ArithmeticError("the matrix may be singular")
-    away = constant(first) @ p - constant(np.eye(n))
-    bound = away.bound() + TINY
-    share, size = weighted_share(bound)
+    away = constant(found) @ p - one
+    share, size = weighted_share(away.bound() + TINY)
     if not share < 0.9:
         raise ArithmeticError("the matrix may be singular")
-    total, power = constant(np.eye(n)), constant(np.eye(n))
-    for _ in range(ORDER):
-        power = power @ Polynomial(-away.c, away.rad)
-        total = total + power
-    rest = INFLATE * share ** (ORDER + 1) / (1.0 - share) * size[:, None] / size
-    return Polynomial(total.c, total.rad + rest) @ constant(first)
+    rest = share ** (ORDER + 1) / (1.0 - share) * size[:, None] / size
+    return _inverse_of_one_plus(away, one, Polynomial.__matmul__, rest) @ constant(found)

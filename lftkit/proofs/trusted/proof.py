@@ -1,0 +1,94 @@
+"""What a proof by strips claims, why it is refused, and whether its strips cover the claim."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lftkit.arrays import ComplexArray, FloatArray
+    from lftkit.proofs.sampled_loop.model import LoopModel
+
+Interval = tuple[float, float]
+Box = tuple[Interval, ...]
+
+
+class ProofError(ValueError):
+    """The proof is refused; the message says why and where."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A box of the parameters and scalings at some frequencies.
+
+    Parameters
+    ----------
+    box : tuple of (low, high)
+        Deviations from the nominal values; of an angle theta [rad].
+    nodes : ndarray, shape (k,)
+        Frequencies [rad/s], ascending, two at least.
+    D, G : tuple of ndarray, complex, shape (k, m, m)
+        Of each parameter, Hermitian. D is positive definite, or zero for all nodes of an angle: then it is any angle.
+    factor : ndarray, shape (k,)
+        Of the gain's inequality, positive.
+    """
+
+    box: Box
+    nodes: FloatArray
+    D: tuple[ComplexArray, ...]
+    G: tuple[ComplexArray, ...]
+    factor: FloatArray
+
+
+@dataclass(frozen=True)
+class LoopProof:
+    """What a file claims and the strips that prove it.
+
+    Parameters
+    ----------
+    model : LoopModel
+    names : tuple of str
+        Of the parameters.
+    box : tuple of (low, high)
+        As in :class:`Strip`.
+    band : (low, high)
+        Frequencies [rad/s].
+    level : float
+        The gain is below this part of the limit.
+    strips : tuple of Strip
+    about : mapping
+        What the loop is, for people: figure, stage, designs.
+    """
+
+    model: LoopModel
+    names: tuple[str, ...]
+    box: Box
+    band: Interval
+    level: float
+    strips: tuple[Strip, ...]
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+def uncovered(box: Sequence[Interval], cells: Sequence[Sequence[Interval]]) -> list[Interval] | None:
+    """Part of `box` that no cell contains, or None; the box is cut at faces of cells until one contains each part."""
+    inside = [c for c in cells if all((lo < high and hi > low) or low == high for (lo, hi), (low, high) in zip(c, box))]
+    if any(all(lo <= low and hi >= high for (lo, hi), (low, high) in zip(c, box)) for c in inside):
+        return None
+    cuts = {(i, at) for c in inside[:50] for i, ends in enumerate(c) for at in ends if box[i][0] < at < box[i][1]}
+    if not cuts:
+        return list(box)
+    axis, at = min(cuts, key=lambda cut: sum(c[cut[0]][0] < cut[1] < c[cut[0]][1] for c in inside))
+    halves = ([*box[:axis], part, *box[axis + 1 :]] for part in ((box[axis][0], at), (at, box[axis][1])))
+    return next((hole for half in halves if (hole := uncovered(half, inside)) is not None), None)
+
+
+def require_cover(strips: Sequence[Strip], box: Sequence[Interval], band: Interval, unit: str) -> None:
+    """Whether strips cover a box and a band of their variable, whose unit is named; a ProofError names a hole."""
+    spans = [(float(strip.nodes[0]), float(strip.nodes[-1])) for strip in strips]
+    cuts = sorted({*band, *(at for span in spans for at in span)})
+    for low, high in itertools.pairwise(cuts):
+        boxes = [strip.box for strip, span in zip(strips, spans) if span[0] <= low and span[1] >= high]
+        if band[0] < high and low < band[1] and (hole := uncovered(box, boxes)) is not None:
+            raise ProofError(f"the strips must cover the box, got a hole at {hole} from {low} to {high} {unit}")

@@ -1,0 +1,158 @@
+"""Check of strips: the inequality of a gain over a box of parameters, at every frequency of a window.
+
+A strip of a proof is a box of the parameters with scalings D > 0 and G at some frequencies, its nodes; between two
+nodes they are interpolated linearly, which keeps D > 0. With them the sum ::
+
+    f (s^2 e* e / level^2 - d* W^-2 d) + sum 2 Re (first* D second) + 2 Re (z* j G w)
+
+must be negative definite at *every* frequency of the strip. ``first`` and ``second`` are ``w - low z`` and ``high z -
+w`` of a parameter in [low, high], so that their term is not negative for ``w = delta z``, and the last term is zero;
+what is left bounds the gain, and shows that no pole is on the axis. An angle theta has ``w cos(a/2) - z sin(a/2)`` and
+``z sin(b/2) - w cos(b/2)`` with ``w = tan(theta/2) z``. Between the nodes all functions of the frequency are
+polynomials with bounded remainders (:mod:`lftkit.proofs.trusted.polynomials`): nothing is taken from a grid.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.proofs.trusted.polynomials import (
+    ORDER,
+    UNIT,
+    ComplexArray,
+    FloatArray,
+    Polynomial,
+    constant,
+    span,
+    windows_with,
+)
+from lftkit.proofs.trusted.proof import Box, Strip
+
+if TYPE_CHECKING:
+    from lftkit.proofs.sampled_loop.responses import Responses
+
+PIECES = 4
+"""Parts of a window in which the inequality is checked one after the other."""
+DEEPEST = 30
+"""Most bisections of the frequencies between two nodes."""
+TRIG = 4.0 * UNIT
+"""Relative error of sine and cosine."""
+
+
+def is_circle(low: float, high: float) -> bool:
+    """Whether an interval of an angle is treated as any angle, with D = 0."""
+    return high - low > 6.28
+
+
+def ends_of(model: Responses, box: Box) -> FloatArray:
+    """(ca, sa, cb, sb) of ``first = ca w - sa z`` and ``second = sb z - cb w`` of each channel, (4, q)."""
+    found = np.zeros((4, model.sizes[0]))
+    for group, angle, (low, high) in zip(model.groups, model.angle, box):
+        a, b = 0.5 * low, 0.5 * high
+        of_group = (math.cos(a), math.sin(a), math.cos(b), math.sin(b)) if angle else (1.0, low, 1.0, high)
+        found[:, list(group)] = np.array(of_group)[:, None]
+    return found
+
+
+def inequality(model: Responses, strip: Strip, number: int, low: float, high: float, level: float) -> Polynomial:
+    """The quadratic form over [low, high], between the nodes `number` and `number` + 1.
+
+    Raises
+    ------
+    ArithmeticError
+        The window may contain a pole, or the coordinates in which the form is written down are none. Any will do, as no
+        form is negative definite in singular ones.
+    """
+    q, d = model.sizes[0], model.sizes[3]
+    middle, half = span(low, high)
+    V = np.asarray(model.coordinates(strip, number, middle, level), dtype=complex)
+    if V.shape != (q + d, q + d) or not np.all(np.isfinite(V)):
+        raise ArithmeticError("coordinates must be finite, as many as there are signals")
+    z, e = model.responses(middle, half, V)
+    w, disturbances = constant(V[:q]), constant(V[q:])
+    output, inputs = model.performance(middle, half)
+    start, length = strip.nodes[number], strip.nodes[number + 1] - strip.nodes[number]
+    share = Polynomial(
+        np.array([[(middle - start) / length], [half / length]], dtype=complex), np.array([8.0 * UNIT * high / length])
+    )
+
+    def between(values: ComplexArray) -> Polynomial:
+        return constant(values[number]) + constant(values[number + 1] - values[number], 2.0 * UNIT) * share
+
+    D, G = (np.zeros((number + 2, q, q), complex) for _ in range(2))
+    for k, group in enumerate(model.groups):
+        block = np.ix_(range(number, number + 2), group, group)
+        D[block], G[block] = strip.D[k][number : number + 2], strip.G[k][number : number + 2]
+    ca, sa, cb, sb = (constant(row[:, None], TRIG) for row in ends_of(model, strip.box))
+    first, second = ca * w - sa * z, sb * z - cb * w
+    half_form = first.adjoint() @ (between(D) @ second) + z.adjoint() @ (between(1j * G) @ w)
+    error = e.adjoint() @ e * (output * constant(level**-2.0, 4.0 * UNIT))
+    allowed = disturbances.adjoint() @ (inputs[:, None] * disturbances)
+    return half_form + half_form.adjoint() + (error - allowed) * between(strip.factor[:, None].astype(complex))
+
+
+def negative(form: Polynomial) -> bool:
+    """Whether a Hermitian polynomial is certainly negative definite for all t in [-1, 1]."""
+    if not (np.all(np.isfinite(form.c)) and np.all(np.isfinite(form.rad))):
+        return False
+    for left, right in itertools.pairwise(np.linspace(-1.0, 1.0, PIECES + 1)):
+        at, width = 0.5 * (left + right), 0.5 * (right - left)
+        shifted = [
+            -sum(math.comb(j, k) * at ** (j - k) * form.c[j] for j in range(k, ORDER + 1)) * width**k
+            for k in range(ORDER + 1)
+        ]
+        rest = form.rad + sum(np.abs(part) for part in shifted[2:]) + 64.0 * UNIT * np.abs(form.c).sum(axis=0)
+        if not all(positive(shifted[0] + sign * shifted[1], rest) for sign in (-1.0, 1.0)):
+            return False
+    return True
+
+
+def positive(matrix: ComplexArray, rest: FloatArray) -> bool:
+    """Whether the Hermitian part, less anything whose entries are below `rest`, is positive definite (Rump 2006)."""
+    middle, n = 0.5 * (matrix + matrix.conj().T), len(matrix)
+    k = 8.0 * (n + 4) * UNIT
+    off = float(np.maximum(rest, rest.T).sum(axis=1).max(initial=0.0))
+    bound = (1.0 + 1e-6) * (k / (1.0 - k) * float(np.trace(middle).real) + off)
+    return bool(linalg.lapack.zpotrf(middle - bound * np.eye(n), lower=1)[1] == 0)
+
+
+def windows_of(model: Responses, strip: Strip, number: int, level: float, deepest: int = DEEPEST) -> int:
+    """Windows between two nodes in which the inequality was verified, after bisections; 0 if it was not."""
+
+    def works(low: float, high: float) -> bool:
+        return negative(inequality(model, strip, number, low, high, level))
+
+    return windows_with(works, float(strip.nodes[number]), float(strip.nodes[number + 1]), deepest)
+
+
+def scalings_allowed(strip: Strip, angle: Sequence[bool]) -> bool:
+    """Whether every D is positive definite (zero for any angle), D and G are Hermitian, factors positive."""
+    for D, G, ends, turns in zip(strip.D, strip.G, strip.box, angle):
+        if not all(np.all(np.isfinite(m)) and np.array_equal(m, m.conj().swapaxes(1, 2)) for m in (D, G)):
+            return False
+        if turns and is_circle(*ends):
+            if np.any(D):
+                return False
+        elif not all(np.any(d) and positive(d / np.abs(d).max(), 0.0 * abs(d)) for d in D):
+            return False
+    return bool(np.all(np.isfinite(strip.factor)) and np.all(strip.factor > 0.0))
+
+
+def check_strip(item: tuple[Responses, Strip, float]) -> int | str:
+    """Number of windows in which the inequality of a strip was verified, or why the strip is refused."""
+    model, strip, level = item
+    if not scalings_allowed(strip, model.angle):
+        return "scalings must be Hermitian, D positive definite and factors positive"
+    windows = 0
+    for number, (low, high) in enumerate(itertools.pairwise(strip.nodes)):
+        count = windows_of(model, strip, number, level)
+        if not count:
+            return f"the inequality must hold beyond rounding, got no margin from {low:.9g} to {high:.9g} rad/s"
+        windows += count
+    return windows
