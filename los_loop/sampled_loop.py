@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System
+from lftkit.analysis.real_schur import RealSchur
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.spec import laws, state_parts
 from titop_plant.interface import (
@@ -115,6 +116,11 @@ class SampledLoop:
 
     def _held_for(self, ticks: int, matrix: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.matrix_power(self.hold, ticks) @ matrix)
+
+    @cached_property
+    def schur(self) -> RealSchur:
+        """Schur form of :attr:`period`: eigenvalues and steady states from one decomposition."""
+        return RealSchur.of(self.period)
 
     def multipliers(self) -> ComplexArray:
         """Eigenvalues of the matrix over a period."""

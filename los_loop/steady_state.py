@@ -14,10 +14,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from los_loop.sampled_loop import SampledLoop
+from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
 from titop_plant.interface import COMMANDS
@@ -81,7 +80,7 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     ValueError
         A loop that is not stable: it has no steady state.
     """
-    radius = model.loop.spectral_radius()
+    radius = radius_of(model.loop.schur.eigenvalues, model.loop.frame_ticks)
     if not radius < 1.0:
         raise ValueError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
@@ -102,7 +101,7 @@ def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
     state: FloatArray = np.zeros(loop.hold.shape[0])
     for A, drive in map(loop.at, range(loop.frame_ticks)):
         state = A @ state + drive @ bias
-    return np.asarray(linalg.solve(np.eye(state.size) - loop.period, state))
+    return loop.schur.solve(np.ones(1, complex), state[:, None] + 0j)[:, 0].real
 
 
 __all__ = ["LoopStart", "bias_state", "steady_start"]

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
@@ -193,9 +192,7 @@ class ToneModel:
     def _phasors(self) -> ComplexArray:
         loop, size = self.loop, self.loop.hold.shape[0]
         forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
-        start = np.empty((size, self.omega.size), complex)
-        for k, full in enumerate(np.exp(1j * self.omega * DT * loop.frame_ticks)):
-            start[:, k] = linalg.solve(full * np.eye(size) - loop.period, forced[:, k])
+        start = loop.schur.solve(np.exp(1j * self.omega * DT * loop.frame_ticks), forced)
         start.flags.writeable = False
         return start
 
@@ -204,8 +201,8 @@ class ToneModel:
         ticks, through = self._ticks()
         turn, total = np.exp(1j * self.omega * DT), np.zeros((2, self.omega.size), complex)
         for k, (A, drive) in enumerate(ticks):
-            total += self.loop.truth @ state / turn**k
-            state = np.asarray(A @ state + drive * turn**k)
+            total += _times(self.loop.truth, state) / turn**k
+            state = _times(A, state) + drive * turn**k
         return state, total, through
 
     def record(self, ticks: int) -> FloatArray:
@@ -223,6 +220,11 @@ class ToneModel:
             command = state[n : n + COMMANDS]
             np.clip(command, -self.limits, self.limits, out=command)
         return los
+
+
+def _times(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
+    """Product of a real matrix and complex columns; numpy would make the matrix complex first."""
+    return np.asarray((matrix @ np.ascontiguousarray(columns).view(float)).view(complex))
 
 
 def _together(tones: Tones) -> tuple[FloatArray, ComplexArray]:

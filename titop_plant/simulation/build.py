@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -64,6 +64,7 @@ class PlantFamily:
     control_loop: System
     path: str | None
     isolated: bool
+    _last: dict[tuple[tuple[str, float], ...], System] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, config: PlantConfig) -> PlantFamily:
@@ -76,7 +77,9 @@ class PlantFamily:
         """The same telescopes with the values of the further sensors behind the line of sight."""
         further = tuple(port.name for port in sensor_ports(self.parameters))
         whole = telescope(self.path, self.isolated)
-        return replace(self, control_loop=control_loop_plant(whole, self.parameters, further)) if further else self
+        if not further:
+            return self
+        return replace(self, control_loop=control_loop_plant(whole, self.parameters, further), _last={})
 
     def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
         """The member of a configuration, see :func:`build_plant`.
@@ -117,7 +120,15 @@ class PlantFamily:
                 f"and {config.isolated}"
             )
         first = parameter_values(config, self.parameters)
-        return self.control_loop.at(first), _tones(config, self.parameters, first)
+        return self._at(first), _tones(config, self.parameters, first)
+
+    def _at(self, values: Mapping[str, float]) -> System:
+        """The member at parameter values; the last one is kept, since a run needs it for start and simulation."""
+        key = tuple(values.items())
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self.control_loop.at(values)
+        return self._last[key]
 
     def tones(self, config: PlantConfig) -> Tones:
         """The disturbance of a configuration at the start of a run."""
