@@ -16,17 +16,17 @@ the values of slower sensors is its fundamental, the mean of the delays of a sam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System
-from lftkit.analysis.batched_linalg import largest_gains, singular_values, solve
+from lftkit.analysis.batched_linalg import largest_gains, singular_triples, singular_values, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import gain_figures
-from los_loop.open_loop import OpenLoop
+from los_loop.open_loop import OpenLoop, closed_lft
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from los_loop.spec import (
     ADDED,
@@ -184,51 +184,73 @@ class ImplementedLoop:
         ]
 
     def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
-        """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency.
+        """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency."""
+        values, gradient, slope = self.gains_with_slopes([closed], metric, point[None])
+        return float(values[0, 0]), np.asarray(gradient[0]), float(slope[0])
 
-        The slope is ``Re(l dP r)`` for the open loop P with its controllers: the signals r that the right singular
-        vector causes in the closed loop, and what reaches the left one from signals l added there. Only the numbers
-        ``l P r`` are computed at the two frequencies beside.
+    def gains_with_slopes(
+        self, closed: Sequence[ClosedAt], metric: LoopMetric, points: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of K closed loops, each at a point of the unit cube (K, 7) of its own.
+
+        Returns
+        -------
+        values : ndarray, shape (K, r)
+            Normalised singular values, largest first.
+        gradients : ndarray, shape (K, 7)
+            Of the largest one over the unit cube.
+        slopes : ndarray, shape (K,)
+            Of the largest one over log frequency: ``Re(l dP r)`` for the open loop P with its controllers; the signals
+            r that the right singular vector causes in the closed loop, and what reaches the left one from signals l
+            added there. Only the numbers ``l P r`` are computed at the two frequencies beside.
         """
-        M, delta, scale = closed.M, self.delta(point), self.scale(metric, closed.omega)
-        T12, T21, T11 = closed.T12[metric.rows], closed.T21[:, metric.columns], closed.T11[metric.rows, metric.columns]
-        loop = linalg.lu_factor(np.eye(len(M)) - M * delta, check_finite=False)
+        omega = np.array([own.omega for own in closed])
+        delta, scale = self.delta(points), self.scales(metric, omega)
+        M, T12, T21, T11 = (np.array([getattr(own, name) for own in closed]) for name in ("M", "T12", "T21", "T11"))
+        out, into = T12[:, metric.rows], T21[:, :, metric.columns]
+        loop, each = M * -delta[:, None, :], np.arange(delta.shape[1])
+        loop[:, each, each] += 1.0
         # T12 Delta (I - M Delta)^-1, and T12 (I - Delta M)^-1 = T12 + T12 Delta (I - M Delta)^-1 M
-        inner = linalg.lu_solve(loop, (T12 * delta).T, trans=1, check_finite=False).T
-        U, s, Vh = linalg.svd(T11 + inner @ T21, full_matrices=False, check_finite=False)
-        value, left, right = float(s[0]) * scale, U[:, 0].conj(), Vh[0].conj()
-        z = linalg.lu_solve(loop, T21 @ right, check_finite=False)
-        outer = left @ inner
-        row = left @ T12 + outer @ M
-        slope = scale * np.real(row * z * self.open.delta_slope(point))
-        gradient = np.bincount(self.open.channel, slope, minlength=len(self.names))
-        change = scale * self._change(closed, metric, (left, outer), (right, np.asarray(z * delta)))
-        weights = [self.scale(metric, closed.omega * float(np.exp(step))) for step in (STEP, -STEP)]
-        return value, np.asarray(gradient), (change + value * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
+        inner = solve(loop.swapaxes(1, 2), (out * delta[:, None, :]).swapaxes(1, 2)).swapaxes(1, 2)
+        U, s, Vh = singular_triples(T11[:, metric.rows, metric.columns] + inner @ into)
+        left, right = U[:, :, 0].conj(), Vh[:, 0].conj()
+        z = solve(loop, into @ right[:, :, None])[:, :, 0]
+        outer = _through(left, inner)
+        row = _through(left, out) + _through(outer, M)
+        slope = scale[:, None] * np.real(row * z * self.open.delta_slope(points))
+        gradients = slope @ (self.open.channel[:, None] == np.arange(len(self.names)))
+        signals = _Signals(left, outer, right, z * delta)
+        change = scale * self._change(closed, metric, (T12, T21, T11), signals)
+        weights = [self.scales(metric, omega * np.exp(step)) for step in (STEP, -STEP)]
+        values = s * scale[:, None]
+        return values, gradients, (change + values[:, 0] * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
 
     def _change(
         self,
-        closed: ClosedAt,
+        closed: Sequence[ClosedAt],
         metric: LoopMetric,
-        left: tuple[ComplexArray, ComplexArray],
-        right: tuple[ComplexArray, ComplexArray],
-    ) -> float:
-        """First-order change of a gain, not normalised, between the frequencies STEP below and above that of `closed`.
-
-        `left`, `right`: singular vector of the metric (left: conjugate), and signals at outputs and inputs of Delta.
-        """
-        measured = slice(len(closed.M), len(closed.M) + MEASUREMENTS)
-        inputs: ComplexArray = np.zeros(closed.T11.shape[1], complex)
-        outputs: ComplexArray = np.zeros(APPLIED.stop, complex)
-        inputs[metric.columns], outputs[metric.rows] = right[0], left[0]
-        commands = closed.T12[APPLIED] @ right[1] + closed.T11[APPLIED] @ inputs
-        by_commands = outputs @ closed.T11[:, ADDED] + left[1] @ closed.T21[:, ADDED]
-        row = np.concatenate([left[1], by_commands @ closed.control, outputs[OUTPUTS[LINE_OF_SIGHT]]])
-        column = np.concatenate([right[1], inputs[INPUTS[DISTURBANCE]], commands])
-        both = closed.omega * np.exp([STEP, -STEP])
-        plant = self.open.between(both, row, column)
-        control = by_commands @ self.controls(both) @ (closed.open[measured] @ column)
-        return float((plant + control)[0].real - (plant + control)[1].real)
+        parts: tuple[ComplexArray, ComplexArray, ComplexArray],
+        signals: _Signals,
+    ) -> FloatArray:
+        """First-order changes (K,) of gains, not normalised, between the frequencies STEP below and above."""
+        T12, T21, T11 = parts
+        q, count = self.open.channels, len(closed)
+        inputs: ComplexArray = np.zeros((count, T11.shape[2]), complex)
+        outputs: ComplexArray = np.zeros((count, APPLIED.stop), complex)
+        inputs[:, metric.columns], outputs[:, metric.rows] = signals.right, signals.left
+        both = np.concatenate([T12[:, APPLIED], T11[:, APPLIED]], axis=2)
+        commands = (both @ np.concatenate([signals.driven, inputs], axis=1)[:, :, None])[:, :, 0]
+        by_commands = _through(outputs, T11[:, :, ADDED]) + _through(signals.outer, T21[:, :, ADDED])
+        measured = _through(by_commands, np.array([own.control for own in closed]))
+        row = np.concatenate([signals.outer, measured, outputs[:, OUTPUTS[LINE_OF_SIGHT]]], axis=1)
+        column = np.concatenate([signals.driven, inputs[:, INPUTS[DISTURBANCE]], commands], axis=1)
+        seen = np.array([own.open[q : q + MEASUREMENTS] for own in closed]) @ column[:, :, None]
+        beside = np.outer([np.exp(STEP), np.exp(-STEP)], [own.omega for own in closed])
+        plant = self.open.between(beside.ravel(), np.tile(row, (2, 1)), np.tile(column, (2, 1))).reshape(2, -1)
+        controls = self.controls(beside.ravel()).reshape(2, count, COMMANDS, MEASUREMENTS)
+        control = (by_commands[:, None, :] @ controls @ seen)[:, :, 0, 0]
+        found = (plant + control).real
+        return np.asarray(found[0] - found[1])
 
     def singular_vectors(
         self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
@@ -257,6 +279,13 @@ class ImplementedLoop:
         T12, T21, T11 = closed.T12[rows], closed.T21[:, columns], closed.T11[rows][:, columns]
         return self.open.closed(closed.M, T12, T21, T11, delta)
 
+    def responses_each(
+        self, closed: Sequence[ClosedAt], delta: ComplexArray, rows: slice, columns: slice
+    ) -> ComplexArray:
+        """Responses of K closed loops, each for a diagonal of Delta (K, 32) of its own: shape (K, rows, columns)."""
+        kinds = ((own.M, own.T12[rows], own.T21[:, columns], own.T11[rows][:, columns]) for own in closed)
+        return closed_lft(*map(np.array, zip(*kinds)), delta)
+
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
         return self.all_responses(closed, points, APPLIED, ADDED)
@@ -275,10 +304,12 @@ class ImplementedLoop:
 
     def scale(self, metric: LoopMetric, omega: float) -> float:
         """Weight of the relative error, where it applies, over the limit."""
-        weight = 1.0
-        if metric.relative:
-            weight = float(rpe_weight(omega, self.parameters["weights"]["rpe_window"]))
-        return weight / metric.limit
+        return float(self.scales(metric, np.array([omega]))[0])
+
+    def scales(self, metric: LoopMetric, omega: FloatArray) -> FloatArray:
+        """What :meth:`scale` gives at N frequencies [rad/s], shape (N,)."""
+        weight = rpe_weight(omega, self.parameters["weights"]["rpe_window"]) if metric.relative else np.ones(len(omega))
+        return np.asarray(weight / metric.limit)
 
     def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:
         """Normalised gains at N points of the unit cube (N, 7): shape (N,)."""
@@ -289,6 +320,24 @@ class ImplementedLoop:
         """All normalised singular values at a point of the unit cube, largest first."""
         T = self.responses(closed, metric, self.delta(point)[None])
         return np.asarray(singular_values(T)[0] * self.scale(metric, closed.omega))
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """Of K closed loops: left singular vectors (conjugate) and right ones, and both at the channels of Delta.
+
+    `outer` is what the left ones see of signals at the outputs of Delta, `driven` what the right ones cause there.
+    """
+
+    left: ComplexArray
+    outer: ComplexArray
+    right: ComplexArray
+    driven: ComplexArray
+
+
+def _through(rows: ComplexArray, matrices: ComplexArray) -> ComplexArray:
+    """``row @ matrix`` of K rows (K, p) and matrices (K, p, m): shape (K, m)."""
+    return np.asarray((rows[:, None, :] @ matrices)[:, 0])
 
 
 def _sampled_responses(system: SampledSystem, z: ComplexArray) -> ComplexArray:

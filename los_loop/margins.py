@@ -9,7 +9,7 @@ delay tau keeps the loop stable while ``2 sin(w tau / 2) sigma(T(w)) < 1`` at al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,11 +19,14 @@ from lftkit.analysis.batched_linalg import eigenvalues, largest_gains
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
+from los_loop.spec import APPLIED
 from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, HELD, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
 BOUND_ROUNDING = 1e-9
 """Of the norm of a power, relative."""
+TOGETHER = 64
+"""Frequencies whose loops are closed together."""
 GAINS = (0.5, 2.0)
 """Factors of the loop gain that the loop must bear, all channels alike and one at a time."""
 
@@ -68,21 +71,26 @@ def rounded(value: float, digits: int = 5) -> float | str:
     return float(f"{value:.{digits}g}") if math.isfinite(value) else str(value)
 
 
-def delay_margin(loop: ImplementedLoop, channels: slice, points: FloatArray, omega: FloatArray) -> float:
-    """Smallest guaranteed delay margin [s] over points of the unit cube (N, 7) and frequencies [rad/s].
+def delay_margins(
+    loop: ImplementedLoop, channels: Sequence[slice], points: FloatArray, omega: FloatArray
+) -> list[float]:
+    """Smallest guaranteed delay margins [s] over points of the unit cube (N, 7) and frequencies [rad/s].
 
     Parameters
     ----------
-    channels : slice
-        Of the commands: :data:`titop_plant.interface.MIRROR` or ``FORCES``.
+    channels : sequence of slice
+        Of the commands, each with a margin of its own: :data:`titop_plant.interface.MIRROR` or ``FORCES``.
     """
-    smallest = math.inf
-    size = channels.stop - channels.start
-    for w in omega:
-        S = loop.sensitivities(loop.at(float(w)), points)[:, channels, channels]
-        T = float(largest_gains(S - np.eye(size)).max())
-        if T > 0.5:
-            smallest = min(smallest, 2.0 * math.asin(0.5 / T) / float(w))
+    smallest, delta = [math.inf] * len(channels), loop.delta(points)
+    last = max(part.stop for part in channels)
+    rows, columns = (slice(start, start + last) for start in (APPLIED.start, loop.open.disturbances))
+    for start in range(0, len(omega), TOGETHER):
+        for closed in loop.at_each(omega[start : start + TOGETHER]):
+            S = loop.some_responses(closed, delta, rows, columns)
+            for k, part in enumerate(channels):
+                T = float(largest_gains(S[:, part, part] - np.eye(part.stop - part.start)).max())
+                if T > 0.5:
+                    smallest[k] = min(smallest[k], 2.0 * math.asin(0.5 / T) / closed.omega)
     return smallest
 
 
@@ -105,7 +113,9 @@ def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -
     A gain g in one channel leaves the loop stable while ``1 - (g - 1) (S_ii - 1)`` stays away from zero on the way from
     1 to g; one in all channels and a delay alike with the eigenvalues of S. :data:`CERTAIN` is below 1 for what lies
     between the frequencies of a grid; its second number holds above :data:`NARROW_FROM`, where modes are narrow.
-    Eigenvalues are computed only where norms do not exclude the doubt.
+    Eigenvalues are computed only where norms do not exclude the doubt. A delay turns: with an eigenvalue l of ``S - I``
+    it leaves the loop stable while ``1 + l (1 - exp(-j a))`` stays away from zero for all a from 0 to w dt, which large
+    ones may do as well.
     """
     size, (low, high) = len(_channels(stage)), GAINS
     S, at = sensitivity[:, :size, :size], np.broadcast_to(omega, len(sensitivity))
@@ -114,16 +124,36 @@ def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -
     least_T, least_S = certain / np.maximum(1.0 - low, turned), certain * high / (high - 1.0)
     found, whole = _balanced(S), np.eye(size)
     T_all, S_all = (np.sqrt(np.sum(np.abs(part) ** 2, axis=(1, 2))) for part in (found - whole, found))
+    delay = np.zeros(len(S), dtype=bool)
     for bounds, least, part in ((T_all, least_T, whole), (S_all, least_S, 0.0 * whole)):
         near = np.flatnonzero(bounds >= least)
         bounds[near] = _radius_bounds(found[near] - part)
         near = near[bounds[near] >= least[near]]
         if near.size:
-            bounds[near] = np.abs(np.asarray(eigenvalues(S[near] - part))).max(axis=1)
+            values = np.asarray(eigenvalues(S[near] - part))
+            bounds[near] = np.abs(values).max(axis=1)
+            if part is whole:
+                delay[near] = _turns_to_zero(values, at[near] * DT, certain[near])
     own = np.diagonal(S, axis1=1, axis2=2)
     T = np.column_stack([T_all, np.abs(own - 1.0)])
     raised = np.column_stack([S_all, np.abs(own)]) * (high - 1.0) / high
-    return np.asarray(np.column_stack([turned * T_all, (1.0 - low) * T, raised]) >= certain[:, None])
+    gains = np.column_stack([(1.0 - low) * T, raised]) >= certain[:, None]
+    return np.asarray(np.column_stack([delay, gains]))
+
+
+def _turns_to_zero(values: ComplexArray, angle: FloatArray, certain: FloatArray) -> BoolArray:
+    """Whether ``1 - x``, ``x = l (exp(-j a) - 1)``, comes near zero for an a from 0 to `angle` (N,) and an l (N, k).
+
+    Near is ``|1 - x| <= (1 - certain) max(1, |x|)``: a change of x by so small a part of it, or of 1, could reach zero.
+    The points ``l exp(-j a)`` are an arc; its distance from ``1 + l`` is that of the circle, or of an end.
+    """
+    turned = np.minimum(angle, 2.0 * math.pi)[:, None]
+    to = np.mod(np.angle(values) - np.angle(1.0 + values), 2.0 * math.pi)
+    ends = np.minimum(1.0, np.abs(1.0 + values - values * np.exp(-1j * turned)))
+    circle = np.abs(np.abs(1.0 + values) - np.abs(values))
+    distance = np.where(to <= turned, np.minimum(circle, ends), ends)
+    largest = 2.0 * np.abs(values) * np.sin(0.5 * np.minimum(turned, math.pi))
+    return np.asarray((distance <= (1.0 - certain)[:, None] * np.maximum(1.0, largest)).any(axis=1))
 
 
 def _balanced(S: ComplexArray) -> ComplexArray:

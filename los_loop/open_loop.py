@@ -118,24 +118,24 @@ class OpenLoop:
         out[:, turned, turned] -= 1j
         return out
 
-    def between(self, omega: FloatArray, row: ComplexArray, column: ComplexArray) -> ComplexArray:
+    def between(self, omega: FloatArray, rows: ComplexArray, columns: ComplexArray) -> ComplexArray:
         """``row P(w) column`` for the matrices P of :meth:`at` at N frequencies [rad/s], without them: shape (N,).
 
         Parameters
         ----------
         omega : ndarray, shape (N,)
-        row, column : ndarray, complex, shapes (channels + 24,) and (channels + m + 8,)
+        rows, columns : ndarray, complex, shapes (N, channels + 24) and (N, channels + m + 8)
         """
         q, m, hold = self.channels, self.disturbances, _hold(omega)
-        commands = column[q + m :]
-        columns = np.empty((len(column), len(omega)), complex)
-        columns[:q] = column[:q, None]
-        columns[self._u] = commands[:, None] * hold
-        columns[self._u.stop :] = column[q : q + m, None] * weight_amplitudes(self.parameters, omega).T
-        images = self._images(omega) @ (row[q:] @ self._left * (self._right @ commands))
-        direct = row[q:] @ self._D @ commands
-        turned = 1j * (row[:q][self.angle] @ column[:q][self.angle])
-        return np.asarray(self._response.between(omega, row, columns) + images + (1.0 - hold) * direct - turned)
+        commands, plain = columns[:, q + m :], rows[:, q:]
+        into = np.empty((columns.shape[1], len(omega)), complex)
+        into[:q] = columns[:, :q].T
+        into[self._u] = commands.T * hold
+        into[self._u.stop :] = columns[:, q : q + m].T * weight_amplitudes(self.parameters, omega).T
+        images = np.sum(self._images(omega) * (plain @ self._left) * (commands @ self._right.T), axis=1)
+        direct = np.sum((plain @ self._D) * commands, axis=1)
+        turned = 1j * np.sum(rows[:, :q][:, self.angle] * columns[:, :q][:, self.angle], axis=1)
+        return np.asarray(self._response.between(omega, rows, into) + images + (1.0 - hold) * direct - turned)
 
     def _images(self, omega: FloatArray) -> ComplexArray:
         """Factors of the nominal telescope's modes in the images of held commands, shape (N, modes)."""
@@ -170,11 +170,14 @@ class OpenLoop:
 def closed_lft(
     M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: ComplexArray
 ) -> ComplexArray:
-    """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns)."""
+    """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns).
+
+    The matrices are those of all diagonals, or there is one of each kind for each diagonal.
+    """
     # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory
-    loop, each = np.ascontiguousarray(M.T) * -delta[:, :, None], np.arange(len(M))
+    loop, each = np.ascontiguousarray(M.swapaxes(-1, -2)) * -delta[:, :, None], np.arange(delta.shape[1])
     loop[:, each, each] += 1.0
-    z = solve(loop, T12.T * delta[:, :, None]).swapaxes(1, 2)
+    z = solve(loop, T12.swapaxes(-1, -2) * delta[:, :, None]).swapaxes(1, 2)
     return np.asarray(T11 + z @ T21)
 
 

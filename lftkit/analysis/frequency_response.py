@@ -214,23 +214,24 @@ class FrequencyResponse:
         D = self.D[outputs][:, inputs]
         return FrequencyResponse(self.poles, self.left[outputs], self.right[:, inputs], D, self.triangular)
 
-    def between(self, omega: FloatArray, row: ComplexArray, columns: ComplexArray) -> ComplexArray:
+    def between(self, omega: FloatArray, rows: ComplexArray, columns: ComplexArray) -> ComplexArray:
         """``row G(w) column`` at N finite frequencies [rad/s] without the responses G: shape (N,).
 
         Parameters
         ----------
         omega : ndarray, shape (N,)
-        row : ndarray, shape (p,)
+        rows : ndarray, shape (p,) or (N, p)
+            One for all frequencies, or one for each.
         columns : ndarray, shape (m, N)
             One for each frequency.
         """
-        observed, excited = row @ self.left, self.right @ columns
-        direct: ComplexArray = np.asarray(row @ self.D @ columns, dtype=complex)
+        observed, excited = rows @ self.left, self.right @ columns
+        direct = np.sum((rows @ self.D) * columns.T, axis=1)
         if self.triangular is None:
-            return np.asarray(direct + np.sum(observed[:, None] * excited / (1j * omega - self.poles[:, None]), axis=0))
+            return np.asarray(direct + np.sum(observed * excited.T / (1j * omega[:, None] - self.poles), axis=1))
         shifted = (1j * w * np.eye(len(self.poles)) - self.triangular for w in omega)
         solved = [linalg.solve_triangular(s, x, check_finite=False) for s, x in zip(shifted, excited.T)]
-        return np.asarray(direct + np.array(solved).reshape(-1, len(self.poles)) @ observed)
+        return np.asarray(direct + np.sum(np.array(solved).reshape(-1, len(self.poles)) * observed, axis=1))
 
     @cached_property
     def residues(self) -> ComplexArray:

@@ -56,7 +56,7 @@ def worst_of(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) ->
     if not order or not order[0].value > 0.0:
         return search.confirmed(metric, 0.0, search.loop.point({}))
     first = order[0]
-    best = (*(_refined(search, metric, first, 0.0) or (first.value, first.omega)), first.point)
+    best = (*(_refined(search, metric, [first], 0.0)[0] or (first.value, first.omega)), first.point)
     others = [bracket for bracket in order[1:] if bracket.value >= NEAR * best[0]]
     others, alone = _higher(search, metric, others, best[0]), list[Bracket]()
     for _ in range(LEVELS):
@@ -67,10 +67,12 @@ def worst_of(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) ->
         found = max(narrow, key=lambda b: b.value, default=first)
         best = max(best, (found.value, found.omega, found.point), key=lambda entry: entry[0])
         others = _higher(search, metric, narrow, best[0])
-    for bracket in sorted(others + alone, key=lambda b: -b.value):
-        refined = _refined(search, metric, bracket, best[0])
-        if refined is not None and refined[0] > best[0]:
-            best = (*refined, bracket.point)
+    left = sorted(others + alone, key=lambda b: -b.value)
+    for start in range(0, len(left), TOGETHER):
+        some = left[start : start + TOGETHER]
+        for bracket, refined in zip(some, _refined(search, metric, some, best[0])):
+            if refined is not None and refined[0] > best[0]:
+                best = (*refined, bracket.point)
     return search.confirmed(metric, *best[1:])
 
 
@@ -152,36 +154,74 @@ def _narrowed(search: Search, metric: LoopMetric, brackets: Sequence[Bracket]) -
     return found
 
 
-def _refined(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> Peak | None:
-    """The peak in a bracket by its slopes; None where they say that it does not exceed the largest one.
+class _Refinement:
+    """Where the peak in a bracket is, by the values and slopes at frequencies that it asks for one after the other.
 
-    Where a second singular value is near it, which may rise where the first one does not, it is sought by values alone.
+    Parameters
+    ----------
+    bracket : Bracket
+    band : (float, float)
+        Frequencies of the metric [rad/s].
     """
-    loop, ends = search.loop, np.log(np.clip(bracket.ends, *metric.band)).tolist()
-    x, omega, best = float(np.log(bracket.omega)), bracket.omega, (bracket.value, bracket.omega)
-    rates, bounds, weights, last = [0.0, 0.0], [np.inf, np.inf], [1.0, 1.0], -1
-    for _ in range(MOST):
-        closed = loop.at(omega)
-        value, _, slope = loop.gain(closed, metric, bracket.point)
-        others = loop.all_gains(closed, metric, bracket.point)[1:]
-        if not value > 0.0 or (len(others) and others[0] >= NEAR * max(largest, value)):
-            return _sought(search, metric, bracket, largest)
-        best, side = max(best, (value, omega)), int(slope <= 0.0)
-        ends[side], rates[side], weights[side] = x, slope / value, 1.0
-        weights[1 - side] *= 0.5 if side == last else 1.0  # so that its end moves, too
-        width, last = ends[1] - ends[0], side
+
+    def __init__(self, bracket: Bracket, band: tuple[float, float]) -> None:
+        self.bracket = bracket
+        self.best: Peak = bracket.value, bracket.omega
+        self.omega = bracket.omega
+        self._x = float(np.log(bracket.omega))
+        self._ends: list[float] = np.log(np.clip(bracket.ends, *band)).tolist()
+        self._rates, self._bounds, self._weights, self._last = [0.0, 0.0], [np.inf, np.inf], [1.0, 1.0], -1
+
+    def take(self, value: float, slope: float, largest: float) -> str:
+        """Take a value and its slope over log frequency: ``"next"``, ``"found"``, or ``"lower"`` than the largest."""
+        self.best, side = max(self.best, (value, self.omega)), int(slope <= 0.0)
+        ends, rates, bounds, weights = self._ends, self._rates, self._bounds, self._weights
+        ends[side], rates[side], weights[side] = self._x, slope / value, 1.0
+        weights[1 - side] *= 0.5 if side == self._last else 1.0  # so that its end moves, too
+        width, self._last = ends[1] - ends[0], side
         bounds[side] = value * np.exp(min(RISE * abs(rates[side]) * width, 700.0))
         if min(bounds) <= (1.0 + SAME) * largest:
-            return None
+            return "lower"
         following = ends[1 - side]  # where nothing is known on that side
         if all(map(np.isfinite, bounds)):
             rise, fall = weights[0] * rates[0], -weights[1] * rates[1]
             part = rise / (rise + fall) if rise + fall > 0.0 else 0.5
             following = ends[0] + float(np.clip(part, CLIP, 1.0 - CLIP)) * width
-        if width <= ACCURACY or abs(following - x) <= ACCURACY:
+        if width <= ACCURACY or abs(following - self._x) <= ACCURACY:
+            return "found"
+        self._x, self.omega = following, float(np.exp(following))
+        return "next"
+
+
+def _refined(search: Search, metric: LoopMetric, brackets: Sequence[Bracket], largest: float) -> list[Peak | None]:
+    """The peak in each bracket by its slopes; None where they say that it does not exceed the largest one.
+
+    All of them take a step at a time, so that their loops are closed together. Where a second singular value is near
+    the first one, which may rise where that one does not, a peak is sought by values alone.
+    """
+    own, found = [_Refinement(bracket, metric.band) for bracket in brackets], list[Peak | None]([None] * len(brackets))
+    active, sought = list(range(len(own))), list[int]()
+    for _ in range(MOST):
+        if not active:
             break
-        x, omega = following, float(np.exp(following))
-    return best
+        closed = search.loop.at_each(np.array([own[k].omega for k in active]))
+        points = np.array([own[k].bracket.point for k in active])
+        values, _, slopes = search.loop.gains_with_slopes(closed, metric, points)
+        going = list[int]()
+        for k, value, slope in zip(active, values, slopes.tolist()):
+            first, *others = value.tolist()
+            beside = max([largest, *(one.best[0] for one in own[:k] + own[k + 1 :])])
+            if not first > 0.0 or (others and others[0] >= NEAR * max(beside, first)):
+                sought.append(k)
+                continue
+            said = own[k].take(first, slope, beside)
+            going += [k] * (said == "next")
+            found[k] = None if said == "lower" else own[k].best
+        active = going
+    for k in sought:
+        largest = max([largest, *(peak[0] for peak in found if peak is not None)])
+        found[k] = _sought(search, metric, brackets[k], largest)
+    return found
 
 
 def _sought(search: Search, metric: LoopMetric, bracket: Bracket, largest: float) -> Peak | None:

@@ -140,9 +140,15 @@ class TwoBranches:
     def gains(self, closed: SimpleNamespace, metric: object, points: np.ndarray) -> np.ndarray:
         return np.array([self.all_gains(closed, metric, point)[0] for point in points])
 
-    def gain(self, closed: SimpleNamespace, metric: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
-        both = [float(self.gains(self.at(closed.omega * np.exp(h)), metric, point[None])[0]) for h in (1e-7, -1e-7)]
-        return float(self.gains(closed, metric, point[None])[0]), np.zeros(1), (both[0] - both[1]) / 2e-7
+    def gains_with_slopes(
+        self, closed: list[SimpleNamespace], metric: object, points: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        values = [self.all_gains(own, metric, point) for own, point in zip(closed, points)]
+        above, below = (
+            np.array([self.all_gains(self.at(o.omega * np.exp(h)), metric, p)[0] for o, p in zip(closed, points)])
+            for h in (1e-7, -1e-7)
+        )
+        return np.array(values), np.zeros(points.shape), (above - below) / 2e-7
 
 
 @pytest.mark.parametrize(("point", "at_grid"), [(0.0, 0.998), (2.0, 0.98)])

@@ -93,7 +93,10 @@ def test_a_loop_of_small_gain_leaves_no_doubt() -> None:
 
 @pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
 def test_doubt_is_that_of_the_eigenvalues_of_every_matrix(stage: str) -> None:
-    """Sensitivities in radians and newtons, of all sizes: norms of powers in balanced units change no answer."""
+    """Sensitivities in radians and newtons, of all sizes: norms of powers in balanced units change no answer.
+
+    That of a delay is the distance from zero of the return difference at 2000 delays up to a tick.
+    """
     rng, size = np.random.default_rng(4), 2 if stage == "fsm" else COMMANDS
     units = np.repeat([1e-6, 1.0], [2, 6])
     S = rng.standard_normal((300, COMMANDS, COMMANDS)) + 1j * rng.standard_normal((300, COMMANDS, COMMANDS))
@@ -103,8 +106,10 @@ def test_doubt_is_that_of_the_eigenvalues_of_every_matrix(stage: str) -> None:
     for matrix, w in zip(S[:, :size, :size], omega):
         own, radii = np.diagonal(matrix), [np.abs(np.linalg.eigvals(matrix - k * np.eye(size))).max() for k in (1, 0)]
         T, raised = np.array([radii[0], *np.abs(own - 1.0)]), 0.5 * np.array([radii[1], *np.abs(own)])
-        turned = 2.0 * abs(math.sin(0.5 * w * 1e-3))
-        expected.append(np.concatenate([[turned * T[0]], 0.5 * T, raised]) >= (0.9 if w > 60.0 else 0.98))
+        x = np.outer(np.exp(-1j * np.linspace(0.0, w * 1e-3, 2000)) - 1.0, np.linalg.eigvals(matrix - np.eye(size)))
+        certain = 0.9 if w > 60.0 else 0.98
+        late = np.abs(1.0 - x).min(axis=0) <= (1.0 - certain) * np.maximum(1.0, np.abs(x).max(axis=0))
+        expected.append(np.concatenate([[late.any()], np.concatenate([0.5 * T, raised]) >= certain]))
     found = doubtful(S, omega, stage)
     np.testing.assert_array_equal(found, expected)
     assert 0 < found[:, 0].sum() < 300
