@@ -1,10 +1,12 @@
-"""Classes of one's own for a run: a disturbance, an observer and a proof-mass law.
+r"""Classes of one's own for a run: a disturbance, an observer and two proof-mass laws.
 
 In the folder of this file:
 
     los-testbed run --mode inprocess --loop fsm --disturbance classes_for_a_run:ThrusterPulses
     los-testbed run --mode inprocess --loop fsm --k-fsm classes_for_a_run:CameraObserver
     los-testbed run --mode inprocess --k-pma classes_for_a_run:SoftLimit
+    los-testbed run --mode inprocess --k-pma classes_for_a_run:DampedRoot \
+        --parameters spacecraft/damper_at_an_array.toml
 
 Each has `reset` and `step`; `step` writes all of `out`. A parameter ``config`` of the constructor gets the
 configuration of the run.
@@ -75,3 +77,24 @@ class SoftLimit:
     def step(self, accel_Ip: np.ndarray, out: np.ndarray) -> None:
         self.law.step(accel_Ip, out)
         out[:] = self.limit * np.tanh(out / self.limit)
+
+
+class DampedRoot(SoftLimit):
+    """The same law, and a damper: an actuator against the speed of the array's root, both of the telescope's file.
+
+    The speed is the integral of the sensor's acceleration, through a high-pass of 1 rad/s. With the values of the
+    sensor behind the six accelerations, and the force of the actuator behind the six forces.
+    """
+
+    sensors = ("root",)
+    actuators = ("damper",)
+    gain = 20.0  # N s/m
+
+    def reset(self) -> None:
+        super().reset()
+        self.speed = 0.0
+
+    def step(self, accel_Ip: np.ndarray, out: np.ndarray) -> None:
+        super().step(accel_Ip[:6], out[:6])
+        self.speed += DT * (accel_Ip[6] - self.speed)
+        out[6] = -self.gain * self.speed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -33,7 +33,7 @@ class ForceLaw(Protocol):
         """Raise a ValueError for other ports or another period [s] than its own."""
 
     def step(self, u: FloatArray, out: FloatArray, /) -> None:
-        """Write the forces (6,) [N] of this tick; `u` (6,) is ``accel_Ip``."""
+        """Write the forces (6,) [N] of this tick; `u` (6,) is ``accel_Ip``; both with those of further devices."""
 
     def reset(self, state: FloatArray | None = None) -> None:
         """Back to the zero state, or to another `state` (order,)."""
@@ -52,12 +52,17 @@ class FsmPmaController:
     ======== ============ ==== =========================================
 
     **A positive LOS estimate drives the mirror to a negative angle.** Both outputs are saturated at
-    the authority of their actuators. Stages without a loop give zeros on it.
+    the authority of their actuators. Stages without a loop give zeros on it. A law of the user may read sensors and
+    command actuators of a telescope's file: their values follow those of the table.
 
     Parameters
     ----------
     k_pma : ForceLaw
         Input ``accel_Ip`` (6), output ``pma_force`` (6), period one tick.
+    sensors, actuators : sequence of Port
+        Further inputs and outputs of K_PMA; the outputs are forces [N].
+    actuator_authority : sequence of float
+        Limit of each of them [N].
     loop : {"none", "isolator", "fsm", "fsm+pma"}
         Stage: which of the loops are closed.
     los_sensitivity : float
@@ -92,6 +97,9 @@ class FsmPmaController:
         los_sensitivity: float,
         fsm_authority: float,
         pma_authority: float,
+        sensors: Sequence[Port] = (),
+        actuators: Sequence[Port] = (),
+        actuator_authority: Sequence[float] = (),
     ) -> None:
         if loop not in STAGES:
             raise ValueError(f"loop must be one of {', '.join(STAGES)}, got {loop!r}")
@@ -99,20 +107,21 @@ class FsmPmaController:
             "los_sensitivity": los_sensitivity,
             "fsm_authority": fsm_authority,
             "pma_authority": pma_authority,
+            **{f"authority of {port.name}": limit for port, limit in zip(actuators, actuator_authority, strict=True)},
         }
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive and finite, got {value}")
-        k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+        k_pma.require((*K_PMA_INPUTS, *sensors), (*K_PMA_OUTPUTS, *actuators), DT)
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
-        self._limit = np.zeros(COMMANDS)
-        self._negative_limit = np.zeros(COMMANDS)
+        self._limit: FloatArray = np.concatenate([np.zeros(COMMANDS), np.array(actuator_authority, dtype=float)])
+        self._negative_limit = -self._limit
         self.limit(fsm_authority, pma_authority)
         self._pma_closed = False
         self.switch(loop)
-        self._force = np.zeros(FORCES.stop - FORCES.start)
+        self._force = np.zeros(self._limit.size - FORCES.start)
         self._start: FloatArray = np.zeros(k_pma.order)
 
     def start_at(self, state: FloatArray) -> None:
@@ -145,7 +154,7 @@ class FsmPmaController:
 
     @property
     def limits(self) -> FloatArray:
-        """Copy of the largest commands, shape (8,): mirror [rad], forces [N]."""
+        """Copy of the largest commands, shape (8,): mirror [rad], forces [N]; those of further actuators behind."""
         return self._limit.copy()
 
     @property
@@ -159,14 +168,17 @@ class FsmPmaController:
         return self._mirror_gain
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
-        """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N]."""
+        """Write the command of this tick into `out` (8,): mirror angles [rad], forces [N].
+
+        Values of further sensors stand behind `accel_Ip` (6,), forces of further actuators at the end of `out`.
+        """
         if self._pma_closed:
             self.k_pma.step(accel_Ip, self._force)
         if self._fsm_closed:
             np.multiply(los_estimate, self._mirror_gain, out=out[MIRROR])
         else:
             out[MIRROR] = 0.0
-        out[FORCES] = self._force if self._pma_closed else 0.0
+        out[FORCES.start :] = self._force if self._pma_closed else 0.0
         np.minimum(out, self._limit, out=out)
         np.maximum(out, self._negative_limit, out=out)
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS, MEASUREMENTS
+from titop_plant.interface import COLUMNS, DT, HELD, HELD_PARTS, K_FSM_INPUTS, K_FSM_OUTPUTS
 
 _PARTS = tuple(
     tuple(zip(range(COLUMNS[name].start, COLUMNS[name].stop), range(part.start, part.stop)))
@@ -46,6 +50,8 @@ class LosEstimator:
     ----------
     k_fsm : SampledSystem
         Ports as in the table, period 1 ms.
+    sensors : sequence of Port
+        Further inputs, of sensors of a telescope's file: their values follow the measurements.
 
     Raises
     ------
@@ -56,6 +62,7 @@ class LosEstimator:
     --------
     An observer that hands on the camera value holds it between two frames:
 
+    >>> from titop_plant.interface import MEASUREMENTS
     >>> D = np.zeros((2, MEASUREMENTS)); D[:, COLUMNS["camera_los"]] = np.eye(2)
     >>> k = SampledSystem([], [], [], D, K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     >>> estimator, y, los = LosEstimator(k), np.zeros(MEASUREMENTS), np.zeros(2)
@@ -67,12 +74,13 @@ class LosEstimator:
     [1e-06, -2e-06]
     """
 
-    def __init__(self, k_fsm: SampledSystem) -> None:
+    def __init__(self, k_fsm: SampledSystem, sensors: Sequence[Port] = ()) -> None:
+        inputs = (*K_FSM_INPUTS, *sensors)
         if k_fsm.outputs == K_FSM_OUTPUTS:
-            k_fsm = k_fsm.with_inputs(K_FSM_INPUTS)
-        k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
+            k_fsm = k_fsm.with_inputs(inputs)
+        k_fsm.require(inputs, K_FSM_OUTPUTS, DT)
         self.k_fsm = k_fsm
-        self._u = np.zeros(MEASUREMENTS)
+        self._u = np.zeros(total_size(inputs))
         self._held = np.zeros(HELD.size)
         self._start: tuple[FloatArray, FloatArray] = (np.zeros(k_fsm.order), np.zeros(HELD.size))
 
@@ -96,12 +104,20 @@ class LosEstimator:
         self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
     @property
+    def design_basis(self) -> Mapping[str, Any]:
+        """What K_FSM was made for."""
+        return self.k_fsm.design_basis
+
+    @property
     def held(self) -> FloatArray:
         """The values that are held (h,), for compiled loops, which write them."""
         return self._held
 
     def step(self, measurement: FloatArray, out: FloatArray) -> None:
-        """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone."""
+        """Write the estimate of this tick into `out` (2,) [rad]; `measurement` (22,) is left alone.
+
+        Values of further sensors stand behind the 22.
+        """
         u = self._u
         u[:] = measurement
         hold_values(measurement, self._held)

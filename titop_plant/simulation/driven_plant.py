@@ -11,21 +11,24 @@ frame, torques of the array drives, and a wrench on the spacecraft's bus; 28 val
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from lftkit import Port, sampled
+from lftkit import Port, System, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
-from titop_plant.interface import COMMANDED, MEASUREMENTS, TRUTH
+from titop_plant.interface import COMMANDED, COMMANDS, MEASUREMENTS, TRUTH
 from titop_plant.simulation.build import PlantFamily, telescope
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.simulation.sources.drive import loaded_telescope
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.layout import disturbance_ports
 from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.placed.devices import ACTUATOR_FORCE, PlacedActuator, placed_actuators
 
 
 def driven_ports(parameters: Parameters) -> tuple[Port, ...]:
@@ -85,10 +88,7 @@ class DrivenPlant:
         self.dt, self.frame_ticks, self.limits = plant.dt, plant.frame_ticks, plant.limits
         self.tones = np.union1d(plant.tones, getattr(disturbance, "lines", []))
         self.parameters_hash = f"{plant.parameters_hash} with {name}"
-        order = held.shape[0] - MEASUREMENTS - TRUTH - plant.sensed.size
-        self._parts = np.cumsum([order, MEASUREMENTS, TRUTH])
-        self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
-        self._value, self._added = np.zeros(held.shape[1]), np.zeros(held.shape[0])
+        self._input, self._value = _HeldInput(plant, held), np.zeros(held.shape[1])
         self._on = True
 
     @property
@@ -120,14 +120,82 @@ class DrivenPlant:
         """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
         self.disturbance.step(self._value)
         self.plant.step(command, measurement, truth)
-        if not self._on:
-            return
-        np.matmul(self._held, self._value, out=self._added)
+        if self._on:
+            self._input.add(self._value, measurement, truth)
+
+
+class PlantWithActuators:
+    """A telescope with further actuators that a controller commands; it has the interface of `SampledPlant`.
+
+    Their forces follow the eight values of a command. Each is clipped to its authority.
+
+    Parameters
+    ----------
+    plant : SampledPlant or DrivenPlant
+    held : ndarray, shape (n + 24 + sensors, actuators)
+        Of :func:`held_forces`.
+    actuators : sequence of PlacedActuator
+    """
+
+    dt: float
+    frame_ticks: int
+    tones: FloatArray
+    parameters_hash: str
+
+    def __init__(
+        self, plant: SampledPlant | DrivenPlant, held: FloatArray, actuators: Sequence[PlacedActuator]
+    ) -> None:
+        self.plant = plant
+        self.dt, self.frame_ticks, self.tones = plant.dt, plant.frame_ticks, plant.tones
+        self.parameters_hash = plant.parameters_hash
+        authority = np.array([one.authority for one in actuators])
+        self.limits = np.concatenate([plant.limits, authority])
+        self._input, self._most, self._least, self._force = (
+            _HeldInput(plant, held),
+            authority,
+            -authority,
+            authority * 0,
+        )
+
+    @property
+    def sensed(self) -> FloatArray:
+        """Values of the further sensors at the last tick, see `SampledPlant.sensed`."""
+        return self.plant.sensed
+
+    def reset(self) -> None:
+        """Back to tick 0: same seed, same bits."""
+        self.plant.reset()
+
+    def change(self, name: str, value: float) -> None:
+        """Change a setting from the next tick on, see `SampledPlant.change`."""
+        self.plant.change(name, value)
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Apply `command` (8 + actuators,) from this tick on; write `measurement` (22,) and `truth` (2,)."""
+        self.plant.step(command[:COMMANDS], measurement, truth)
+        np.minimum(command[COMMANDS:], self._most, out=self._force)
+        np.maximum(self._force, self._least, out=self._force)
+        self._input.add(self._force, measurement, truth)
+
+
+class _HeldInput:
+    """What inputs beside the matrices of a telescope, held over a tick, add to it."""
+
+    def __init__(self, plant: SampledPlant | DrivenPlant, held: FloatArray) -> None:
+        self._plant = plant
+        order = held.shape[0] - MEASUREMENTS - TRUTH - plant.sensed.size
+        self._parts = np.cumsum([order, MEASUREMENTS, TRUTH])
+        self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
+        self._added = np.zeros(held.shape[0])
+
+    def add(self, value: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Add the values of this tick to the next state, and to what is measured now."""
+        np.matmul(self._held, value, out=self._added)
         pushed, measured, true, sensed = np.split(self._added, self._parts)
-        self.plant.push(pushed)
+        self._plant.push(pushed)
         measurement += measured
         truth += true
-        self.plant.sensed[:] += sensed
+        self._plant.sensed[:] += sensed
 
 
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
@@ -146,9 +214,33 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
     ndarray, shape (n + 24, size of the ports)
         More rows where the family is that with the further sensors.
     """
-    whole = with_sensors(telescope(family.path, family.isolated).system, family.parameters)
     ports = driven_ports(family.parameters)
+    whole = telescope(family.path, family.isolated).system
+    return _held(whole, [p.name for p in ports], family, config, dt)[:, -total_size(ports) :]
+
+
+def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[PlacedActuator], dt: float) -> FloatArray:
+    """What a unit force of each of these further actuators, held for one tick, adds: columns as `held_disturbance`.
+
+    Parameters
+    ----------
+    family : PlantFamily
+    config : PlantConfig
+        Member of the family, a telescope of constant parameters.
+    actuators : sequence of PlacedActuator
+        Of its file.
+    dt : float
+        Tick [s].
+    """
+    names = [one.name for one in placed_actuators(family.parameters)]
+    whole = loaded_telescope(family.path, family.isolated).system
+    every = _held(whole, [ACTUATOR_FORCE], family, config, dt)[:, -len(names) :]
+    return every[:, [names.index(one.name) for one in actuators]]
+
+
+def _held(whole: System, inputs: Sequence[str], family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
+    """Next state, measurement, truth and further sensors by held commands and `inputs`."""
     outputs = [p.name for p in family.control_loop.outputs]
-    driven = whole.select(inputs=(*COMMANDED, *(p.name for p in ports)), outputs=outputs)
+    driven = with_sensors(whole, family.parameters).select(inputs=(*COMMANDED, *inputs), outputs=outputs)
     held = sampled(driven.at(parameter_values(config, family.parameters)), dt, method="hold")
-    return np.vstack([held.B, held.D])[:, -total_size(ports) :]
+    return np.vstack([held.B, held.D])

@@ -27,9 +27,9 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from titop_plant.interface import ACCELERATIONS, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR
+from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.simulation.driven_plant import DrivenPlant
+from titop_plant.simulation.driven_plant import DrivenPlant, PlantWithActuators
 from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.telescope.placed.readings import PlantWithReadings
 
@@ -82,7 +82,7 @@ class NonlinearPlant:
 
     Parameters
     ----------
-    plant : SampledPlant, DrivenPlant or PlantWithReadings
+    plant : SampledPlant, DrivenPlant, PlantWithActuators or PlantWithReadings
         The linear telescope, in the state in which the run starts.
     limits : DeviceLimits
     actuator : mapping
@@ -97,12 +97,15 @@ class NonlinearPlant:
     """
 
     def __init__(
-        self, plant: SampledPlant | DrivenPlant | PlantWithReadings, limits: DeviceLimits, actuator: Mapping[str, Any]
+        self,
+        plant: SampledPlant | DrivenPlant | PlantWithActuators | PlantWithReadings,
+        limits: DeviceLimits,
+        actuator: Mapping[str, Any],
     ) -> None:
         self.plant, self.device_limits = plant, limits
         self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
         self.parameters_hash = f"{plant.parameters_hash} with {astuple(limits)}"
-        self._most = np.empty(COMMANDS)
+        self._most = np.full(plant.limits.size, np.inf)  # further actuators have no rate
         self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * plant.dt, limits.force_rate * plant.dt
         self._push, self._move = held_oscillator(actuator, plant.dt)
         self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
@@ -115,7 +118,7 @@ class NonlinearPlant:
         for entry in MEASURED_SENSORS:
             self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step)
         self._coarse = self._step > 0.0
-        self._command = np.zeros(COMMANDS)
+        self._command = np.zeros(plant.limits.size)
         self.reset()
 
     def reset(self) -> None:

@@ -61,7 +61,8 @@ class PlacedSource:
 
 
 @lru_cache(maxsize=2)
-def _loaded(path: str | None, isolated: bool) -> Telescope:
+def loaded_telescope(path: str | None, isolated: bool) -> Telescope:
+    """The telescope with a wrench at each place and the forces of its further actuators as inputs."""
     parameters = load_parameters(path)
     return build_telescope(parameters, isolated=isolated, loads=loaded_nodes(parameters), motors=True)
 
@@ -86,7 +87,7 @@ def source_matrix(
         More rows where the family is that with the further sensors.
         Columns: place of a source, s in all, then instant, then axis.
     """
-    whole = with_sensors(_loaded(family.path, family.isolated).system, family.parameters)
+    whole = with_sensors(loaded_telescope(family.path, family.isolated).system, family.parameters)
     chosen = whole.select(
         inputs=[p.name for p in source_ports(family.parameters)], outputs=[p.name for p in family.control_loop.outputs]
     )

@@ -1,8 +1,9 @@
 """Further sensors and actuators of a parameter file: tables ``[[sensor]]`` and ``[[actuator]]``.
 
-The loop measures with the sensors of :mod:`titop_plant.sensor_table` and acts with mirror and proof-mass actuators.
-What stands here is beside the loop: a further sensor is recorded; a further actuator loads the structure with its mass,
-its spring and its damper, and is driven by a source of disturbance. The reference telescope has none of them.
+The stored controllers measure with the sensors of :mod:`titop_plant.sensor_table` and act with mirror and proof-mass
+actuators. What stands here is beside them: a further sensor is recorded, and read by a controller of the user that
+names it; a further actuator loads the structure with its mass, its spring and its damper, and is driven by a source of
+disturbance or by such a controller. The reference telescope has none of them.
 
 A sensor at ``r`` from its point P measures along a unit vector n::
 
@@ -71,6 +72,11 @@ class PlacedSensor:
         return SENSOR_UNITS[self.kind]
 
     @property
+    def port(self) -> Port:
+        """Port of its values, an input of a controller."""
+        return Port(self.name, len(self.axes), self.unit)
+
+    @property
     def rows(self) -> FloatArray:
         """Its values from the twist of its point, shape (k, 6)."""
         none = np.zeros_like(self.axes)
@@ -100,6 +106,11 @@ class PlacedActuator:
     axis: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
     table: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def port(self) -> Port:
+        """Port of its force, an output of a controller."""
+        return Port(self.name, 1, "N")
 
     @property
     def authority(self) -> float:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from titop_plant.interface import COLUMNS
 from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.placed.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
 from titop_plant.telescope.placed.points import REFERENCE_POINT, points
@@ -39,6 +40,8 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
     for kind in DEVICES:
         for i, table in enumerate(whole.get(kind, ())):
             name = f"{kind}[{i}]"
+            if table.get("name") in COLUMNS:  # controllers know devices by the names of their ports
+                raise file.error(f"{name}.name", f"must be none of {', '.join(COLUMNS)}, got {table['name']!r}")
             _check_place(name, kind, table, whole, file)
             _check_axes(name, kind, table, file)
             if kind == SENSOR:

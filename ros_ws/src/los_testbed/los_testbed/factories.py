@@ -20,10 +20,11 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.flight_library import LibraryLaw
+from los_testbed.law_devices import NO_DEVICES, Devices, Wiring, placed_devices
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
-from los_testbed.topics import TOPICS, TopicDefinition, image_topic, sensor_topics
-from los_testbed.user_blocks import LAWS, UserBlock, make_disturbance, make_law
+from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
+from los_testbed.user_blocks import LAWS, UserBlock, linear_law, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
@@ -36,12 +37,14 @@ if TYPE_CHECKING:
     from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
-    from titop_plant.simulation.driven_plant import DrivenPlant
+    from titop_plant.simulation.driven_plant import DrivenPlant, PlantWithActuators
     from titop_plant.simulation.sampled_plant import SampledPlant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.parameters import Parameters
-    from titop_plant.telescope.placed.devices import PlacedSensor
     from titop_plant.telescope.placed.readings import PlantWithReadings
+
+
+UNMODELLED = "no model of the loop has further sensors and actuators: the run starts at rest"
 
 
 class Plant(Protocol):
@@ -135,10 +138,18 @@ class RunParts:
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Names of the controllers that are code of the user."""
+        """Names of the controllers that no model has: code of the user, and files with ports of further devices."""
         if self.recorded is not None:
             return {}
-        return {name: text for name in LAWS if (text := getattr(self.config, name)) and is_code(text)}
+        named = {name: text for name in LAWS if (text := getattr(self.config, name))}
+        return {name: text for name, text in named.items() if is_code(text) or self._uses_devices(name, text)}
+
+    def _uses_devices(self, name: str, text: str) -> bool:
+        """Whether a file of a controller has ports of further sensors or actuators."""
+        if not self.placed:
+            return False
+        law = linear_law(name, text)
+        return law is not None and bool(self.placed.among(law.inputs, law.outputs))
 
     @cached_property
     def files(self) -> dict[str, Path]:
@@ -169,7 +180,7 @@ class RunParts:
         if self.recorded is not None:
             return self.recorded[name]
         if name in self.code:
-            return make_law(self.config, name)
+            return make_law(self.config, name, self.placed)
         if self.files[name].suffix == ".json":  # as all stored ones are; nothing else is loaded for them
             return SampledSystem.from_file(self.files[name])
         from lftkit.systems.exchange import read_sampled
@@ -185,7 +196,9 @@ class RunParts:
     def model_files(self) -> dict[str, Path]:
         """Files of the controllers; ValueError: one of them is code of the user, of which no model is known."""
         for name, text in self.code.items():
-            raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
+            if is_code(text):
+                raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
+            raise ValueError(f"{name} must have the loop's ports only, `los-testbed run` takes others, got {text}")
         return self.files
 
     @property
@@ -231,7 +244,8 @@ class RunParts:
             return start
         if self.code:  # no model of the code is known: the tone that is worst without fine control
             opened = "isolator" if config.loop != "none" else "none"
-            return RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened)).start
+            alone = RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened, start="rest"))
+            return alone.start if config.start == "rest" else replace(alone.start, note=UNMODELLED)
         return find_run_start(config, self.family, self.settings, self.models, self.basis.authority)
 
     @cached_property
@@ -251,7 +265,18 @@ class RunParts:
         if isinstance(self.k_fsm, SampledSystem):
             LosEstimator(self.k_fsm)
         assemble_controller(self.controllers, self.basis, self.config.loop)
+        self._check_commanded()
         return self.compare()
+
+    def _check_commanded(self) -> None:
+        """Refuse an actuator that a source drives and a controller commands."""
+        commanded = [one.name for one in self._used("k_pma").actuators]
+        for source in self.sources if commanded else ():
+            if source.place in commanded:
+                raise ValueError(
+                    f"actuator {source.place} must have one driver, got source {source.name} and k_pma "
+                    f"{self.config.k_pma}"
+                )
 
     def compare(self) -> tuple[str, ...]:
         """Differences between controllers and telescope, see :func:`compare_with_telescope`."""
@@ -297,10 +322,10 @@ class RunParts:
             return _user_plant(config)
         with one_thread():
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
-            telescope = self._sensed_family.build(self.physical, state)
+            telescope = self.sensed_family.build(self.physical, state)
         own = config.disturbance_source if config.disturbance else None
         plant = telescope if own is None else self._driven(telescope, own)
-        whole = self._with_readings(self.with_sources(plant))
+        whole = self.with_devices(self.with_sources(plant))
         if not config.nonlinear:
             return self._with_images(whole)
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
@@ -308,26 +333,49 @@ class RunParts:
         return self._with_images(NonlinearPlant(whole, DeviceLimits(), self.parameters["pma"]))
 
     @cached_property
-    def _sensed_family(self) -> PlantFamily:
+    def sensed_family(self) -> PlantFamily:
         """The family with the values of the further sensors of this run."""
-        return self.family.with_sensors() if self.placed_sensors else self.family
+        return self.family.with_sensors() if self.placed.sensors else self.family
 
     @cached_property
-    def placed_sensors(self) -> tuple[PlacedSensor, ...]:
-        """Further sensors of the telescope; none of another plant."""
+    def placed(self) -> Devices:
+        """Further sensors and actuators of the telescope; none of another plant."""
         if self.config.other_plant or not self.config.parameters:
-            return ()
-        from titop_plant.telescope.placed.devices import placed_sensors
+            return NO_DEVICES
+        return placed_devices(self.parameters)
 
-        return placed_sensors(self.parameters)
+    def _used(self, name: str) -> Devices:
+        """Further devices that a controller uses."""
+        law = getattr(self, name)
+        return law.devices if isinstance(law, UserBlock) else NO_DEVICES
 
-    def _with_readings(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant | PlantWithReadings:
-        """The telescope with its further sensors, where there are any."""
-        if not self.placed_sensors:
-            return plant
+    @property
+    def used(self) -> dict[str, Devices]:
+        """Further devices that ``k_fsm`` and ``k_pma`` use."""
+        return {name: self._used(name) for name in LAWS}
+
+    @cached_property
+    def wiring(self) -> Wiring:
+        """Columns of the readings that each controller sees, and the forces behind the commands."""
+        return Wiring.of(self.placed, self._used("k_fsm"), self._used("k_pma"))
+
+    def with_devices(
+        self, plant: SampledPlant | DrivenPlant
+    ) -> SampledPlant | DrivenPlant | PlantWithActuators | PlantWithReadings:
+        """The telescope with further actuators that the controller commands, and further sensors, if there are any."""
+        sensors, actuators = self.placed.sensors, self._used("k_pma").actuators
+        whole: SampledPlant | DrivenPlant | PlantWithActuators = plant
+        if actuators:
+            from titop_plant.simulation.driven_plant import PlantWithActuators, held_forces
+
+            with one_thread():
+                held = held_forces(self.sensed_family, self.settings, actuators, plant.dt)
+            whole = PlantWithActuators(plant, held, actuators)
+        if not sensors:
+            return whole
         from titop_plant.telescope.placed.readings import PlantWithReadings
 
-        return PlantWithReadings(plant, self.placed_sensors, self.config.seed, self.config.noise)
+        return PlantWithReadings(whole, sensors, self.config.seed, self.config.noise)
 
     def _with_images(self, plant: Telescope) -> Plant:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
@@ -351,7 +399,8 @@ class RunParts:
         """Topics of the run, those of the loop first."""
         camera = self.star_camera
         images = () if camera is None else (image_topic(camera.camera.window),)
-        return (*TOPICS, *sensor_topics(self.placed_sensors), *images)
+        further = *sensor_topics(self.placed.sensors), *actuator_topics(self._used("k_pma").actuators)
+        return (*TOPICS, *further, *images)
 
     def disturbance(self) -> UserBlock:
         """Disturbance of the user; ValueError: it cannot be made, or breaks the contract."""
@@ -366,7 +415,7 @@ class RunParts:
         disturbance = self.disturbance()
         disturbance.reset()
         with one_thread():
-            held = held_disturbance(self._sensed_family, self.physical, plant.dt)
+            held = held_disturbance(self.sensed_family, self.physical, plant.dt)
             return DrivenPlant(plant, held, disturbance, source)
 
     def with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
@@ -377,7 +426,7 @@ class RunParts:
         from titop_plant.simulation.sources.drive import Sources, source_matrix
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
-        family = self._sensed_family if plant.sensed.size else self.family
+        family = self.sensed_family if plant.sensed.size else self.family
         with one_thread():
             return DrivenPlant(plant, source_matrix(family, self.physical, self.sources, plant.dt), drive, name)
 
@@ -481,12 +530,17 @@ def assemble_controller(
     """
     k_fsm = controllers["k_fsm"]
     mirror, force = telescope.authority
+    law = controllers["k_pma"]
+    devices = law.devices if isinstance(law, UserBlock) else NO_DEVICES
     return FsmPmaController(
         controllers["k_pma"],
         loop,
         los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
         fsm_authority=mirror,
         pma_authority=force,
+        sensors=devices.inputs,
+        actuators=devices.outputs,
+        actuator_authority=devices.authority,
     )
 
 

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from los_testbed.config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS, sample_ticks
+from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.placed.devices import PlacedSensor
+    from titop_plant.telescope.placed.devices import PlacedActuator, PlacedSensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
@@ -150,6 +151,37 @@ def sensor_topics(sensors: Sequence[PlacedSensor]) -> tuple[TopicDefinition, ...
         found.append(TopicDefinition(name, VECTOR3, one.name, "plant", READINGS, columns, one.name, one.unit))
         first = columns.stop
     return tuple(found)
+
+
+def shifted(topic: TopicDefinition, columns: int) -> TopicDefinition:
+    """The topic in a vector where its own vector begins at a column."""
+    return replace(topic, columns=slice(topic.columns.start + columns, topic.columns.stop + columns))
+
+
+COMMANDED = "actuator"
+"""Forces of further actuators that a controller commands have their topics below this name."""
+
+
+def actuator_topics(actuators: Sequence[PlacedActuator]) -> tuple[TopicDefinition, ...]:
+    """Topics of the commands of further actuators, in their order; they are behind the sensors in a bag.
+
+    Parameters
+    ----------
+    actuators : sequence of PlacedActuator
+    """
+    return tuple(
+        TopicDefinition(
+            f"{COMMANDED}/{one.name}/command",
+            VECTOR3,
+            one.name,
+            "controller",
+            "command",
+            slice(i, i + 1),
+            one.name,
+            "N",
+        )
+        for i, one in enumerate(actuators, start=COMMAND_SIZE)
+    )
 
 
 DEPTH = 100

@@ -10,6 +10,9 @@ k_fsm               step(measurement, out)        22 measurements to 2 angles; t
 k_pma               step(accel_Ip, out)           6 accelerations to 6 forces [N], limited afterwards
 disturbance_source  step(out)                     forces and torques, :mod:`titop_plant.simulation.driven_plant`
 ==================  ============================  ==========================================================
+
+A controller that names sensors and actuators of the telescope's file (:mod:`los_testbed.law_devices`) has their values
+behind these inputs and outputs.
 """
 
 from __future__ import annotations
@@ -26,7 +29,8 @@ from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import RunConfig, is_library
+from los_testbed.config import RunConfig, is_code, is_library
+from los_testbed.law_devices import NO_DEVICES, Devices
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
@@ -88,6 +92,8 @@ class UserBlock:
         With ``reset`` and ``step``.
     inputs, outputs : sequences of Port
         A block without inputs has the signature ``step(out)``.
+    devices : Devices
+        Further ones that it uses; their ports are the last of `inputs` and `outputs`.
 
     Raises
     ------
@@ -95,7 +101,15 @@ class UserBlock:
         `step` or `reset` is missing or no method.
     """
 
-    def __init__(self, setting: str, text: str, block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> None:
+    def __init__(
+        self,
+        setting: str,
+        text: str,
+        block: Any,
+        inputs: Sequence[Port],
+        outputs: Sequence[Port],
+        devices: Devices = NO_DEVICES,
+    ) -> None:
         try:
             found = {name: getattr(block, name, "none") for name in ("step", "reset")}
             self.design_basis: Mapping[str, Any] = getattr(block, "design_basis", {})
@@ -104,7 +118,8 @@ class UserBlock:
         for name, method in found.items():
             if not callable(method):
                 raise ContractError(f"{setting} {text}: {name} must be a method, got {method!r}")
-        self.name, self.block, self.inputs, self.outputs = f"{setting} {text}", block, tuple(inputs), tuple(outputs)
+        self.name, self.block, self.devices = f"{setting} {text}", block, devices
+        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         if not isinstance(self.design_basis, Mapping):
             raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
         self.order, self.tick = 0, 0
@@ -174,7 +189,7 @@ class UserBlock:
             raise ContractError(str(error)) from error
         for tick in range(TRIAL_TICKS):
             given = np.zeros(size)
-            if tick and self.inputs == K_FSM_INPUTS:
+            if tick and self.inputs[: len(K_FSM_INPUTS)] == K_FSM_INPUTS:
                 given[HELD] = np.nan
             kept, out = given.copy(), np.full(width, UNTOUCHED)
             try:
@@ -206,8 +221,15 @@ def watched(method: Callable[..., None], name: str) -> Callable[..., None]:
     return call
 
 
-def make_law(config: RunConfig, setting: str) -> UserBlock:
+def make_law(config: RunConfig, setting: str, placed: Devices = NO_DEVICES) -> UserBlock:
     """Controller that the setting ``k_fsm`` or ``k_pma`` names, checked.
+
+    Parameters
+    ----------
+    config : RunConfig
+    setting : str
+    placed : Devices
+        Further sensors and actuators of the telescope.
 
     Raises
     ------
@@ -219,32 +241,74 @@ def make_law(config: RunConfig, setting: str) -> UserBlock:
     if is_library(text):
         from los_testbed.flight_library import LibraryLaw
 
-        block = LibraryLaw(Path(text), setting)
+        block, devices = LibraryLaw(Path(text), setting), NO_DEVICES
+    elif law := linear_law(setting, text):
+        devices = placed.among(law.inputs, law.outputs)
+        block = _checked(setting, text, law, devices)
     else:
-        block = _linear_law(setting, text, load(text, setting)) or make(config, setting)
-    made = UserBlock(setting, text, block, *LAWS[setting])
+        block = make(config, setting)
+        devices = _named(setting, text, block, placed)
+    _refuse_commands(setting, text, devices)
+    inputs, outputs = LAWS[setting]
+    made = UserBlock(setting, text, block, (*inputs, *devices.inputs), (*outputs, *devices.outputs), devices)
     made.check()
     return made
 
 
-def _linear_law(setting: str, text: str, found: Any) -> Any:
-    """A system of python-control, or of lftkit, as a block; None for anything else."""
-    if isinstance(found, SampledSystem):
-        law = found
-    elif type(found).__module__.partition(".")[0] in ("control", "lftkit") and hasattr(found, "dt"):
-        from lftkit.systems.exchange import as_sampled, as_system
+def linear_law(setting: str, text: str) -> SampledSystem | None:
+    """A controller file, or a system of python-control or of lftkit by its name; None for anything else.
 
-        try:
-            law = as_sampled(as_system(found))
-        except ValueError as error:
-            raise ContractError(f"{setting} {text}: {error}") from None
-    else:
+    Raises
+    ------
+    ValueError
+        A file that is no controller; a system that is not sampled.
+    """
+    if not is_code(text):
+        if text.endswith(".json"):  # as all stored ones are; nothing else is loaded for them
+            return SampledSystem.from_file(text)
+        from lftkit.systems.exchange import read_sampled
+
+        return read_sampled(Path(text))
+    found = load(text, setting)
+    if isinstance(found, SampledSystem):
+        return found
+    if type(found).__module__.partition(".")[0] not in ("control", "lftkit") or not hasattr(found, "dt"):
         return None
+    from lftkit.systems.exchange import as_sampled, as_system
+
     try:
-        law.require(*LAWS[setting], DT)
+        return as_sampled(as_system(found))
     except ValueError as error:
         raise ContractError(f"{setting} {text}: {error}") from None
-    return LosEstimator(law) if setting == "k_fsm" else law
+
+
+def _checked(setting: str, text: str, law: SampledSystem, devices: Devices) -> LosEstimator | SampledSystem:
+    """A linear law as a block."""
+    inputs, outputs = LAWS[setting]
+    try:
+        if setting == "k_fsm":
+            return LosEstimator(law, devices.inputs)
+        law = law.with_inputs((*inputs, *devices.inputs))
+        law.require((*inputs, *devices.inputs), (*outputs, *devices.outputs), DT)
+    except ValueError as error:
+        raise ContractError(f"{setting} {text}: {error}") from None
+    return law
+
+
+def _named(setting: str, text: str, block: Any, placed: Devices) -> Devices:
+    """Further devices that a class of the user names."""
+    try:
+        names = [getattr(block, what, ()) for what in ("sensors", "actuators")]
+        return placed.named(*(one if isinstance(one, str) else tuple(one) for one in names))
+    except RAISED as error:
+        what = error if isinstance(error, ValueError) else in_one_line(error)
+        raise ContractError(f"{setting} {text}: {what}") from error
+
+
+def _refuse_commands(setting: str, text: str, devices: Devices) -> None:
+    if setting == "k_fsm" and devices.actuators:
+        names = ", ".join(port.name for port in devices.outputs)
+        raise ContractError(f"{setting} {text}: an observer must command no actuator, that is for k_pma, got {names}")
 
 
 def make_disturbance(config: RunConfig, ports: Sequence[Port]) -> UserBlock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from typing import Any
 import yaml
 
 from los_design.synthesis.provenance import commit
-from los_testbed.config import RunConfig, physical_hash
+from los_testbed.config import RunConfig, is_code, physical_hash
 from los_testbed.factories import RunParts
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import source_hashes
@@ -64,6 +65,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **proof_of(parts),
         **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
+        **_file_hashes(parts),
         **tables_of(parts),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
@@ -76,6 +78,12 @@ def tables_of(parts: RunParts) -> dict[str, str]:
     """SHA-256 of the tables of each law that a flight library has, as ``los-testbed export check`` prints it."""
     blocks = {name: law.block for name, law in parts.controllers.items() if isinstance(law, UserBlock)}
     return {f"{name}_tables_sha256": law.tables_sha256 for name, law in blocks.items() if isinstance(law, LibraryLaw)}
+
+
+def _file_hashes(parts: RunParts) -> dict[str, str]:
+    """SHA-256 of files of controllers that use further sensors or actuators: no attachment has them."""
+    files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)}
+    return {f"{name}_source_sha256": hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
 
 
 def optics_of(parts: RunParts) -> dict[str, str]:

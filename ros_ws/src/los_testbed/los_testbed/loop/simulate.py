@@ -23,6 +23,7 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import Plant, RunParts, inner, plant_notes
 from los_testbed.image_camera import ImagePlant, frame_counts, window_of
+from los_testbed.law_devices import NONE, Wiring
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
@@ -38,6 +39,9 @@ BLOCK = 1000
 
 SIGNALS = ("measurement", "truth", "los_estimate", "command")
 """Vectors of a `SampleBlock`."""
+
+ACCELERATIONS = PLATFORM.stop - PLATFORM.start
+"""Values of the platform's accelerometer, which the controller takes."""
 
 SIMULATED_START_NS = 1_000_000_000
 """Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
@@ -76,11 +80,14 @@ class SampleBlock:
         Pixels along each axis of the camera's images; 0 without images.
     sensed : int
         Values of the further sensors.
+    actuators : int
+        Forces of further actuators behind the commands.
     """
 
     size: int
     window: int = 0
     sensed: int = 0
+    actuators: int = 0
     stamps: NDArray[np.int64] = field(init=False)
     measurement: FloatArray = field(init=False)
     truth: FloatArray = field(init=False)
@@ -91,7 +98,8 @@ class SampleBlock:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
-        sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES, "command": COMMANDS}
+        sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES}
+        sizes |= {"command": COMMANDS + self.actuators}
         sizes |= {IMAGE_VECTOR: self.window**2, READINGS: self.sensed}
         for name, width in sizes.items():
             object.__setattr__(self, name, np.zeros((self.size, width)))
@@ -104,6 +112,7 @@ def simulate(
     ticks: int,
     sink: Callable[[SampleBlock, int], None],
     first_command: FloatArray | None = None,
+    wiring: Wiring = NONE,
 ) -> None:
     """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
 
@@ -115,6 +124,8 @@ def simulate(
     sink : callable
     first_command : ndarray, shape (8,), optional
         Command that the first tick applies [rad, N]; default: zero.
+    wiring : Wiring
+        What the controllers use of further sensors and actuators.
 
     Raises
     ------
@@ -125,15 +136,16 @@ def simulate(
     """
     from los_testbed.loop.compiled_loop import CompiledLoop
 
-    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)))
-    command = np.zeros(COMMANDS) if first_command is None else first_command.copy()
+    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), wiring.actuators)
+    command = np.zeros(COMMANDS + wiring.actuators)
+    command[:COMMANDS] = 0.0 if first_command is None else first_command
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     compiled = CompiledLoop.of(plant, estimator, controller, ticks)
     for first in range(0, ticks, BLOCK):
         rows = min(BLOCK, ticks - first)
         block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
         if compiled is None or not compiled.run(command, block, rows):
-            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first)
+            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first, wiring)
             if error is not None:
                 sink(block, done)
                 raise RunFailedError(str(error)) from error.__cause__
@@ -151,12 +163,14 @@ def _step_by_step(
     block: SampleBlock,
     rows: int,
     first: int,
+    wiring: Wiring,
 ) -> tuple[RunFailedError | None, int]:
     """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     done, who = 0, "plant"
     image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
     readings = readings_of(plant)
+    seen, felt = np.zeros(MEASUREMENTS + len(wiring.estimator)), np.zeros(ACCELERATIONS + len(wiring.controller))
     try:
         # what overflows is found by the caller, with tick and port
         with np.errstate(over="ignore", invalid="ignore"):
@@ -169,9 +183,11 @@ def _step_by_step(
                     block.image[done] = image
                 block.readings[done] = readings
                 who = "observer"
-                estimate(y, los)
+                seen[:MEASUREMENTS], seen[MEASUREMENTS:] = y, readings[wiring.estimator]
+                estimate(seen, los)
                 who = "controller"
-                control(los, y[PLATFORM], u)
+                felt[:ACCELERATIONS], felt[ACCELERATIONS:] = y[PLATFORM], readings[wiring.controller]
+                control(los, felt, u)
                 command[:] = u
                 done += 1
     except RAISED as error:
@@ -278,7 +294,7 @@ def record(
 
     try:
         with one_thread():
-            simulate(plant, estimator, controller, parts.config.ticks, write, start.command)
+            simulate(plant, estimator, controller, parts.config.ticks, write, start.command, parts.wiring)
     except BaseException as error:
         statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
         raise

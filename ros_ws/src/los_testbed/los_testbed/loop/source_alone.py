@@ -13,6 +13,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.factories import RunParts
+from los_testbed.law_devices import NONE
 from los_testbed.loop.simulate import SampleBlock, simulate
 from pointing_analysis.indices.errors import default_transient
 from titop_plant.interface import DT
@@ -42,9 +43,11 @@ def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
     alone = RunParts(quiet, laws, known_family=parts.family)
     source = parts.sources[index : index + 1]
     with one_thread():
-        telescope = alone.family.build(alone.settings, np.zeros(alone.family.control_loop.order))
-        matrix = source_matrix(alone.family, alone.settings, source, telescope.dt)
-    plant = DrivenPlant(telescope, matrix, Sources(source, telescope.dt), source[0].name)
+        family = alone.sensed_family if parts.code else alone.family  # code may read further sensors
+        telescope = family.build(alone.settings, np.zeros(family.control_loop.order))
+        matrix = source_matrix(family, alone.settings, source, telescope.dt)
+    driven = DrivenPlant(telescope, matrix, Sources(source, telescope.dt), source[0].name)
+    plant = alone.with_devices(driven) if parts.code else driven
     estimator, controller = alone.estimator(), alone.controller()
     for part in (plant, estimator, controller):
         part.reset()
@@ -57,5 +60,5 @@ def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
         done += rows
 
     with one_thread():
-        simulate(plant, estimator, controller, ticks, keep)
+        simulate(plant, estimator, controller, ticks, keep, wiring=alone.wiring if parts.code else NONE)
     return found[round(default_transient(ticks * DT) / DT) :]

@@ -1,4 +1,7 @@
-"""Controller node: ``los_estimate`` and ``isolator/accel`` in, both command topics out."""
+"""Controller node: ``los_estimate`` and ``isolator/accel`` in, both command topics out.
+
+A law of the user takes in further sensors of the telescope's file, too, and commands further actuators.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,14 @@ from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, build_controller
+from los_testbed.law_devices import NO_DEVICES
 from los_testbed.loop.changes import ACTIVE, Apply, Fade
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
-from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE
+from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
@@ -45,13 +49,18 @@ def main(
         control, reset = watched(controller.step, "step"), watched(controller.reset, "reset")
         if not own:
             context.warn_alone(run.check())
+        devices = NO_DEVICES if own else run.used["k_pma"]
+        further = tuple(shifted(topic, ACCEL.stop) for topic in sensor_topics(devices.sensors))
+        size = ACCEL.stop + sum(topic.size for topic in further)
         parts = [
             TickPart(codec_for(ISOLATOR_ACCEL), ACCEL),
+            *(TickPart(codec_for(topic), topic.columns) for topic in further),
             TickPart(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
-        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in COMMANDS]
-        command, nothing = np.zeros(COMMAND_SIZE), np.zeros(COMMAND_SIZE)
-        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ACCEL], out), ACCEL.stop)
+        topics = (*actuator_topics(devices.actuators), *COMMANDS)  # the last ones close the tick
+        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in topics]
+        command, nothing = (np.zeros(COMMAND_SIZE + len(devices.actuators)) for _ in range(2))
+        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), size)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(run.basis))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
@@ -68,8 +77,8 @@ def main(
             for publisher, codec, values, _ in slots:
                 publisher.publish(codec.encode(stamp, values))
 
-        synchronizer = StampSynchronizer(parts, ACCEL.stop, {} if context.config.mode == "realtime" else None)
-        follower = Follower(context, (ISOLATOR_ACCEL, LOS_ESTIMATE), synchronizer, tick, changes)
+        synchronizer = StampSynchronizer(parts, size, {} if context.config.mode == "realtime" else None)
+        follower = Follower(context, (ISOLATOR_ACCEL, *further, LOS_ESTIMATE), synchronizer, tick, changes)
         code = follower.run()
         settle([publisher for publisher, _, _ in outputs])
         return code

@@ -19,7 +19,7 @@ from los_testbed.nodes.support.handshake import OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.topics import CAMERA_LOS, UNSENT_TICKS
 from pointing_analysis.read.unsent import UNSENT
-from titop_plant.interface import FORCES, MIRROR, TICK_NS
+from titop_plant.interface import TICK_NS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -112,8 +112,7 @@ class DeviceLoop(PlantLoop):
         changes.now = now - io.start
         if changes.now >= changes.due:
             changes.advance(changes.now)
-        io.fsm_gate.apply(now, command[MIRROR])
-        io.pma_gate.apply(now, command[FORCES])
+        io.apply(now, command)
         self.device.write(command, time.monotonic_ns())
 
     def statistics(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
-from los_testbed.topics import CAMERA_LOS, FSM_ANGLE, LOS_ESTIMATE, SENSORS
+from los_testbed.topics import CAMERA_LOS, FSM_ANGLE, LOS_ESTIMATE, SENSORS, sensor_topics, shifted
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS, TICK_NS
@@ -35,13 +35,17 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         own = build is not build_estimator
         estimator = made_by(build, context.config, "estimator") if own else build(context.config)
         estimate, reset = watched(estimator.step, "step"), watched(estimator.reset, "reset")
-        parts = [TickPart(codec_for(t), t.columns, t.every(context.config.frame_ticks), t.framed) for t in SENSORS]
+        further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].sensors)
+        # those of every tick before the one that wakes this node
+        topics = (*SENSORS[:-1], *(shifted(topic, MEASUREMENTS) for topic in further), SENSORS[-1])
+        parts = [TickPart(codec_for(t), t.columns, t.every(context.config.frame_ticks), t.framed) for t in topics]
+        size = MEASUREMENTS + sum(topic.size for topic in further)
         codec = codec_for(LOS_ESTIMATE)
         publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn})
-        step = GapStepper(estimate, MEASUREMENTS, HELD)
+        step = GapStepper(estimate, size, HELD)
 
         def tick(stamp: int, measurement: FloatArray, gap: int) -> None:
             if stamp == HOLD_STAMP:
@@ -54,7 +58,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
             publisher.publish(codec.encode(stamp, los))
 
         slow = slow_sensors(context.config) if context.config.mode == "realtime" else None
-        follower = Follower(context, SENSORS, StampSynchronizer(parts, MEASUREMENTS, slow), tick, changes)
+        follower = Follower(context, topics, StampSynchronizer(parts, size, slow), tick, changes)
         code = follower.run()
         settle([publisher])
         return code

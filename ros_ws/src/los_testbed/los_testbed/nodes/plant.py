@@ -39,7 +39,7 @@ from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from pointing_analysis.read.unsent import UNSENT
-from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, RATE, TICK_NS, TRUTH
+from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 
 RING = 64
 
@@ -108,7 +108,7 @@ class PlantLoop:
         self._pacer = LockstepPacer(context, self.io) if context.config.mode == "lockstep" else None
         self._begin_counts()
         self._woke = [0] * RING
-        self._command = np.zeros(COMMANDS)
+        self._command = np.zeros(self.io.command_size)
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
         self._camera = plant if isinstance(plant, ImagePlant) else None
@@ -279,11 +279,14 @@ class PlantLoop:
     def _take_commands(self, now: int) -> None:
         """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
         io, steady = self.io, time.monotonic_ns()
-        while (taken := io.pma_input.take()) is not None:
-            io.pma_gate.offer(taken[0], now, io.pma_input.sort(taken, steady))
-        while (taken := io.fsm_input.take()) is not None:
-            if io.fsm_gate.offer(taken[0], now, io.fsm_input.sort(taken, steady)):
-                tick = (io.fsm_gate.last_stamp - io.start) // TICK_NS
+        for one in io.commands:
+            if one is not io.mirror:
+                while (taken := one.source.take()) is not None:
+                    one.gate.offer(taken[0], now, one.source.sort(taken, steady))
+        source, gate = io.mirror.source, io.mirror.gate
+        while (taken := source.take()) is not None:
+            if gate.offer(taken[0], now, source.sort(taken, steady)):
+                tick = (gate.last_stamp - io.start) // TICK_NS
                 latency = taken.received - self._woke[tick % RING]
                 if 0 <= latency < CLOCK_STEP_NS:
                     self.latency.add(latency)
@@ -295,8 +298,7 @@ class PlantLoop:
         try:
             if changes.now >= changes.due:
                 changes.advance(changes.now)
-            io.fsm_gate.apply(now, command[MIRROR])
-            io.pma_gate.apply(now, command[FORCES])
+            io.apply(now, command)
             self.plant.step(command, self._measurement, self._truth)
         except BlockFailedError:  # says itself what failed
             raise

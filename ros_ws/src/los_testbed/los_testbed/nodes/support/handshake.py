@@ -114,7 +114,7 @@ def wait_for_followers(
     ValueError
         One of them did not answer in time, or `refuse_others` raised it.
     """
-    waiting_for = {"fsm/command": io.fsm_input, "pma/command": io.pma_input}
+    waiting_for = {one.topic.name: one.source for one in io.commands}
     if context.config.wait_for_recorder:
         waiting_for["recorder/progress"] = io.progress_input
     start_time = time.monotonic()
@@ -167,7 +167,7 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
         Another node has a publisher on a command topic.
     """
     end = time.monotonic() + LEASE_S
-    for subscription in (io.fsm_input, io.pma_input):
+    for subscription in (one.source for one in io.commands):
         while True:
             strangers = subscription.guard.strangers(subscription.endpoints())
             if not strangers or context.stop:

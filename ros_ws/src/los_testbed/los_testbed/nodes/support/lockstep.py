@@ -1,4 +1,4 @@
-"""Lockstep: simulated time goes on when both commands of a tick have come."""
+"""Lockstep: simulated time goes on when all commands of a tick have come."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class LockstepPacer:
     def __init__(self, context: NodeContext, io: PlantIo) -> None:
         self._context = context
         self._io = io
-        self._on_last = Waiter(context.node, [io.pma_input])  # sent last: one wake-up for both
-        self._on_any = Waiter(context.node, [io.fsm_input, io.pma_input])
+        self._on_last = Waiter(context.node, [io.commands[-1].source])  # sent last: one wake-up for all
+        self._on_any = Waiter(context.node, [one.source for one in io.commands])
         self._recorder = Waiter(context.node, [io.progress_input])
         self._recorded = 0
         self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
@@ -44,17 +44,17 @@ class LockstepPacer:
         self._clock.publish(self._message)
 
     def wait(self, now: int) -> bool:
-        """Return when both commands of tick `now` are at the gates; False if the run was stopped."""
+        """Return when all commands of tick `now` are at the gates; False if the run was stopped."""
         io, following = self._io, now + TICK_NS
         if self._context.stop:
             return False
         self._on_last.wait(WAIT_NS)
         while True:
             steady = time.monotonic_ns()
-            for source, gate in ((io.pma_input, io.pma_gate), (io.fsm_input, io.fsm_gate)):
-                while (taken := source.take()) is not None:
-                    gate.offer(taken[0], following, source.sort(taken, steady))
-            if io.fsm_gate.last_stamp == now and io.pma_gate.last_stamp == now:
+            for one in io.commands:
+                while (taken := one.source.take()) is not None:
+                    one.gate.offer(taken[0], following, one.source.sort(taken, steady))
+            if io.fresh(following):
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:
                 return False

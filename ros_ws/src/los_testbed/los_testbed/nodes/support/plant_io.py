@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.bags.cdr import codec_for
+from los_testbed.bags.cdr import Codec, codec_for
 from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
@@ -20,18 +21,50 @@ from los_testbed.nodes.support.transport.raw_topics import (
     RawSubscription,
     settle,
 )
-from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, PROGRESS_TOPIC, SENSORS, TOPICS, TRUTH_LOS, TopicDefinition
+from los_testbed.topics import (
+    FSM_COMMAND,
+    PMA_COMMAND,
+    PROGRESS_TOPIC,
+    SENSORS,
+    TOPICS,
+    TRUTH_LOS,
+    TopicDefinition,
+    actuator_topics,
+)
 from pointing_analysis.read.messages.message_types import HEADER
-from titop_plant.interface import FORCES, MIRROR, TICK_NS
+from titop_plant.interface import TICK_NS
 
 NOTHING: Mapping[str, FloatArray] = MappingProxyType({})
+
+
+Output = tuple[TopicDefinition, RawPublisher, Codec, int]
+"""Topic, publisher, codec and period [ns] of what the plant sends."""
+
+
+@dataclass(frozen=True)
+class CommandInput:
+    """A topic of commands on its way to the plant.
+
+    Parameters
+    ----------
+    name : str
+        In the names of statistics.
+    topic : TopicDefinition
+    source : RawSubscription
+    gate : CommandGate
+    """
+
+    name: str
+    topic: TopicDefinition
+    source: RawSubscription
+    gate: CommandGate
 
 
 class PlantIo:
     """Publishers, subscriptions and gates of the plant."""
 
     def __init__(self, context: NodeContext) -> None:
-        config, node = context.config, context.node
+        config, node, parts = context.config, context.node, RunParts(context.config)
 
         def output(topic: TopicDefinition) -> tuple[TopicDefinition, RawPublisher]:
             return topic, RawPublisher(node, topic.name, topic.type_name)
@@ -41,24 +74,38 @@ class PlantIo:
             for topic, publisher in map(output, SENSORS)
         ]
         self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
-        self._further = [
+        read = {port.name for devices in parts.used.values() for port in devices.inputs}
+        more = [t for t in parts.topics[len(TOPICS) :] if t.publisher == "plant"]
+        outputs: list[Output] = [
             (topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
-            for topic, publisher in map(output, RunParts(config).topics[len(TOPICS) :])
+            for topic, publisher in map(output, more)
         ]
+        self._read = [one for one in outputs if one[0].port in read]
+        self._further = [one for one in outputs if one[0].port not in read]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
         def subscribe(topic: TopicDefinition) -> RawSubscription:
             depth = LOCKSTEP_DEPTH if every else READER_DEPTH
             return RawSubscription(node, topic.name, topic.type_name, depth, every, topic.publisher)
 
-        self.fsm_input = subscribe(FSM_COMMAND)
-        self.pma_input = subscribe(PMA_COMMAND)
-        self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
-        self.watch = SourceWatch(node, [self.fsm_input, self.pma_input, self.progress_input])
         hold = config.hold_ticks, config.fade_ticks
-        mirror, force = RunParts(config).basis.authority
-        self.fsm_gate = CommandGate(codec_for(FSM_COMMAND), mirror, *hold)
-        self.pma_gate = CommandGate(codec_for(PMA_COMMAND), force, *hold)
+
+        def command(name: str, topic: TopicDefinition, limit: float) -> CommandInput:
+            return CommandInput(name, topic, subscribe(topic), CommandGate(codec_for(topic), limit, *hold))
+
+        mirror, force = parts.basis.authority
+        further = parts.used["k_pma"].actuators
+        self.mirror = command("fsm", FSM_COMMAND, mirror)
+        self.forces = command("pma", PMA_COMMAND, force)
+        self.commands = (
+            *(command(one.name, topic, one.authority) for one, topic in zip(further, actuator_topics(further))),
+            self.mirror,
+            self.forces,
+        )
+        """Command topics in the order in which the controller sends them."""
+        self.command_size = max(one.topic.columns.stop for one in self.commands)
+        self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
+        self.watch = SourceWatch(node, [*(one.source for one in self.commands), self.progress_input])
         self._none = np.zeros(1)  # of hold ticks: all values
         self.start = 0
 
@@ -67,14 +114,20 @@ class PlantIo:
     ) -> None:
         """Send a tick; slower sensors only on theirs. The estimator's trigger goes before truth, image and readings.
 
+        Readings that a controller takes in go before all others.
+
         `further` holds the vectors behind those of the loop, by their names.
         """
+        self._publish_further(stamp, further, self._read)
         for topic, publisher, codec, period in self._sensors:
             if period == TICK_NS or stamp % period == 0:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         publisher, codec = self._truth
         publisher.publish(codec.encode(stamp, truth))
-        for topic, publisher, codec, period in self._further:
+        self._publish_further(stamp, further, self._further)
+
+    def _publish_further(self, stamp: int, further: Mapping[str, FloatArray], outputs: list[Output]) -> None:
+        for topic, publisher, codec, period in outputs:
             if stamp % period == 0:
                 values = further[topic.vector][topic.columns] if topic.vector in further else self._none
                 publisher.publish(codec.encode(stamp, values))
@@ -111,40 +164,44 @@ class PlantIo:
         settle(
             [publisher for _, publisher, _, _ in self._sensors]
             + [self._truth[0]]
-            + [publisher for _, publisher, _, _ in self._further]
+            + [publisher for _, publisher, _, _ in (*self._read, *self._further)]
         )
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
         """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""
         self.start = start
-        for subscription in (self.fsm_input, self.pma_input):
-            while subscription.take() is not None:
+        for one in self.commands:
+            while one.source.take() is not None:
                 pass
-        self.fsm_gate.begin(start, None if command is None else command[MIRROR])
-        self.pma_gate.begin(start, None if command is None else command[FORCES])
+            known = command is not None and one.topic.columns.stop <= len(command)
+            one.gate.begin(start, command[one.topic.columns] if command is not None and known else None)
 
     def forget(self) -> None:
         """The next run counts its own rejected commands."""
-        for gate in (self.fsm_gate, self.pma_gate):
-            gate.rejected.clear()
+        for one in self.commands:
+            one.gate.rejected.clear()
 
     def fresh(self, now_ns: int) -> bool:
-        """Whether both commands are those computed from the tick before `now_ns`."""
-        return self.fsm_gate.fresh(now_ns) and self.pma_gate.fresh(now_ns)
+        """Whether all commands are those computed from the tick before `now_ns`."""
+        return all(one.gate.fresh(now_ns) for one in self.commands)
+
+    def apply(self, now_ns: int, out: FloatArray) -> None:
+        """Write the command of a tick into `out` (8 and those of further actuators)."""
+        for one in self.commands:
+            one.gate.apply(now_ns, out[one.topic.columns])
 
     def fading(self) -> bool:
         """Whether an actuator is being brought to zero for want of commands."""
-        return self.fsm_gate.fading or self.pma_gate.fading
+        return any(one.gate.fading for one in self.commands)
 
     def rejected_total(self) -> int:
-        """Rejected commands of both topics."""
-        return sum(self.fsm_gate.rejected.values()) + sum(self.pma_gate.rejected.values())
+        """Rejected commands of all topics."""
+        return sum(one.gate.rejected.total() for one in self.commands)
 
     def rejections(self) -> dict[str, str]:
         """Rejected commands by topic and reason."""
-        gates = (("fsm", self.fsm_gate), ("pma", self.pma_gate))
         return {
-            f"rejected_{name}_{reason}": str(count)
-            for name, gate in gates
-            for reason, count in sorted(gate.rejected.items())
+            f"rejected_{one.name}_{reason}": str(count)
+            for one in (self.mirror, self.forces, *self.commands[:-2])
+            for reason, count in sorted(one.gate.rejected.items())
         }

@@ -11,7 +11,7 @@ from datetime import datetime
 from xml.etree import ElementTree
 
 from los_testbed.run.processes.viewers import LIVE
-from los_testbed.topics import DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
+from los_testbed.topics import COMMANDED, DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
 
 CONTROL = "control"
 """Enclave of ``los-testbed control``."""
@@ -40,7 +40,7 @@ def sent_by(name: str, namespace: str) -> tuple[str, ...]:
     Examples
     --------
     >>> [name for name in sent_by("controller", "/telescope") if "command" in name]
-    ['rt/telescope/fsm/command', 'rt/telescope/pma/command']
+    ['rt/telescope/fsm/command', 'rt/telescope/pma/command', 'rt/telescope/actuator/*/command']
     """
     space = namespace.rstrip("/")
     own = [f"rt{topic.path_in(namespace)}" for topic in TOPICS if topic.publisher == name]
@@ -48,6 +48,8 @@ def sent_by(name: str, namespace: str) -> tuple[str, ...]:
         own += [f"rt{space}/{name}/*", f"rr{space}/{name}/*", f"rt{DIAGNOSTICS_TOPIC}"]
     if name == "plant":
         own += ["rt/clock", f"rt{space}/{IMAGE_NAME}", f"rt{space}/{PLACED}/*"]
+    if name == "controller":
+        own.append(f"rt{space}/{COMMANDED}/*/command")
     if name in (LIVE, CONTROL):
         own += [f"rq{space}/*", *(f"{kind}{node}" for node in _askers(name, space) for kind in ("rt", "rr"))]
     return (*own, *EVERYBODY_SENDS)

@@ -1,0 +1,194 @@
+"""Controllers of the user that read sensors and command actuators of a telescope's file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli import app
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.loop.simulate import run_in_process
+
+import fsm_pma_controller
+from lftkit import sampled
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.sampled_system import SampledSystem
+from pointing_analysis.read.run import Run
+from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
+from titop_plant.simulation.plant_config import parameter_values
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.control_plant import with_sensors
+from titop_plant.telescope.parameters import load_parameters
+
+TELESCOPE = """
+[[sensor]]
+name = "on_m1"
+place = "M1"
+noise = 0.0
+
+[[sensor]]
+name = "at_root"
+place = "A1"
+axes = [[0.0, 0.0, 1.0]]
+
+[[actuator]]
+name = "shaker"
+place = "A1"
+axis = [0.0, 0.0, 1.0]
+moving_mass = 0.5
+
+[[actuator]]
+name = "idle"
+place = "detector"
+axis = [1.0, 0.0, 0.0]
+"""
+LAWS = '''
+import numpy as np
+
+class Still:
+    def reset(self):
+        pass
+    def step(self, measurement, out):
+        out[:] = 0.0
+
+class Shaking:
+    """A chirp on one actuator, above its authority at times."""
+    actuators = ("shaker",)
+    def reset(self):
+        self.tick = 0
+    def step(self, accel_Ip, out):
+        out[:6], out[6] = 0.0, 40.0 * np.sin(2e-5 * self.tick**2)
+        self.tick += 1
+
+class Seeing(Still):
+    sensors = ("at_root", "on_m1")
+    def step(self, measurement, out):
+        out[:] = measurement[22], measurement[25]
+
+class Greedy(Still):
+    actuators = ("shaker",)
+
+class Unknown(Still):
+    sensors = ("on_m2",)
+'''
+ON_M1, AT_ROOT, SHAKER = Port("on_m1", 3, "m/s2"), Port("at_root", 1, "m/s2"), Port("shaker", 1, "N")
+
+
+@pytest.fixture
+def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunConfig:
+    """A short run of a telescope with further devices, in a folder with laws of the user."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.toml").write_text(TELESCOPE)
+    (tmp_path / "laws_with_devices.py").write_text(LAWS)
+    return RunConfig(
+        duration=0.4, loop="fsm+pma", scenario="imbalance", disturbance=False, noise=False, start="rest",
+        parameters="own.toml",
+    )  # fmt: skip
+
+
+def law_with_devices() -> SampledSystem:
+    """The stored K_PMA, which adds a low-passed sensor to its forces and drives an actuator."""
+    stored = SampledSystem.from_file(Path(str(fsm_pma_controller.__file__)).parent / "designs" / "k_pma.json")
+    n = stored.order
+    A = np.block([[stored.A, np.zeros((n, 1))], [np.zeros((1, n)), np.array([[0.9]])]])
+    B = np.block([[stored.B, np.zeros((n, 1))], [np.zeros((1, 6)), np.array([[0.1]])]])
+    C = np.block([[stored.C, np.full((6, 1), 5.0)], [np.zeros((1, n)), np.array([[-300.0]])]])
+    D = np.block([[stored.D, np.zeros((6, 1))], [np.zeros((1, 7))]])
+    return SampledSystem(A, B, C, D, (*K_PMA_INPUTS, AT_ROOT), (*K_PMA_OUTPUTS, SHAKER), DT)
+
+
+def test_an_actuator_moves_what_its_command_says(base: RunConfig, tmp_path: Path) -> None:
+    """The run against the matrices of the telescope with the force as an input, stepped one by one."""
+    config = replace(base, k_fsm="laws_with_devices:Still", k_pma="laws_with_devices:Shaking")
+    run_in_process(config, tmp_path / "bag")
+    run, parameters = Run.open(tmp_path / "bag"), load_parameters("own.toml")
+    force = run["actuator/shaker/command"].values[:, 0]
+    assert np.abs(force).max() == 31.6  # the law is limited, as the plant is
+    assert not run["pma/command"].values.any()
+
+    whole = with_sensors(build_telescope(parameters, motors=True).system, parameters)
+    outputs = [*MEASURED, "los_controlled", "placed_sensors"]
+    chosen = whole.select(inputs=[*COMMANDED, "actuator_force"], outputs=outputs)
+    plant = sampled(chosen.at(parameter_values(RunParts(config).settings, parameters)), DT, method="hold")
+    x, found = np.zeros(len(plant.A)), []
+    applied = np.r_[0.0, force[:-1]]  # of tick k - 1
+    for u in applied:
+        found.append(plant.C @ x + plant.D[:, 8] * u)  # the first of the file's actuators
+        x = plant.A @ x + plant.B[:, 8] * u
+    expected = np.array(found)
+    for name, columns in (("truth/los", slice(22, 24)), ("sensor/on_m1", slice(24, 27)), ("sensor/at_root", [27])):
+        size = np.abs(expected[:, columns]).max()
+        values = run[name].values[:, : expected[:, columns].shape[1]]  # a vector has three values
+        assert size > 0.0
+        np.testing.assert_allclose(values, expected[:, columns], atol=1e-9 * size)
+
+
+def test_an_observer_sees_the_sensors_that_it_names_in_its_order(base: RunConfig, tmp_path: Path) -> None:
+    config = replace(base, k_fsm="laws_with_devices:Seeing", k_pma="laws_with_devices:Shaking")
+    run_in_process(config, tmp_path / "bag")
+    run = Run.open(tmp_path / "bag")
+    seen = np.c_[run["sensor/at_root"].values[:, 0], run["sensor/on_m1"].values[:, 2]]
+    assert seen.any() and np.array_equal(run["los_estimate"].values[:, :2], seen)
+
+
+def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path) -> None:
+    """A file gives the bits of its own steps; a sensor that it leaves out, and one that it weighs by zero, nothing."""
+    law = law_with_devices()
+    law.to_file(tmp_path / "k_pma.json")
+    D = np.c_[np.zeros((2, 18)), 0.02 * np.eye(2), np.zeros((2, 2)), np.zeros((2, 3))]
+    observer = SampledSystem([], [], [], D, (*K_FSM_INPUTS, ON_M1), K_FSM_OUTPUTS, DT)
+    observer.to_file(tmp_path / "k_fsm.json")
+    replace(observer, D=D[:, :22], inputs=K_FSM_INPUTS).to_file(tmp_path / "plain.json")
+    config = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, start="steady")
+    parts = RunParts(config)
+    assert set(parts.code) == {"k_fsm", "k_pma"}
+    assert parts.start.states is None and "starts at rest" in parts.start.note
+    with pytest.raises(ValueError, match=r"must have the loop's ports only, .* got k_fsm.json"):
+        _ = parts.model_files
+    bags = {name: tmp_path / name for name in ("k_fsm", "plain")}
+    for name, bag in bags.items():
+        run_in_process(replace(config, k_fsm=f"{name}.json"), bag)
+    run, other = (Run.open(bag) for bag in bags.values())
+    sensed, out = np.c_[run["isolator/accel"].values, run["sensor/at_root"].values[:, 0]], np.zeros(7)
+    commands = np.c_[run["pma/command"].values, run["actuator/shaker/command"].values[:, 0]]
+    for given, command in zip(sensed, commands):
+        law.step(given, out)
+        assert np.array_equal(np.clip(out, -31.6, 31.6), command)
+    assert commands[:, 6].any()
+    assert np.array_equal(run["truth/los"].values, other["truth/los"].values)
+
+
+@pytest.mark.parametrize(
+    ("setting", "name", "message"),
+    [
+        ("k_fsm", "Unknown", "sensors must be different names of on_m1, at_root, got ('on_m2',)"),
+        ("k_fsm", "Greedy", "an observer must command no actuator, that is for k_pma, got shaker"),
+    ],
+)
+def test_other_devices_are_refused(
+    base: RunConfig, capsys: pytest.CaptureFixture[str], setting: str, name: str, message: str
+) -> None:
+    line = ["run", "--mode", "inprocess", "--parameters", "own.toml", f"--{setting.replace('_', '-')}"]
+    with pytest.raises(SystemExit) as ended:
+        app.main([*line, f"laws_with_devices:{name}", "--output", "bag"])
+    assert ended.value.code == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not Path("bag").exists()
+
+
+def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
+    source = '[[disturbance]]\nname = "sine"\nkind = "cooler"\nplace = "shaker"\nfrequency = 40.0\n'
+    tone = "harmonics = [{order = 1, force = [0.0, 0.0, 2.0]}]\n"
+    (tmp_path / "own.toml").write_text(TELESCOPE + source + tone)
+    config = replace(base, k_pma="laws_with_devices:Shaking", disturbance=True)
+    with pytest.raises(ValueError, match="actuator shaker must have one driver, got source sine and k_pma"):
+        RunParts(config).check()
+
+
+def test_a_device_has_no_name_of_the_loop(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text('[[sensor]]\nname = "accel_M1"\nplace = "M1"\n')
+    with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must be none of accel_Ip, .*, got 'accel_M1'"):
+        load_parameters(tmp_path / "own.toml")
