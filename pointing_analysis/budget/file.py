@@ -19,6 +19,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.source_table import read_sources
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, BudgetError, Source
+from pointing_analysis.budget.table_files import ENDINGS
 from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
@@ -77,7 +78,7 @@ def load_budget(
 
     Parameters
     ----------
-    path : TOML file, or a table of sources (:mod:`pointing_analysis.budget.source_table`) with the ending .csv
+    path : TOML file, or a table of sources (:mod:`pointing_analysis.budget.source_table`) with the ending .csv or .xlsx
     testbed : makes the sources of type ``testbed``; without it such a source is an error
     of_testbed : requirements of the telescope of such a source, for a file that has neither requirements nor totals;
         those on indices that a budget has are taken, on the error at every instant where they are on its rms in windows
@@ -106,7 +107,7 @@ def read_content(file: Path) -> dict[str, Any]:
         A file that cannot be read.
     """
     try:
-        if file.suffix.lower() == ".csv":
+        if file.suffix.lower() in ENDINGS:
             return read_sources(file)
         return dict(load_toml(read_text(file), file))
     except StructuredTextError as error:

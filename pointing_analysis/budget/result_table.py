@@ -12,17 +12,30 @@ AST-4    evaluation                                 ``level``: alone at the requ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from pointing_analysis.budget.file import Budget
 from pointing_analysis.budget.total import BudgetVerdict
 
+NO_MEMBERS: Mapping[str, tuple[str, float]] = MappingProxyType({})
 
-def result_rows(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> list[dict[str, str]]:
-    """Rows of the results: each source of each requirement, then its totals."""
+
+def name_of(verdict: BudgetVerdict) -> str:
+    """Name of the requirement of a verdict, its text where it has none."""
+    return verdict.requirement.name or str(verdict.requirement)
+
+
+def result_rows(
+    budget: Budget, verdicts: Sequence[BudgetVerdict], worst: Mapping[str, tuple[str, float]] = NO_MEMBERS
+) -> list[dict[str, str]]:
+    """Rows of the results: each source of each requirement, then its totals.
+
+    `worst` has, for the name of a requirement, the member of the family with the largest total, and that total.
+    """
     rows = []
     for v in verdicts:
-        common = {"requirement": v.requirement.name or str(v.requirement), "unit": budget.unit}
+        common = {"requirement": name_of(v), "unit": budget.unit}
         for s in v.shares:
             source = s.source
             values = {
@@ -35,6 +48,9 @@ def result_rows(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> list[dict[
             step_1 = {"source": source.name, "type": source.kind, "random": source.random}
             rows.append({**common, **step_1, **axes, "level": f"{s.level:.9g}", "share": f"{s.share:.9g}"})
         totals = {"total, distribution": v.level, "total, root sum of squares": v.rss}
+        if name_of(v) in worst:
+            member, total = worst[name_of(v)]
+            totals[f"total, largest over members ({member})"] = total
         for name, value in {**totals, "limit": v.limit, "margin": v.margin}.items():
             rows.append({**common, "source": name, "type": "total", "level": f"{value:.9g}"})
     return rows

@@ -1,4 +1,4 @@
-"""Sources of a budget as a table (CSV), to read and to write.
+"""Sources of a budget as a table (CSV or a workbook), to read and to write.
 
 The columns are described in ``docs/pointing_budget.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
 values of several axes stand apart by ``;``.
@@ -6,14 +6,12 @@ values of several axes stand apart by ``;``.
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pointing_analysis.budget.sources import BudgetError
-from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.budget.table_files import read_rows
 from pointing_analysis.units import ANGLES
 
 LENGTHS = ("value", "half_range", "sigma", "amplitude", "rate")
@@ -37,18 +35,14 @@ def read_sources(path: Path) -> dict[str, Any]:
     BudgetError
         Unknown or missing columns, a cell that is no number, an unknown unit, a name that stands twice.
     """
-    reader = csv.DictReader(io.StringIO(read_text(path).lstrip("\ufeff")), skipinitialspace=True)
-    heads = [head.strip() for head in reader.fieldnames or ()]
-    reader.fieldnames = heads
-    if unknown := [head for head in heads if head not in COLUMNS]:
+    heads, rows = read_rows(path)
+    if unknown := [head for head in heads if head and head not in COLUMNS]:
         raise BudgetError(f"{path}: columns must be of {', '.join(COLUMNS)}, got {unknown[0]!r}")
     if missing := [head for head in ("source", "type", "unit") if head not in heads]:
         raise BudgetError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
     content: dict[str, Any] = {"title": path.stem, "sources": {}, REQUIREMENT: []}
-    for number, row in enumerate(reader, start=2):
-        cells = {key: value.strip() for key, value in row.items() if key and value and value.strip()}
-        if cells:
-            _take(content, cells, f"{path}, line {number}")
+    for where, cells in rows:
+        _take(content, cells, where)
     return content
 
 
@@ -131,13 +125,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "; ".join(repr(float(x)) for x in value)
     return repr(float(value)) if isinstance(value, (int, float)) else str(value)
-
-
-def text_of(rows: Sequence[Mapping[str, str]], columns: Sequence[str] = ()) -> str:
-    """Rows as CSV; by default with the columns that they have, in their order."""
-    heads = columns or list(dict.fromkeys(key for row in rows for key in row))
-    out = io.StringIO()
-    writer = csv.DictWriter(out, heads, lineterminator="\n", restval="")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()

@@ -13,6 +13,7 @@ REMEDIES = {
     "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'cryptography": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'numba": "install the extra: pip install 'los-testbed[fast]'",
+    "could not import 'openpyxl": "install the extra: pip install 'los-testbed[xlsx]'",
     "could not import 'h5py": "install the extra: pip install 'los-testbed[hdf5]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'astropy": "install the extra: pip install 'los-testbed[image]'",

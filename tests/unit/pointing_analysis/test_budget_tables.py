@@ -1,4 +1,4 @@
-"""Budgets as CSV tables: sources there and back, results in the four steps, mistakes in one line."""
+"""Budgets as tables: sources there and back, results in the four steps, mistakes in one line."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from pointing_analysis.budget.file import load_budget
+from pointing_analysis.budget.result_table import result_rows
 from pointing_analysis.budget.source_table import COLUMNS
 from pointing_analysis.budget.total import evaluate
 from pointing_analysis.report import budget_page
@@ -142,3 +143,56 @@ def test_every_source_has_a_bar_that_is_seen(tmp_path: Path, monkeypatch: pytest
     low, high = np.log(axis.get_xlim())
     ends = [np.log(bar.get_x() + bar.get_width()) for bar in axis.patches if isinstance(bar, Rectangle)]
     assert len(ends) == 4 and all(end - low > 0.05 * (high - low) for end in ends)
+
+
+def test_a_workbook_is_the_table(files: tuple[Path, Path], tmp_path: Path) -> None:
+    """Sources and results there and back; numbers are numbers in the sheet."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book, results = tmp_path / "budget.xlsx", tmp_path / "results.xlsx"
+    assert main(["budget", str(files[1]), "--sources", str(book), "--table", str(results)]) == 0
+    assert main(["budget", str(book), "--table", str(tmp_path / "again.csv")]) == 0
+    assert main(["budget", str(files[1]), "--table", str(tmp_path / "results.csv")]) == 0
+    assert (tmp_path / "again.csv").read_text() == (tmp_path / "results.csv").read_text()
+    with (tmp_path / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    heads, *lines = openpyxl.load_workbook(results).active.iter_rows(values_only=True)
+    assert list(heads) == list(rows[0]) and len(lines) == len(rows)
+    levels = [line[heads.index("level")] for line in lines]
+    assert levels == [float(row["level"]) for row in rows]
+
+
+def test_a_sheet_of_a_user_is_read(tmp_path: Path) -> None:
+    """Whole numbers, empty rows and columns at the end, cells of several axes."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    rows = [
+        ["source", "type", "unit", "half_range", "amplitude", "frequency", "text", None],
+        ["alignment", "constant", "mas", 20, None, None, None, None],
+        [None] * 8,
+        ["wheels", "periodic", "mas", None, "9; 4", 33, None, None],
+        ["RPE", "requirement", None, None, None, None, "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence", None],
+        [None] * 8,
+    ]
+    for row in rows:
+        book.active.append(row)
+    book.save(tmp_path / "mine.xlsx")
+    found = load_budget(tmp_path / "mine.xlsx")
+    assert sorted(source.name for source in found.sources) == ["alignment", "wheels"]
+
+
+def test_a_file_that_is_no_workbook_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("openpyxl")
+    (tmp_path / "no.xlsx").write_text("source,type,unit\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["budget", str(tmp_path / "no.xlsx")])
+    assert ended.value.code == 2
+    assert "no.xlsx must be a workbook (.xlsx), got BadZipFile" in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_largest_total_over_members_has_a_row(files: tuple[Path, Path]) -> None:
+    budget = load_budget(files[1])
+    rows = result_rows(budget, evaluate(budget), {"RPE": ("random, seed 3", 41.5)})
+    found = [row for row in rows if "members" in row["source"]]
+    assert [(row["source"], row["level"], row["type"]) for row in found] == [
+        ("total, largest over members (random, seed 3)", "41.5", "total")
+    ]

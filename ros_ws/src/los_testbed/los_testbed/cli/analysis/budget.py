@@ -15,7 +15,7 @@ from los_testbed.cli.output import number, print_json
 from los_testbed.run.summary.screen import Screen, numbers
 
 if TYPE_CHECKING:
-    from los_testbed.run.summary.worst_budget import Loader, Overlay
+    from los_testbed.run.summary.worst_budget import Loader, Overlay, WorstTotal
     from pointing_analysis.budget.file import Budget
     from pointing_analysis.budget.total import BudgetVerdict
 
@@ -28,7 +28,7 @@ requirements of the reference telescope.
 
     los-testbed budget
 
-    los-testbed budget from_peet.csv --table results.csv
+    los-testbed budget from_peet.xlsx --table results.xlsx
 
     los-testbed budget --designs examples/spacecraft/small_telescope
 
@@ -57,10 +57,16 @@ def _shown(v: BudgetVerdict) -> Table:
 
 
 def budget(
-    file: Annotated[Path | None, typer.Argument(help="TOML file of the budget, or CSV table of its sources.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="TOML file of the budget, or table of its sources (.csv, .xlsx).")
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    table: Annotated[Path | None, typer.Option(help="CSV file of the results to write, by steps AST-1 to 4.")] = None,
-    sources: Annotated[Path | None, typer.Option(help="CSV file of the sources to write, which can be read.")] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="File of the results to write (.csv, .xlsx), by steps AST-1 to 4.")
+    ] = None,
+    sources: Annotated[
+        Path | None, typer.Option(help="File of the sources to write (.csv, .xlsx), which can be read.")
+    ] = None,
     designs: Designs = None,
     members: Annotated[
         int, typer.Option(help="Also at so many random members of the telescope's family, and at its worst points.")
@@ -72,7 +78,8 @@ def budget(
     from los_testbed.run.summary.budget_sources import testbed_requirements, testbed_sources, with_designs
     from los_testbed.run.summary.worst_budget import members_of
     from pointing_analysis.budget.result_table import result_rows
-    from pointing_analysis.budget.source_table import COLUMNS, source_rows, text_of
+    from pointing_analysis.budget.source_table import COLUMNS, source_rows
+    from pointing_analysis.budget.table_files import require_writable, write_rows
     from pointing_analysis.budget.total import as_dict, axis_total, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
     from pointing_analysis.report.budget_page import render_budget, vector
@@ -81,8 +88,9 @@ def budget(
     for path, what in ((output, "the page"), (table, "--table"), (sources, "--sources")):
         if path is not None:
             check_output(path, what)
+            require_writable(path)
     if sources is not None:
-        write_text(sources, text_of(source_rows(budget_file.read_content(file or shipped)), COLUMNS))
+        write_rows(sources, source_rows(budget_file.read_content(file or shipped)), COLUMNS)
 
     number("--members", members, 0, 100_000)
 
@@ -113,22 +121,21 @@ def budget(
     if output is not None:
         write_text(output, render_budget(found, verdicts))
         console.print(f"page    {output}", soft_wrap=True, highlight=False)
-    if table is not None:
-        write_text(table, text_of(result_rows(found, verdicts)))
-        console.print(f"table   {table}", soft_wrap=True, highlight=False)
-    over = {}
+    worst: tuple[WorstTotal, ...] = ()
     if members and named is not None:
-        over["over_members"] = _over_members(
-            console, load, verdicts, members_of(of_designs(named), designs or "", members)
-        )
+        worst = _over_members(console, load, verdicts, members_of(of_designs(named), designs or "", members))
+    if table is not None:
+        write_rows(table, result_rows(found, verdicts, {row.name: (row.member, row.worst.total) for row in worst}))
+        console.print(f"table   {table}", soft_wrap=True, highlight=False)
     if json_:
+        over = {"over_members": [row.as_dict() for row in worst]} if worst else {}
         print_json({**as_dict(found, verdicts), **over})
 
 
 def _over_members(
     console: Screen, load: Loader, verdicts: Sequence[BudgetVerdict], members: Mapping[str, Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    """Totals over members of the family beside those at the point of the budget; rows for JSON."""
+) -> tuple[WorstTotal, ...]:
+    """Totals over members of the family, shown beside those at the point of the budget."""
     from lftkit.support.progress import Progress
     from los_testbed.run.summary.worst_budget import worst_totals
     from pointing_analysis.report.budget_page import digits
@@ -144,4 +151,4 @@ def _over_members(
         cells = (digits(row.at.total), digits(v.total), digits(v.limit), Text(digits(v.margin), style=style))
         table.add_row(str(v.requirement), *cells, row.member)
     console.print(table)
-    return [row.as_dict() for row in found]
+    return found

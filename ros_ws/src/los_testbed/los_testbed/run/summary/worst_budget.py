@@ -12,6 +12,7 @@ from typing import Any
 
 from los_testbed.variants import MEMBER, layered, random_member, worst_member
 from pointing_analysis.budget.file import Budget
+from pointing_analysis.budget.result_table import name_of
 from pointing_analysis.budget.total import BudgetVerdict, evaluate
 
 Overlay = Callable[[Mapping[str, Any]], Mapping[str, Any]]
@@ -47,6 +48,11 @@ class WorstTotal:
     member: str
     settings: Mapping[str, Any]
     count: int
+
+    @property
+    def name(self) -> str:
+        """Of the requirement, as in the table of results."""
+        return name_of(self.at)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

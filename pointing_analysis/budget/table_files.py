@@ -1,0 +1,135 @@
+"""Tables of a budget as files: CSV, or a workbook (.xlsx, the extra ``xlsx``) whose first sheet is the table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pointing_analysis.budget.sources import BudgetError
+from pointing_analysis.files.atomic_output import atomic_file, write_text
+from pointing_analysis.files.structured_text import MAX_SIZE, read_text
+
+WORKBOOK = ".xlsx"
+ENDINGS = (".csv", WORKBOOK)
+"""Endings of the files of tables."""
+
+MAX_ROWS = 100_000
+"""A workbook is compressed: this many rows are read at most."""
+
+
+def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]]]]:
+    """Heads of a table, and the cells of each row that has any, with the place of the row.
+
+    Raises
+    ------
+    BudgetError
+        A workbook that cannot be read.
+    StructuredTextError
+        A CSV file that cannot be read.
+    """
+    if path.suffix.lower() == WORKBOOK:
+        lines = _lines_of_workbook(path)
+    else:
+        lines = list(csv.reader(io.StringIO(read_text(path).lstrip("\ufeff")), skipinitialspace=True))
+    heads = [cell.strip() for cell in lines[0]] if lines else []
+    return heads, _filled(path, heads, lines[1:])
+
+
+def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tuple[str, dict[str, str]]]:
+    for number, line in enumerate(lines, start=2):
+        cells = {head: cell.strip() for head, cell in zip(heads, line) if head and cell.strip()}
+        if cells:
+            yield f"{path}, line {number}", cells
+
+
+def _lines_of_workbook(path: Path) -> list[list[str]]:
+    openpyxl = _openpyxl(path)
+    try:
+        size = path.stat().st_size
+        if size > MAX_SIZE:
+            raise BudgetError(f"{path} must have at most {MAX_SIZE} bytes, got {size}")
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        try:
+            rows = book.worksheets[0].iter_rows(values_only=True, max_row=MAX_ROWS)
+            lines = [["" if cell is None else _text(cell) for cell in row] for row in rows]
+        finally:
+            book.close()
+    except BudgetError:
+        raise
+    except OSError as error:
+        raise BudgetError(f"cannot read {path}: {error.strerror or error}") from None
+    except Exception as error:  # of a damaged file openpyxl raises a dozen kinds
+        text = " ".join(str(error).split())
+        raise BudgetError(f"{path} must be a workbook (.xlsx), got {type(error).__name__}: {text}") from None
+    while lines and not any(lines[-1]):
+        lines.pop()
+    return lines
+
+
+def _text(cell: Any) -> str:
+    """A cell as the CSV file has it: numbers with all their digits."""
+    return repr(float(cell)) if isinstance(cell, (int, float)) and not isinstance(cell, bool) else str(cell)
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, str]], columns: Sequence[str] = ()) -> None:
+    """Write a table, whole or not at all; by default with the columns that its rows have, in their order.
+
+    In a workbook cells that are numbers are numbers.
+
+    Raises
+    ------
+    BudgetError
+        A workbook, and openpyxl is not installed.
+    OSError
+        The file cannot be written.
+    """
+    heads = list(columns or dict.fromkeys(key for row in rows for key in row))
+    if path.suffix.lower() != WORKBOOK:
+        out = io.StringIO()
+        writer = csv.DictWriter(out, heads, lineterminator="\n", restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(path, out.getvalue())
+        return
+    book = _openpyxl(path).Workbook()
+    sheet = book.active
+    sheet.append(heads)
+    for row in rows:
+        sheet.append([_number(row.get(head, "")) for head in heads])
+    sheet.freeze_panes = "A2"
+    for letter, head in zip((cell.column_letter for cell in sheet[1]), heads):
+        sheet.column_dimensions[letter].width = min(
+            60, 2 + max(len(head), *(len(row.get(head, "")) for row in rows), 8)
+        )
+    with atomic_file(path) as temporary:
+        book.save(temporary)
+
+
+def _number(cell: str) -> float | str | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell or None
+
+
+def require_writable(path: Path) -> None:
+    """Refuse a workbook before work where openpyxl is not installed.
+
+    Raises
+    ------
+    BudgetError
+        It is not.
+    """
+    if path.suffix.lower() == WORKBOOK:
+        _openpyxl(path)
+
+
+def _openpyxl(path: Path) -> Any:
+    try:
+        import openpyxl
+    except ImportError:
+        raise BudgetError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
+    return openpyxl
