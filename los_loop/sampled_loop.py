@@ -3,10 +3,14 @@
 The state at a tick is ``[x, v, x_F, x_P, c]``: plant, command in force, states of K_FSM and K_PMA, last values of the
 sensors that are slower than the tick (zero-order hold until the next). The loop is periodic: with a period of N ticks,
 after which all sensors have a sample again, its stability is that of the product of the N one-tick matrices.
+
+A rig has further delays (:class:`Delays`); what is on its way stands before ``c``: commands, the oldest first, and the
+frame of the camera without the mirror's share.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,10 +24,12 @@ from lftkit.analysis.real_schur import RealSchur
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.spec import laws, state_parts
 from titop_plant.interface import (
+    CAMERA,
     COLUMNS,
     COMMANDS,
     DT,
     FRAME_TICKS,
+    FSM_ANGLE,
     HELD,
     HELD_PARTS,
     MEASUREMENTS,
@@ -31,11 +37,44 @@ from titop_plant.interface import (
     period_ticks,
     sample_ticks,
 )
+from titop_plant.sensor_table import CAMERA_PORT
 from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, step_matrix
 
 Made = TypeVar("Made")
+
+ACQUIRED = "acquired"
+"""Among the ports that have a sample at a tick: that the camera takes a frame, which is used later."""
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Delays of a rig beside the tick that each command takes.
+
+    Parameters
+    ----------
+    commands : int
+        Further ticks from the measurement to the command that it causes.
+    frames : int
+        Ticks from the acquisition of a frame of the camera to its use, less than from one frame to the next. It is
+        corrected by what the mirror has done since, as `--old-frames correct` does.
+
+    Raises
+    ------
+    ValueError
+        A negative delay.
+    """
+
+    commands: int = 0
+    frames: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.commands, self.frames) < 0:
+            raise ValueError(f"delays must be zero or more ticks, got {self.commands} and {self.frames}")
+
+
+NONE = Delays()
 
 
 @dataclass(frozen=True)
@@ -208,6 +247,7 @@ def sampled_loop(
     frame_ticks: int = FRAME_TICKS,
     los_sensitivity: float | None = None,
     step: FloatArray | None = None,
+    delays: Delays = NONE,
 ) -> SampledLoop:
     """Close the sampled loop around a plant at given parameter values.
 
@@ -226,12 +266,17 @@ def sampled_loop(
         was made.
     step : ndarray, shape (n + 24, n + 8), optional
         Of the plant, as :func:`titop_plant.simulation.plant_step.step_matrix` makes it without tones, if it is known.
+    delays : Delays
+        Of a rig. With late frames the sensitivity must be given.
 
     Raises
     ------
     ValueError
-        The mirror's loop is closed and nothing says a sensitivity.
+        The mirror's loop is closed and nothing says a sensitivity; frames that are later than the next one.
     """
+    if delays.frames and (delays.frames >= frame_ticks or los_sensitivity is None):
+        got = f"{delays.frames} of {frame_ticks} ticks and a sensitivity of {los_sensitivity}"
+        raise ValueError(f"late frames must come before the next one, with a sensitivity of the mirror, got {got}")
     if step is None:
         if isinstance(plant, ModalPlant):
             step = held_step(plant)
@@ -240,9 +285,15 @@ def sampled_loop(
     n = step.shape[1] - COMMANDS
     both = laws(k_fsm, k_pma, loop, los_sensitivity)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)
+    sent = [slice(H.start + k * COMMANDS, H.start + (k + 1) * COMMANDS) for k in range(delays.commands)]
+    Q = slice(H.start + COMMANDS * len(sent), H.start + COMMANDS * len(sent) + (2 if delays.frames else 0))
+    H = slice(Q.stop, Q.stop + HELD.size)
     size = H.stop
+    mirror = los_sensitivity or 0.0
     Y = np.zeros((MEASUREMENTS, size))
     Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
+
+    seen = np.hstack([Y, np.eye(MEASUREMENTS)])
 
     def tick(sampled: frozenset[str]) -> tuple[FloatArray, FloatArray]:
         measured, noise = Y.copy(), np.eye(MEASUREMENTS)
@@ -250,11 +301,20 @@ def sampled_loop(
             if name not in sampled:
                 measured[COLUMNS[name]], noise[COLUMNS[name]] = 0.0, 0.0
                 measured[COLUMNS[name], H.start + part.start : H.start + part.stop] = np.eye(part.stop - part.start)
+            elif delays.frames and name == CAMERA_PORT:
+                measured[CAMERA], noise[CAMERA] = mirror * Y[FSM_ANGLE], mirror * noise[FSM_ANGLE]
+                measured[CAMERA, Q] = np.eye(2)
         sensed = np.hstack([measured, noise])
         out = np.zeros((size, size + MEASUREMENTS))
         out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
         out[H] = sensed[HELD]
-        command = out[V]
+        if ACQUIRED in sampled:
+            out[Q] = seen[CAMERA] - mirror * seen[FSM_ANGLE]
+        else:
+            out[Q, Q] = np.eye(Q.stop - Q.start)
+        for earlier, later in itertools.pairwise([V, *sent]):
+            out[earlier, later] = np.eye(COMMANDS)
+        command = out[[V, *sent][-1]]
         for law, states in zip(both, own):
             K = law.system
             out[states] = K.B @ sensed[law.measured]
@@ -264,7 +324,7 @@ def sampled_loop(
         return out[:, :size], out[:, size:]
 
     every, period = sample_ticks(frame_ticks), period_ticks(frame_ticks)
-    due = {k: frozenset(name for name, ticks in every.items() if k % ticks == 0) for k in range(period)}
+    due = _due(every, period, delays)
     frame, noise_frame = tick(due[0])
     hold, noise_hold = tick(frozenset())
     some = {names: tick(names) for names in set(due.values()) - {due[0], frozenset()}}
@@ -272,3 +332,13 @@ def sampled_loop(
     truth = np.zeros((TRUTH, size))
     truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
     return SampledLoop(frame, hold, noise_frame, noise_hold, truth, period, n, between, every)
+
+
+def _due(every: Mapping[str, int], period: int, delays: Delays) -> dict[int, frozenset[str]]:
+    """Ports with a sample at each tick of a period; `ACQUIRED` where the camera takes a frame that is used later."""
+    late = {CAMERA_PORT: delays.frames}
+    due = {k: {name for name, ticks in every.items() if (k - late.get(name, 0)) % ticks == 0} for k in range(period)}
+    if delays.frames:
+        for k in range(0, period, every[CAMERA_PORT]):
+            due[k].add(ACQUIRED)
+    return {k: frozenset(names) for k, names in due.items()}

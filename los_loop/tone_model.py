@@ -29,7 +29,7 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.sampled_loop import NONE, Delays, SampledLoop, sampled_loop
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison
@@ -112,6 +112,7 @@ class ToneModel:
         loop: str,
         authority: tuple[float, float],
         steady: bool = True,
+        delays: Delays = NONE,
     ) -> ToneModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
@@ -129,6 +130,8 @@ class ToneModel:
             Largest commands of the run: mirror [rad], actuators [N].
         steady : bool
             As the attribute.
+        delays : Delays
+            Of a rig.
 
         Raises
         ------
@@ -144,6 +147,7 @@ class ToneModel:
             loop=loop,
             frame_ticks=frame_ticks(physical.camera_rate),
             los_sensitivity=float(family.parameters["fsm"]["los_sensitivity"]),
+            delays=delays,
         )
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
@@ -275,6 +279,34 @@ def compare_tones(
     ]
     seconds = (series.start, series.start + series.dt * len(measured))
     return tuple(sorted(found, key=lambda tone: tone.omega)), seconds
+
+
+def compare_settled(
+    run: Run, omega: FloatArray, settled: ComplexArray, transient: float | None = None
+) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
+    """Amplitudes in the record and of the settled loop, for a run whose start is not known; otherwise `compare_tones`.
+
+    Parameters
+    ----------
+    run : Run
+    omega : ndarray, shape (K,)
+        Frequencies in the record [rad/s].
+    settled : ndarray, shape (2, K), complex
+        Amplitudes of the line of sight [rad]. Tones that the run cannot resolve are omitted.
+    transient : float, optional
+        Seconds of start-up to omit.
+    """
+    series = performance_error(run, transient)
+    with one_thread():
+        found = [line for line in lines(series.values, series.dt, omega, WINDOW, taper=True) if line.merged == 1]
+        noise = background(series.values, series.dt, [line.omega for line in found])
+    predicted = {line.omega: np.linalg.norm(settled[:, np.argmin(np.abs(omega - line.omega))]) for line in found}
+    tones = [
+        ToneComparison(line.omega, 1, float(predicted[line.omega]), float(np.hypot(*line.amplitude)), float(floor))
+        for line, floor in zip(found, noise)
+        if not np.isnan(floor)
+    ]
+    return tuple(sorted(tones, key=lambda tone: tone.omega)), (series.start, series.start + series.duration)
 
 
 def tone_responses(run: Run, model: ToneModel, transient: float | None = None) -> tuple[StageTones, ...]:

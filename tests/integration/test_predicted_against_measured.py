@@ -9,15 +9,19 @@ import pytest
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from los_testbed.run.summary import predictions as module
 from los_testbed.run.summary.predictions import predictions
+from los_testbed.run_start import emulated
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.report import render
+from titop_plant.interface import COMMANDS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -136,6 +140,66 @@ def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) ->
         run = Run.open(bag)
         assert predictions([run]) == [None]
         assert TITLE not in render([run], predictions=predictions([run]))
+
+
+class LateCommands:
+    """The telescope behind a line on which each command takes one tick more."""
+
+    def __init__(self, config):
+        self.plant = RunParts(config).plant()
+        self.frame_ticks = self.plant.frame_ticks
+        self.under_way = np.zeros(COMMANDS)
+
+    def step(self, command, measurement, truth):
+        self.plant.step(self.under_way, measurement, truth)
+        self.under_way = command.copy()
+
+    def reset(self):
+        self.plant.reset()
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory):
+    """A record as of an emulated rig, with commands one tick late, at the worst fast tone."""
+    folder = tmp_path_factory.mktemp("late")
+    config = RunConfig(duration=9.0, mode="inprocess", start="rest", noise=False, worst_of="fast")
+    run_in_process(config, folder / "bag", LateCommands(emulated(config)))
+    return folder / "bag"
+
+
+def as_rig(bag, target, delays, name=None):
+    """The bag with what a device says of itself in it."""
+    run = Run.open(bag)
+    parts = RunParts(emulated(RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), ""))))
+    name = name or parts.family.name(parts.physical)
+    said = {"device_delay_ticks": delays, "device_emulates": name, "device_clock_drift_ppm": "0"}
+    statistics = {**run.parameters["statistics"], "plant": {**run.parameters["statistics"]["plant"], **said}}
+    return rewritten(run, target, statistics=statistics, device="rig", plant_parameters_hash=None)
+
+
+def test_a_rig_is_predicted_with_its_delays(late, tmp_path) -> None:
+    """The response is the mean over the delays; without them it would be 10 % less."""
+    ratios = {}
+    for name, delays in (("whole", "2:1.0"), ("none", "1:1.0"), ("half", "1:0.5 2:0.5")):
+        (found,) = predictions([Run.open(as_rig(late, tmp_path / name, delays))])
+        ratios[name] = found.tones[0].ratio
+    assert ratios["whole"] == pytest.approx(1.0, abs=0.02)
+    assert ratios["none"] == pytest.approx(1.11, abs=0.02)
+    assert ratios["half"] == pytest.approx(1.05, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("delays", "name", "words"),
+    [
+        ("", None, "does not say the delays"),
+        ("2:0.9 7:0.1", None, "10% of the commands came more than 5 ticks"),
+        ("5:1.0", None, "not stable"),
+        ("2:1.0", "0123456789ab", "another telescope or disturbance"),
+    ],
+)
+def test_a_rig_that_is_not_predicted_has_the_reason_in_its_report(late, tmp_path, delays, name, words) -> None:
+    (found,) = predictions([Run.open(as_rig(late, tmp_path / "bag", delays, name))])
+    assert not found.tones and words in found.note
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from small_loop import DT, small_controllers, small_plant
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from los_estimator.runtime import LosEstimator
-from los_loop.sampled_loop import sampled_loop
+from los_loop.sampled_loop import Delays, sampled_loop
+from titop_plant.interface import CAMERA, FSM_ANGLE
 from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -55,6 +57,52 @@ def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame
         z = A @ z + N @ error
     assert (stage == "fsm+pma") == bool(np.any(command[2:])) and (stage in STAGES[:2]) == (not np.any(command[:2]))
     assert (loop.frame_ticks, loop.plant_order) == (frame_ticks, 10)
+
+
+@pytest.mark.parametrize("delays", [Delays(2, 0), Delays(0, 7), Delays(3, 19)])
+def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
+    """Commands on their way, and frames that are used late, corrected by the motion of the mirror since.
+
+    The sensors have a constant error, so that the correction has that of two samples of the gauges.
+    """
+    data, (k_fsm, k_pma), sensitivity = small_plant(), small_controllers(), 0.2
+    k_fsm = replace(k_fsm, design_basis={})
+    rng = np.random.default_rng(0)
+    error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
+    sensors = SensorModel(np.zeros(22), error, 20, 0.0, 0)
+    plant = SampledPlant(
+        plant_step(data, no_tones()), state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
+    )
+    estimator = LosEstimator(k_fsm)
+    controller = FsmPmaController(k_pma, "fsm+pma", los_sensitivity=sensitivity, fsm_authority=1e9, pma_authority=1e9)
+    loop = sampled_loop(data, k_fsm, k_pma, loop="fsm+pma", frame_ticks=20, los_sensitivity=sensitivity, delays=delays)
+    z: FloatArray = np.zeros(len(loop.hold))
+    z[:10] = state
+    measured, estimate, los = np.zeros(22), np.zeros(2), np.zeros(2)
+    under_way, frame = deque(np.zeros(8) for _ in range(1 + delays.commands)), np.zeros(2)
+    for k in range(100):
+        plant.step(under_way.popleft(), measured, los)
+        assert loop.truth @ z == pytest.approx(los, rel=1e-9, abs=1e-12)
+        if delays.frames:
+            if k % 20 == 0:
+                frame = measured[CAMERA] - sensitivity * measured[FSM_ANGLE]
+            due = k >= delays.frames and k % 20 == delays.frames
+            measured[CAMERA] = frame + sensitivity * measured[FSM_ANGLE] if due else np.nan
+        estimator.step(measured, estimate)
+        command = np.zeros(8)
+        controller.step(estimate, measured[:6], command)
+        under_way.append(command)
+        A, N = loop.at(k)
+        z = A @ z + N @ error
+
+
+def test_a_frame_that_is_later_than_the_next_one_is_refused() -> None:
+    with pytest.raises(ValueError, match="20 of 20 ticks"):
+        sampled_loop(
+            small_plant(), *small_controllers(), loop="fsm", frame_ticks=20, los_sensitivity=0.2, delays=Delays(0, 20)
+        )
+    with pytest.raises(ValueError, match="zero or more"):
+        Delays(-1)
 
 
 @pytest.mark.parametrize(("gain", "stable"), [(1.0, True), (8.0, False)])

@@ -29,6 +29,7 @@ from los_testbed.variants import check_ranges
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
+    from los_loop.sampled_loop import Delays
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_testbed.disturbance_files import Entry
@@ -474,20 +475,27 @@ class RunParts:
 
         return sources_of(self.config, self.parameters)
 
-    def tone_model(self) -> ToneModel:
-        """Model of the loop that runs, with its tones, for comparisons with a record.
+    def tone_model(self, delays: Delays | None = None) -> ToneModel:
+        """Model of the loop that runs, with its tones, for comparisons with a record; `delays` are those of a rig.
 
         Raises
         ------
         ValueError
             A telescope outside its family, a file that is missing or no controller, code of the user.
         """
+        from los_loop.sampled_loop import NONE
         from los_loop.tone_model import ToneModel
 
         loop, steady = self.config.loop, self.start.states is not None
         with one_thread():
             return ToneModel.of(
-                self.family, self.physical, self.models, loop=loop, authority=self.basis.authority, steady=steady
+                self.family,
+                self.physical,
+                self.models,
+                loop=loop,
+                authority=self.basis.authority,
+                steady=steady,
+                delays=delays or NONE,
             )
 
 

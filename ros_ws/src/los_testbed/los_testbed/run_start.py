@@ -232,6 +232,11 @@ def at_rest(config: RunConfig) -> RunConfig:
     return replace(config, start="rest")
 
 
+def emulated(config: RunConfig) -> RunConfig:
+    """The configuration of the telescope that an emulator of a rig simulates: of no run, and so of no duration."""
+    return replace(config, device=None, start="rest", duration=RunConfig.SETTINGS["duration"].default)
+
+
 def with_tones(physical: PlantConfig, start: RunStart) -> PlantConfig:
     """The physical settings with the worst-case tone of a start."""
     return replace(physical, scenario="worst_case", disturbance=True, tones=start.tones())

@@ -25,7 +25,7 @@ from los_testbed.device.contract import (
 )
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.plugins import RAISED, in_one_line
-from titop_plant.interface import COLUMNS, COMMANDS, FRAMED, MEASURED, MEASUREMENTS
+from titop_plant.interface import COLUMNS, COMMANDS, FRAMED, MEASURED, MEASUREMENTS, TICK_NS
 
 EVERY_TICK = tuple(name for name in MEASURED if name not in FRAMED)
 """Ports of the sensors that have a sample at every tick."""
@@ -61,12 +61,14 @@ class Supervisor:
         self.state = UNCONFIGURED
         self.counts: Counter[str] = Counter()
         self.age = LatencyHistogram()
+        self.delay = LatencyHistogram()
         self.measurement = np.full(MEASUREMENTS, np.nan)
         self.frames: list[Sample] = []
         self.fault = ""
         self._config = config
         self._limit_ticks = config.hold_ticks + config.fade_ticks + PATIENCE_TICKS
         self._silent = dict.fromkeys(EVERY_TICK, 0)
+        self._written_ns = self.acquired_ns = 0
         self._equal = dict.fromkeys(MEASURED, 0)
         self._last: dict[str, bytes] = {}
         self._queues: dict[str, deque[Sample]] = {port: deque() for port in (*EVERY_TICK, TRUTH_PORT)}
@@ -92,8 +94,12 @@ class Supervisor:
 
     def write(self, command: FloatArray, now_ns: int) -> None:
         """Apply the command (8,) of a tick; the first one activates the device."""
-        self.state = ACTIVE
+        self.state, self._written_ns = ACTIVE, now_ns
         self._call("write", self.device.write, command.copy(), now_ns)
+
+    def answered(self, acquired_ns: int) -> None:
+        """Note of what time the samples are that the command was computed from that was written last."""
+        self.delay.add(max(0, self._written_ns - acquired_ns))
 
     def read(self, now_ns: int) -> bool:
         """Take what has come until the deadline `now_ns` (steady clock); whether all sensors of a tick have a sample.
@@ -105,6 +111,7 @@ class Supervisor:
         """
         self.frames = []
         fresh = set()
+        self.acquired_ns = now_ns
         for sample in self.samples(now_ns):
             if sample.port in FRAMED:
                 self.frames.append(sample)
@@ -117,6 +124,7 @@ class Supervisor:
                 fresh.add(port)
                 self.measurement[COLUMNS[port]] = found.values
                 self.age.add(max(0, now_ns - found.acquired_ns))
+                self.acquired_ns = min(self.acquired_ns, found.acquired_ns)
             self._silent[port] = 0 if port in fresh else self._silent[port] + 1
             if port not in fresh:
                 self.counts[f"absent_{port}"] += 1
@@ -199,6 +207,15 @@ class Supervisor:
         """Leave what has come while nobody read."""
         self._call("read", self.device.read, time.monotonic_ns())
 
+    def _delays(self, way_us: float) -> dict[str, str]:
+        """Shares of the ticks by whole ticks from a measurement to its command, on a rig that acts once a tick."""
+        cells = self.delay.cells
+        if not self.delay.count or not math.isfinite(way_us):
+            return {}
+        ticks = np.ceil((np.arange(len(cells)) + way_us) * 1e3 / TICK_NS).astype(int)
+        shares = np.bincount(ticks, weights=cells) / self.delay.count
+        return {"device_delay_ticks": " ".join(f"{n}:{share:.4f}" for n, share in enumerate(shares) if share >= 5e-5)}
+
     def statistics(self) -> dict[str, str]:
         """Counts that are not zero, ages of the samples, and what the device says of itself (its ``notes``)."""
         notes = getattr(self.device, "notes", None)
@@ -208,8 +225,26 @@ class Supervisor:
             **({"device_fault": self.fault} if self.fault else {}),
             **{f"device_{name}": str(count) for name, count in sorted(self.counts.items()) if count},
             **{f"device_{name}": text for name, text in self.age.summary("age").items()},
+            **self._delays(float(own.get("clock_way_us", 0.0)) / 2),
             **{f"device_{name}": str(text) for name, text in own.items()},
         }
+
+
+def delay_ticks(text: str) -> dict[int, float]:
+    """Shares of the ticks by the delay of their command, as :meth:`Supervisor.statistics` has them.
+
+    Raises
+    ------
+    ValueError
+        Another form.
+
+    Examples
+    --------
+    >>> delay_ticks("2:0.75 3:0.25")
+    {2: 0.75, 3: 0.25}
+    """
+    pairs = (word.split(":") for word in text.split())
+    return {int(ticks): float(share) for ticks, share in pairs}
 
 
 def as_stamp(acquired_ns: int, first_ns: int, start: int) -> int:

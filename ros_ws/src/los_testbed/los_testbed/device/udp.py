@@ -100,6 +100,7 @@ class UdpRig:
     def __init__(self) -> None:
         self.clock = ClockMap()
         self.counts: Counter[str] = Counter()
+        self.emulates = ""
         self._socket: socket.socket | None = None
         self._key = os.urandom(KEY_BYTES)
         self._reader = Reader(self._key)
@@ -117,7 +118,7 @@ class UdpRig:
         self._socket.setblocking(False)
         words = np.array(struct.unpack("<II", self._key), float)
         end = time.monotonic() + OPEN_S
-        while not any(packet.kind == Kind.OPENED for packet, _ in self._take()):
+        while not any(self._opened(packet) for packet, _ in self._take()):
             if time.monotonic() > end:
                 self.close()
                 raise RigSilentError(f"no answer from {host}:{port} within {OPEN_S:g} s")
@@ -133,12 +134,18 @@ class UdpRig:
         if not self.clock.known:
             raise RigSilentError(f"{host}:{port} does not answer questions about its clock")
 
+    def _opened(self, packet: Packet) -> bool:
+        """Whether the rig is open; an emulator says which plant it simulates."""
+        if packet.kind == Kind.OPENED and len(packet.values) == 1 and 0 < (number := packet.values[0]) < 2.0**48:
+            self.emulates = f"{int(number):012x}"
+        return packet.kind == Kind.OPENED
+
     def read(self, now_ns: int) -> Sequence[Sample]:
         """Samples that have come, oldest first."""
         found: list[Sample] = []
         for packet, received in self._take():
-            if packet.kind == Kind.SYNC_REPLY and len(packet.values) == 2:
-                sent = int(packet.values[0] * SPLIT + packet.values[1])
+            if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3):
+                sent = int(packet.values[0] * SPLIT + packet.values[1]) + int(packet.values[2:].sum())
                 self.clock.answer(sent, packet.time_ns, received)
             else:
                 found += self._samples(packet)
@@ -180,6 +187,7 @@ class UdpRig:
             "clock_offset_ms": f"{self.clock.offset_ms:.3f}",
             "clock_drift_ppm": f"{self.clock.drift_ppm:.2f}",
             "clock_way_us": f"{self.clock.way_us:.1f}",
+            **({"emulates": self.emulates} if self.emulates else {}),
             **({"clock_jumps": str(self.clock.jumps)} if self.clock.jumps else {}),
             **self._reader.statistics(),
             **{name: str(count) for name, count in sorted(self.counts.items()) if count},
@@ -215,11 +223,11 @@ class UdpRig:
                 break
             packet = self._reader.read(data)
             if packet is not None:
-                found.append((packet, _arrival(extra)))
+                found.append((packet, arrival(extra)))
         return found
 
 
-def _arrival(extra: Sequence[tuple[int, int, bytes]]) -> int:
+def arrival(extra: Sequence[tuple[int, int, bytes]]) -> int:
     """Time of arrival of a packet (steady clock [ns]), by the kernel's note of the wall clock."""
     now, wall = time.monotonic_ns(), time.time_ns()
     for level, kind, data in extra:

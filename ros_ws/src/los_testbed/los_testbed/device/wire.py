@@ -39,7 +39,12 @@ SAFE, LIMITED, RESTARTED = 1, 2, 4
 
 
 class Kind(IntEnum):
-    """What a packet is. Host to rig: open, command, safe, close, sync; rig to host: opened, the others."""
+    """What a packet is. Host to rig: open, command, safe, close, sync; rig to host: opened, the others.
+
+    Sync has two values, which the reply sends back; a third one there is the time from the arrival of the question to
+    the reply [ns]. With `OPENED` an emulator sends one value: the name of the values of the telescope that it
+    simulates, 12 hexadecimal digits as a number.
+    """
 
     OPEN = 1
     OPENED = 2

@@ -86,6 +86,7 @@ class DeviceLoop(PlantLoop):
                 break
             self._advance(now)
             complete = device.read(woke)
+            self._acquired[k % RING] = device.acquired_ns
             frames = {
                 sample.port: (as_stamp(sample.acquired_ns, clock.first, start), sample.values)
                 for sample in device.frames
@@ -105,6 +106,7 @@ class DeviceLoop(PlantLoop):
     def _begin_counts(self) -> None:
         super()._begin_counts()
         self._frames = 0
+        self._acquired = [0] * RING
 
     def _advance(self, now: int) -> None:
         """Changes and commands of a tick."""
@@ -114,6 +116,9 @@ class DeviceLoop(PlantLoop):
             changes.advance(changes.now)
         io.apply(now, command)
         self.device.write(command, time.monotonic_ns())
+        answered = (min(io.fsm_gate.last_stamp, io.pma_gate.last_stamp) - io.start) // TICK_NS
+        if answered >= 0 and self.ticks - answered < RING:
+            self.device.answered(self._acquired[answered % RING])
 
     def statistics(self) -> dict[str, str]:
         """Counts and times of the loop and of the device."""

@@ -13,8 +13,10 @@ from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.run.replay import controller_of
-from los_testbed.run_start import START_FILE, RunStart
+from los_testbed.run.summary.rig_prediction import rig_tones
+from los_testbed.run_start import AT_REST, START_FILE, RunStart, emulated
 from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
@@ -25,6 +27,7 @@ LONGEST = 60.0
 """Seconds from the start of a run that are modelled and compared; the model costs a step of python each millisecond."""
 
 CONTROLLERS = ("k_fsm", "k_pma")
+OTHER_FIGURES = "telescope's figures are no longer those of the run"
 LATE = 100
 """Ticks that may be missing at the end of a record; where more are, its recorder may have come late."""
 
@@ -54,8 +57,9 @@ def predictions(
 
 
 def _prediction(run: Run, transient: float | None, start: float, stop: float) -> Prediction | None:
-    known = run.parameters.get("plant_parameters_hash")
-    if not run.parameters.get("tones_rad_s") or known is None or "run.yaml" not in run.attachments:
+    rig = _emulated(run)
+    known = rig or run.parameters.get("plant_parameters_hash")
+    if not (rig or run.parameters.get("tones_rad_s")) or known is None or "run.yaml" not in run.attachments:
         return None
     if run.parameters.get("mode") == "replay" or "disturbances" in run.parameters:  # tones are not the scenario's alone
         return None
@@ -64,16 +68,23 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
         if START_FILE not in run.attachments:
             raise ValueError(f"the bag does not hold {START_FILE}")
         start_of_run = RunStart.from_bytes(run.attachments[START_FILE])
-        _check(run, config, start, stop)
+        if rig:
+            _check_controllers(run)
+        else:
+            _check(run, config, start, stop)
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
+        if rig:
+            config, start_of_run = emulated(config), AT_REST
         untold = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
         parts = RunParts(config, controllers, None if untold else start_of_run)
         if parts.physical.ramps:
             return None
         if value_of(parts.family.name(parts.physical)) != known:
-            raise ValueError("the telescope's figures are no longer those of the run")
-        model = parts.tone_model()
-        tones, (first, last) = compare_tones(run, model, transient, LONGEST)
+            raise ValueError(f"the {'rig simulates another telescope or disturbance' if rig else OTHER_FIGURES}")
+        if rig:
+            tones, (first, last) = rig_tones(run, parts, transient)
+        else:
+            tones, (first, last) = compare_tones(run, parts.tone_model(), transient, LONGEST)
     except (ValueError, TypeError, OSError, OverflowError) as error:
         text = " ".join(str(error).split()).replace(str(run.path), run.path.name)
         return Prediction(note=text)
@@ -82,11 +93,22 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
     return Prediction(tones, first, last)
 
 
-def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
-    """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
+def _emulated(run: Run) -> str:
+    """Name of the telescope that a rig has said to simulate; "" for other runs and without a true line of sight."""
+    statistics = run.parameters.get("statistics")
+    plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
+    return "" if on_camera(run) else str(plant.get("device_emulates", ""))
+
+
+def _check_controllers(run: Run) -> None:
     gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
     if gone:
         raise ValueError(f"the bag does not hold {' and '.join(gone)}")
+
+
+def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
+    """Refuse a bag without controllers and a record that the model does not follow from its first sample on."""
+    _check_controllers(run)
     if config.camera_dropout:
         raise ValueError("camera frames were dropped at random and the model has them all")
     if start > 0:
