@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.device.contract import ACTIVE, ERROR, FINALIZED, DeviceError, Sample
 from los_testbed.device.emulator import Mirror, RigSettings
+from los_testbed.device.serial import SerialRig
 from los_testbed.device.supervisor import EVERY_TICK, Supervisor
 from los_testbed.device.udp import UdpRig
 from los_testbed.device.wire import Kind, encode
@@ -36,7 +38,10 @@ class Rig:
         command = [sys.executable, "-m", "los_testbed.device.emulator", "--config", physics, *options]
         variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=SUPPORT, env=variables)
-        assert self.next() == {"event": "ready"}
+        ready = self.next()
+        assert ready["event"] == "ready"
+        if "address" in ready:
+            self.config = replace(self.config, device_address=ready["address"])
 
     def next(self):
         return json.loads(self.process.stdout.readline())
@@ -88,6 +93,22 @@ def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig)
     assert rig.until("closed")["applied"] == 0.0
 
 
+@pytest.mark.parametrize("rig", [("--serial=pty", "--loss=0.02", "--watchdog=5000")], indirect=True)
+def test_a_rig_flies_over_a_serial_line_with_bytes_of_others_on_it(rig):
+    driver = SerialRig()
+    supervisor = Supervisor(driver, rig.config)
+    supervisor.open()
+    complete, _ = fly(supervisor, 200)
+    with open(rig.config.device_address, "wb", buffering=0) as noise:
+        noise.write(b"LOSR" + bytes(range(256)))
+    more, frames = fly(supervisor, 300)
+    assert supervisor.state == ACTIVE and complete > 20 and more > 30 and frames
+    assert supervisor.measurement[20] == pytest.approx(1e-4, abs=1e-5), "the strain gauge sees the angle"
+    assert float(supervisor.statistics()["device_clock_way_us"]) > 0 and driver.clock.jumps == 0
+    supervisor.end()
+    assert rig.until("closed")["applied"] == 0.0
+
+
 def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_nothing(rig):
     driver = UdpRig()
     supervisor = Supervisor(driver, rig.config)
@@ -95,7 +116,7 @@ def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_n
     fly(supervisor, 50)
     host, port = rig.config.device_address.split(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        for key in (bytes(8), driver._key):  # the second even knows the key, and is another sender
+        for key in (bytes(8), driver.key):  # the second even knows the key, and is another sender
             stranger.sendto(encode(Kind.COMMAND, 10**6, 0, np.full(COMMANDS, 1.0), key), (host, int(port)))
     found = rig.until("safe")
     assert found["why"] == "watchdog" and found["after_ms"] >= 50
@@ -166,7 +187,7 @@ def test_a_silent_camera_ends_no_run(rig):
 
 
 def test_no_rig_is_a_mistake_of_the_user(monkeypatch):
-    monkeypatch.setattr("los_testbed.device.udp.OPEN_S", 0.1)
+    monkeypatch.setattr("los_testbed.device.driver.OPEN_S", 0.1)
     config = RunConfig(device="my:Rig", device_address="127.0.0.1:9", start="rest")
     with pytest.raises(ValueError, match=r"device my:Rig must open, got RigSilentError: no answer from 127.0.0.1:9"):
         Supervisor(UdpRig(), config).open()

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from los_testbed.config import RunConfig
 from los_testbed.device.clock_map import ClockMap
-from los_testbed.device.udp import address_of, secret_of
-from los_testbed.device.wire import Kind, Reader, encode
+from los_testbed.device.driver import secret_of
+from los_testbed.device.serial import BAUD, Frames, line_of
+from los_testbed.device.udp import address_of, other_machine
+from los_testbed.device.wire import Kind, Reader, encode, fits
 
 KEY, OTHER = b"12345678", b"12345679"
 VALUES = np.array([1e-6, -2e-6])
@@ -66,9 +68,9 @@ def test_a_clock_that_is_set_is_learned_anew():
 
 def test_a_rig_on_another_machine_needs_a_key(tmp_path):
     assert address_of("127.0.0.1:47800") == ("127.0.0.1", 47800)
-    assert secret_of(RunConfig(), "127.0.0.1") == bytes(8)
+    assert secret_of(RunConfig(), other_machine("127.0.0.1")) == bytes(8)
     with pytest.raises(ValueError, match=r"for a rig on another machine, got none for 10\.0\.0\.7"):
-        secret_of(RunConfig(), "10.0.0.7")
+        secret_of(RunConfig(), other_machine("10.0.0.7"))
     (tmp_path / "key").write_text("a key of the rig, long enough")
     (tmp_path / "short").write_text("short")
     assert secret_of(RunConfig(device_key=str(tmp_path / "key")), "10.0.0.7") != bytes(8)
@@ -76,3 +78,42 @@ def test_a_rig_on_another_machine_needs_a_key(tmp_path):
         secret_of(RunConfig(device_key=str(tmp_path / "short")), "10.0.0.7")
     with pytest.raises(ValueError, match="device_address must be HOST:PORT, got 'nonsense'"):
         address_of("nonsense")
+
+
+PACKETS = [encode(Kind.FAST, k, 5, np.full(k % 7, 1.5), KEY) for k in range(20)]
+
+
+def frames():
+    return Frames(lambda packet: fits(packet, KEY))
+
+
+@given(st.lists(st.one_of(st.integers(0, 19), st.binary(max_size=40)), max_size=30), st.integers(1, 200))
+@settings(max_examples=200, deadline=None)
+def test_a_stream_gives_its_packets_whatever_is_between_them(parts, size):
+    """Bytes that are no packet, and packets, read in pieces of any size: every packet comes, in order, and no other."""
+    sent = [PACKETS[part] for part in parts if isinstance(part, int)]
+    stream = b"".join(PACKETS[part] if isinstance(part, int) else part for part in parts)
+    ours, found = frames(), []
+    for start in range(0, len(stream), size):
+        found += ours.feed(stream[start : start + size])
+    found += ours.feed(bytes(1000))  # a head that came by chance waits for at most 540 bytes
+    assert found == sent
+
+
+@given(st.integers(0, len(b"".join(PACKETS)) - 1), st.integers(1, 255), st.booleans())
+@settings(max_examples=200, deadline=None)
+def test_a_changed_or_lost_byte_costs_one_packet(place, change, lost):
+    stream = bytearray(b"".join(PACKETS))
+    if lost:
+        del stream[place]
+    else:
+        stream[place] ^= change
+    found = frames().feed(bytes(stream) + bytes(1000))
+    assert len(found) == len(PACKETS) - 1 and all(packet in PACKETS for packet in found)
+
+
+def test_the_address_of_a_serial_line():
+    assert line_of("/dev/null") == ("/dev/null", BAUD)
+    for text in ("127.0.0.1:47800", "/dev/null@fast", "/dev/null@12345", "/no/such/line"):
+        with pytest.raises(ValueError, match="device_address must"):
+            line_of(text)

@@ -73,7 +73,7 @@ class RunConfig(PhysicalSettings):
     nonlinear: bool = setting(False, "stroke and rate limits, quantised sensors, anti-alias filters")
     plant: str | None = setting(None, "plant of your own, MODULE:NAME or entry point", absent="the telescope")
     device: str | None = setting(None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none")
-    device_address: str = setting("127.0.0.1:47800", "HOST:PORT of a rig with the reference driver")
+    device_address: str = setting("127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver")
     device_key: str | None = setting(
         None, "file with the key of a rig, needed for one on another machine", absent="none is asked for"
     )

@@ -12,7 +12,6 @@ import contextlib
 import json
 import re
 import signal
-import socket
 import struct
 import sys
 import time
@@ -26,9 +25,11 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
+from los_testbed.device.driver import secret_of
+from los_testbed.device.serial import SerialLine, line_of, open_line, open_pseudo_terminal
 from los_testbed.device.supervisor import EVERY_TICK
-from los_testbed.device.udp import SO_TIMESTAMPNS, address_of, arrival, secret_of
-from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
+from los_testbed.device.udp import UdpSocket, address_of, other_machine
+from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode, fits
 from los_testbed.device.wiring import Wiring
 from los_testbed.factories import RunParts
 from los_testbed.loop.scheduling import become_real_time, sharpen_timers
@@ -40,6 +41,8 @@ PRIORITY = 90
 
 FAULTS = ("silent", "frozen", "camera_silent", "brown_out", "corrupt", "clock_jump")
 BROWN_OUT_S = 0.5
+PSEUDO_TERMINAL = "pty"
+"""Line of the emulator that it makes itself; it says the path of the other end when it is ready."""
 LEFT_NS = 1_000_000_000
 """A host that has sent no command for so long has left the rig, which another one may open."""
 
@@ -62,6 +65,7 @@ class RigSettings:
     watchdog : ticks without a command after which mirror and forces go to zero
     fault, fault_at : one of `FAULTS`, and seconds after the first command
     wrong : mistakes of its wiring, see :class:`los_testbed.device.wiring.Wiring`
+    serial : "" for UDP at the address of the configuration, `PSEUDO_TERMINAL`, or a serial line, PATH or PATH@BAUD
     truth : whether it sends the true line of sight
     seed : of all that is random
     """
@@ -79,6 +83,7 @@ class RigSettings:
     fault: str = ""
     fault_at: float = 1.0
     wrong: str = ""
+    serial: str = ""
     truth: bool = True
     seed: int = 1
 
@@ -88,21 +93,23 @@ class Mirror:
 
     def __init__(self, limit: float, settings: RigSettings) -> None:
         w = 2 * np.pi * settings.resonance
-        A = np.array([[0.0, 1.0, 0.0], [-(w**2), -2 * settings.damping * w, w**2], [0.0, 0.0, 0.0]])
-        self._step = linalg.expm(A * DT)[:2]
+        A = np.zeros((4, 4))
+        A[0, 1], A[1, :3], A[3, 0] = 1.0, (-(w**2), -2 * settings.damping * w, w**2), 1.0 / DT
+        self._step = linalg.expm(A * DT)[[0, 1, 3], :3]
         self._limit, self._change = limit, settings.rate * DT
         self._state: FloatArray = np.zeros((2, 2))
         self._aim: FloatArray = np.zeros(2)
         self.limited = False
 
     def step(self, command: FloatArray) -> FloatArray:
-        """Angles (2,) [rad] after a tick with a command (2,) [rad]."""
+        """Angles (2,) [rad], mean over a tick with a command (2,) [rad]."""
         inside = np.clip(command, -self._limit, self._limit)
         aim = self._aim + np.clip(inside - self._aim, -self._change, self._change)
         self.limited = bool(np.any(aim != command))
         self._aim = aim
-        self._state = self._step @ np.vstack([self._state, aim])
-        return np.asarray(np.clip(self._state[0], -self._limit, self._limit))
+        *state, mean = self._step @ np.vstack([self._state, aim])
+        self._state = np.array(state)
+        return np.asarray(np.clip(mean, -self._limit, self._limit))
 
     def stop(self) -> None:
         """At zero at once, as its driver does without power."""
@@ -120,9 +127,9 @@ class Emulator:
     """
 
     def __init__(self, config: RunConfig, settings: RigSettings) -> None:
-        host, port = address_of(config.device_address)
-        self._secret = secret_of(config, host)
         self.settings = settings
+        self._key = b""
+        self.line, self._secret = self._listen(config)
         self._wiring = Wiring(settings.wrong)
         parts = RunParts(config)
         self._plant = parts.plant()
@@ -130,12 +137,7 @@ class Emulator:
         angle, self._force = parts.basis.authority
         self._mirror = Mirror(angle, settings)
         self._random = np.random.default_rng(settings.seed)
-        self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((host, port))
-        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        self._socket.setblocking(False)
         self._peer: Any = None
-        self._key = b""
         self._reader = Reader(b"")
         self._sequence = 0
         self._newest = -1
@@ -153,11 +155,26 @@ class Emulator:
         self._zero = int(self._random.integers(1, 1 << 40))
         self.stop = False
 
+    def _listen(self, config: RunConfig) -> tuple[UdpSocket | SerialLine, bytes]:
+        """Where the host is heard, and the key that opens the rig."""
+        if not (serial := self.settings.serial):
+            host, port = address_of(config.device_address)
+            secret = secret_of(config, other_machine(host))
+            return UdpSocket(host, port, bound=True), secret
+        secret = secret_of(config)
+
+        def ours(packet: bytes) -> bool:
+            return fits(packet, secret) or bool(self._key and fits(packet, self._key))
+
+        if serial == PSEUDO_TERMINAL:
+            return open_pseudo_terminal(ours), secret
+        return open_line(*line_of(serial), ours), secret
+
     def serve(self) -> None:
         """Work until a signal comes."""
         start, rate = time.monotonic_ns(), 1 + 1e-6 * self.settings.drift_ppm
         self._start, k = start, 0
-        say("ready")
+        say("ready", **({"address": self.line.name} if self.settings.serial else {}))
         while not self.stop:
             jitter = self._random.normal(0.0, 1e3 * self.settings.jitter_us)
             late = sleep_until(start + round(k * TICK_NS / rate + min(max(jitter, -2e5), 2e5)))
@@ -229,19 +246,19 @@ class Emulator:
         for one in (data, late):
             if one is not None:
                 with contextlib.suppress(OSError):  # the host is gone: the watchdog sees it
-                    self._socket.sendto(one, self._peer)
+                    self.line.send_to(one, self._peer)
 
     def _receive(self) -> None:
-        while True:
-            try:
-                data, extra, _, peer = self._socket.recvmsg(2048, 64)
-            except OSError:
-                return
+        try:
+            arrived = self.line.receive_from()
+        except OSError:  # nobody is at the other end
+            return
+        for data, arrived_ns, peer in arrived:
             if self._is_dead():
                 continue
             packet = self._reader.read(data) if self._key else None
             if packet is not None and peer == self._peer:
-                self._obey(packet, arrival(extra))
+                self._obey(packet, arrived_ns)
             elif packet is None and (opening := Reader(self._secret).read(data)) is not None:
                 self._open(opening, peer)
 

@@ -1,54 +1,19 @@
-"""Reference driver: a rig that speaks the wire format over UDP (``run --device los_testbed.device.udp:UdpRig``)."""
+"""A rig over UDP (``run --device los_testbed.device.udp:UdpRig``): a packet of the wire format is a datagram."""
 
 from __future__ import annotations
 
 import ipaddress
-import os
 import socket
 import struct
 import time
-import zlib
-from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
-from los_testbed.device.clock_map import ClockMap
-from los_testbed.device.contract import TRUTH_PORT, Sample
-from los_testbed.device.supervisor import EVERY_TICK
-from los_testbed.device.wire import KEY_BYTES, LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
-from titop_plant.interface import COLUMNS, FRAMED
+from los_testbed.device.driver import Line, PacketRig, secret_of
 
-
-def _layout(*ports: str) -> tuple[tuple[str, slice], ...]:
-    """Parts of a packet."""
-    ends = np.cumsum([COLUMNS[port].stop - COLUMNS[port].start for port in ports]).tolist()
-    return tuple((port, slice(first, last)) for port, first, last in zip(ports, [0, *ends], ends))
-
-
-LAYOUTS = {
-    (kind, parts[-1][1].stop): parts
-    for kind, parts in (
-        (Kind.FAST, _layout(*EVERY_TICK)),
-        (Kind.FAST, _layout(*EVERY_TICK, TRUTH_PORT)),
-        (Kind.FRAME, _layout(*FRAMED[:1])),
-    )
-}
-"""Parts of the packets with samples, by kind and number of values: the true line of sight may be behind the others."""
-
-OPEN_S = 5.0
-SYNC_PERIOD_NS = 50_000_000
-FIRST_SYNCS = 20
-SPLIT = 2.0**32
 SO_TIMESTAMPNS = 35
 """Option of a socket of Linux: the kernel says when each packet came."""
-
-
-class RigSilentError(RuntimeError):
-    """The rig did not answer."""
 
 
 def address_of(text: str) -> tuple[str, int]:
@@ -65,169 +30,78 @@ def address_of(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def secret_of(config: RunConfig, host: str) -> bytes:
-    """Key that the rig is opened with, (8,), from the file of the configuration; zeros for a rig on this machine.
-
-    Raises
-    ------
-    ValueError
-        None was given for another machine.
-    """
-    if config.device_key is not None:
-        text = Path(config.device_key).read_bytes().strip()
-        if len(text) < 16:
-            raise ValueError(f"device_key must be a file with 16 characters or more, got {len(text)}")
-        return struct.pack("<II", zlib.crc32(text), zlib.crc32(text[::-1]))
-    if host != "localhost" and not _is_loopback(host):
-        raise ValueError(f"device_key must be given for a rig on another machine, got none for {host}")
-    return bytes(KEY_BYTES)
-
-
-def _is_loopback(host: str) -> bool:
+def other_machine(host: str) -> str:
+    """The host, if it is not this machine; else ""."""
     try:
-        return ipaddress.ip_address(host).is_loopback
+        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
-        return False
+        local = False
+    return "" if local else host
 
 
-class UdpRig:
-    """Driver of a rig at ``device_address``; see :mod:`los_testbed.device.wire`.
+class UdpSocket:
+    """A socket with times of arrival.
 
-    The key of a run is made here and sent once, when the rig is opened. The rig's clock is mapped to that of this host
-    by requests that it answers: offset and drift are in the notes.
+    Parameters
+    ----------
+    host, port : address
+    bound : bool
+        Whether it waits there, as a rig does, or sends there.
     """
 
-    def __init__(self) -> None:
-        self.clock = ClockMap()
-        self.counts: Counter[str] = Counter()
-        self.emulates = ""
-        self._socket: socket.socket | None = None
-        self._key = os.urandom(KEY_BYTES)
-        self._reader = Reader(self._key)
-        self._sequence = 0
-        self._next_sync = 0
-
-    def open(self, config: RunConfig) -> None:
-        """Connect, agree on the key, learn the rig's clock."""
-        host, port = address_of(config.device_address)
-        secret = secret_of(config, host)
+    def __init__(self, host: str, port: int, *, bound: bool = False) -> None:
+        self.name = f"{host}:{port}"
         self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self._socket.connect((host, port))
+        if bound:
+            self._socket.bind((host, port))
+        else:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            self._socket.connect((host, port))
         self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self._socket.setblocking(False)
-        words = np.array(struct.unpack("<II", self._key), float)
-        end = time.monotonic() + OPEN_S
-        while not any(self._opened(packet) for packet, _ in self._take()):
-            if time.monotonic() > end:
-                self.close()
-                raise RigSilentError(f"no answer from {host}:{port} within {OPEN_S:g} s")
-            self._send(encode(Kind.OPEN, self._number(), time.monotonic_ns(), words, secret))
-            time.sleep(0.02)
-        end = time.monotonic() + OPEN_S
-        for number in range(100 * FIRST_SYNCS):
-            self._sync(time.monotonic_ns())
-            time.sleep(0.002)
-            self.read(time.monotonic_ns())
-            if (number >= FIRST_SYNCS and self.clock.known) or time.monotonic() > end:
-                break
-        if not self.clock.known:
-            raise RigSilentError(f"{host}:{port} does not answer questions about its clock")
 
-    def _opened(self, packet: Packet) -> bool:
-        """Whether the rig is open; an emulator says which plant it simulates."""
-        if packet.kind == Kind.OPENED and len(packet.values) == 1 and 0 < (number := packet.values[0]) < 2.0**48:
-            self.emulates = f"{int(number):012x}"
-        return packet.kind == Kind.OPENED
+    def send(self, data: bytes) -> None:
+        """Send a packet to the host."""
+        self._socket.send(data)
 
-    def read(self, now_ns: int) -> Sequence[Sample]:
-        """Samples that have come, oldest first."""
-        found: list[Sample] = []
-        for packet, received in self._take():
-            if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3):
-                sent = int(packet.values[0] * SPLIT + packet.values[1]) + int(packet.values[2:].sum())
-                self.clock.answer(sent, packet.time_ns, received)
-            else:
-                found += self._samples(packet)
-        if now_ns >= self._next_sync:
-            self._sync(now_ns)
-        return sorted(found, key=lambda sample: sample.acquired_ns)
+    def send_to(self, data: bytes, peer: Any) -> None:
+        """Send a packet to whom one came from."""
+        self._socket.sendto(data, peer)
 
-    def _samples(self, packet: Packet) -> list[Sample]:
-        if packet.flags:
-            for flag, name in ((SAFE, "safe"), (LIMITED, "limited"), (RESTARTED, "restarted")):
-                self.counts[f"rig_{name}"] += bool(packet.flags & flag)
-        parts = LAYOUTS.get((packet.kind, len(packet.values)))
-        if parts is None:
-            self.counts["rig_other_packets"] += 1
-            return []
-        acquired = self.clock.to_host(packet.time_ns)
-        return [Sample(port, acquired, packet.values[part]) for port, part in parts]
+    def receive(self) -> list[tuple[bytes, int]]:
+        """Packets that have come, with their times of arrival (steady clock [ns])."""
+        return [(data, time_ns) for data, time_ns, _ in self.receive_from()]
 
-    def write(self, command: FloatArray, now_ns: int) -> None:
-        """Send a command; the rig has a watchdog of its own."""
-        self._send(encode(Kind.COMMAND, self._number(), now_ns, command, self._key))
-
-    def safe(self) -> None:
-        """Ask the rig for its safe state, three times: a packet may be lost."""
-        for _ in range(3):
-            self._send(encode(Kind.SAFE, self._number(), time.monotonic_ns(), np.zeros(0), self._key))
+    def receive_from(self) -> list[tuple[bytes, int, Any]]:
+        """Packets that have come, their times of arrival and their senders."""
+        found: list[tuple[bytes, int, Any]] = []
+        while True:
+            try:
+                data, extra, _, peer = self._socket.recvmsg(2048, 64)
+            except BlockingIOError:
+                return found
+            except OSError:
+                if found:
+                    return found
+                raise
+            found.append((data, _arrival(extra), peer))
 
     def close(self) -> None:
-        """Let the rig go."""
-        if self._socket is not None:
-            for _ in range(3):
-                self._send(encode(Kind.CLOSE, self._number(), time.monotonic_ns(), np.zeros(0), self._key))
-            self._socket.close()
-            self._socket = None
-
-    def notes(self) -> dict[str, str]:
-        """Clock of the rig and counts."""
-        return {
-            "clock_offset_ms": f"{self.clock.offset_ms:.3f}",
-            "clock_drift_ppm": f"{self.clock.drift_ppm:.2f}",
-            "clock_way_us": f"{self.clock.way_us:.1f}",
-            **({"emulates": self.emulates} if self.emulates else {}),
-            **({"clock_jumps": str(self.clock.jumps)} if self.clock.jumps else {}),
-            **self._reader.statistics(),
-            **{name: str(count) for name, count in sorted(self.counts.items()) if count},
-        }
-
-    def _sync(self, now_ns: int) -> None:
-        self._next_sync = now_ns + SYNC_PERIOD_NS
-        sent = time.monotonic_ns()
-        parts = np.array([sent // 2**32, sent % 2**32], float)
-        self._send(encode(Kind.SYNC, self._number(), sent, parts, self._key))
-
-    def _number(self) -> int:
-        self._sequence += 1
-        return self._sequence
-
-    def _send(self, data: bytes) -> None:
-        if self._socket is not None:
-            try:
-                self._socket.send(data)
-            except OSError:  # nobody listens there at the moment: the watchdog tells for how long
-                self.counts["send_failed"] += 1
-
-    def _take(self) -> list[tuple[Packet, int]]:
-        """Packets that have come, with their times of arrival."""
-        found: list[tuple[Packet, int]] = []
-        while self._socket is not None:
-            try:
-                data, extra, _, _ = self._socket.recvmsg(2048, 64)
-            except BlockingIOError:
-                break
-            except OSError:
-                self.counts["receive_failed"] += 1
-                break
-            packet = self._reader.read(data)
-            if packet is not None:
-                found.append((packet, arrival(extra)))
-        return found
+        """Close the socket."""
+        self._socket.close()
 
 
-def arrival(extra: Sequence[tuple[int, int, bytes]]) -> int:
+class UdpRig(PacketRig):
+    """Driver of a rig at ``device_address``, HOST:PORT."""
+
+    def connect(self, config: RunConfig) -> tuple[Line, bytes]:
+        """The socket, and the key that opens the rig."""
+        host, port = address_of(config.device_address)
+        secret = secret_of(config, other_machine(host))
+        return UdpSocket(host, port), secret
+
+
+def _arrival(extra: Sequence[tuple[int, int, bytes]]) -> int:
     """Time of arrival of a packet (steady clock [ns]), by the kernel's note of the wall clock."""
     now, wall = time.monotonic_ns(), time.time_ns()
     for level, kind, data in extra:

@@ -1,4 +1,4 @@
-"""Packets between host and rig: the wire format of the reference driver over UDP (little endian).
+"""Packets between host and rig: the wire format of the reference driver (little endian).
 
 ======== ===== =====================================================================================================
 field    bytes content
@@ -92,6 +92,11 @@ def encode(kind: Kind, sequence: int, time_ns: int, values: FloatArray, key: byt
     return data + CHECK.pack(zlib.crc32(key, zlib.crc32(data)))
 
 
+def fits(data: bytes, key: bytes) -> bool:
+    """Whether the check at the end of the data is that of a packet of the run with this key."""
+    return bool(CHECK.unpack_from(data, len(data) - CHECK.size)[0] == zlib.crc32(key, zlib.crc32(data[: -CHECK.size])))
+
+
 @dataclass
 class Reader:
     """Reads the packets of one sender; what is not one of the run is refused and counted by reason.
@@ -138,7 +143,7 @@ class Reader:
             self.refused["format"] += 1
         elif n > MOST_VALUES or len(data) != HEAD.size + 8 * n + CHECK.size:
             self.refused["size"] += 1
-        elif CHECK.unpack_from(data, len(data) - 4)[0] != zlib.crc32(self.key, zlib.crc32(data[:-4])):
+        elif not fits(data, self.key):
             self.refused["check"] += 1
         elif kind not in Kind._value2member_map_:
             self.refused["kind"] += 1
