@@ -116,7 +116,7 @@ class DeviceLoop(PlantLoop):
             changes.advance(changes.now)
         io.apply(now, command)
         self.device.write(command, time.monotonic_ns())
-        answered = (min(io.fsm_gate.last_stamp, io.pma_gate.last_stamp) - io.start) // TICK_NS
+        answered = (min(one.gate.last_stamp for one in io.commands) - io.start) // TICK_NS
         if answered >= 0 and self.ticks - answered < RING:
             self.device.answered(self._acquired[answered % RING])
 
