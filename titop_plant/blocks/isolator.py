@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lftkit import Connection, Port, System, connect, state_space, static_gain
+from lftkit import Connection, Port, RealParameter, System, connect, static_gain
 from lftkit.arrays import FloatArray
 from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
@@ -71,8 +71,22 @@ class MountedActuator:
     dcm: FloatArray
 
 
-def isolator(data: Isolator, parent: str = "P", child: str = "C") -> System:
+def isolator(
+    data: Isolator,
+    parent: str = "P",
+    child: str = "C",
+    stiffness: RealParameter | None = None,
+    damping: RealParameter | None = None,
+) -> System:
     """TITOP block of a 6-dof isolator with its platform (ports: see the module).
+
+    Parameters
+    ----------
+    data : Isolator
+    parent, child : str
+        Names of P and C.
+    stiffness, damping : RealParameter, optional
+        Uncertain factors of K and of D, about 1: six occurrences each.
 
     Examples
     --------
@@ -102,13 +116,20 @@ def isolator(data: Isolator, parent: str = "P", child: str = "C") -> System:
     D = np.zeros((18, 18))
     D[6:12, 6:12] = Minv
     D[12:, 12:] = np.eye(6)
-    return state_space(
-        A,
-        B,
-        C,
-        D,
-        [ports.accel(parent), ports.wrench(child), ports.angle(parent), ports.rate(parent)],
-        [ports.wrench(parent), ports.accel(child), ports.angle(child), ports.rate(child)],
+    factors = [(f, k) for f, k in ((stiffness, np.hstack([K, Z])), (damping, np.hstack([Z, Dm]))) if f is not None]
+    # force of spring or damper z = k x; w = (factor - 1) z is added to it
+    force = np.vstack([I6, -Minv, np.zeros((6, 6))])  # outputs by w
+    for _, k in reversed(factors):
+        B = np.hstack([np.vstack([Z, -Minv]), B])
+        C = np.vstack([k, C])
+        direct = np.vstack([np.zeros((len(D) - 18, 6)), force])
+        D = np.vstack([np.zeros((6, 6 + D.shape[1])), np.hstack([direct, D])])
+    return System(
+        *(A, B, C, D),
+        (ports.accel(parent), ports.wrench(child), ports.angle(parent), ports.rate(parent)),
+        (ports.wrench(parent), ports.accel(child), ports.angle(child), ports.rate(child)),
+        channels=tuple(factor.name for factor, _ in factors for _ in range(6)),
+        elements=tuple(factor for factor, _ in factors),
     )
 
 

@@ -43,7 +43,7 @@ with the input ``actuator_force``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,7 @@ from titop_plant.blocks.flexible_body import flexible_body, rigid_body
 from titop_plant.blocks.isolator import actuated_platform, isolator
 from titop_plant.blocks.reaction_wheel import wheel_assembly
 from titop_plant.blocks.revolute_joint import MOTOR
+from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import components as component
@@ -91,6 +92,7 @@ from titop_plant.telescope.placed.mounting import (
     sensor_wires,
 )
 from titop_plant.telescope.placed.points import PAYLOAD_NODES, body_of
+from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -208,6 +210,7 @@ def _driven_at_G(
         ),
         **_drives(parameters),
         **_motors(parameters, outside),
+        **_gains(parameters),
         **actuator_blocks(parameters, driven=any(port.name == ACTUATOR_FORCE for port in outside)),
         **sensor_blocks(parameters),
     }
@@ -232,6 +235,7 @@ def _driven_at_G(
     }
     wires = [*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(parameters, outside)]
     wires += [*actuator_wires(parameters, systems), *sensor_wires(parameters)]
+    wires = _through(wires, _gains(parameters))
     return connect(
         systems,
         _with_wrenches(wires, acting),
@@ -250,7 +254,13 @@ def _driven_at_G(
 def _platform(parameters: Parameters, isolated: bool) -> System:
     """Platform of the payload on its isolator or fixed, with the proof-mass actuators that there are."""
     plate = (
-        isolator(component.isolator_component(parameters), "I_p", "platform")
+        isolator(
+            component.isolator_component(parameters),
+            "I_p",
+            "platform",
+            stiffness=factors(parameters).get(STIFFNESS),
+            damping=factors(parameters).get(DAMPING),
+        )
         if isolated
         else rigid_body("platform", "I_p", component.platform_mass(parameters), {"platform": np.zeros(3)}, motion=True)
     )
@@ -269,6 +279,19 @@ def _platform(parameters: Parameters, isolated: bool) -> System:
         inputs=[*plate.inputs, PMA_FORCE],
         outputs={p.name: f"plate.{p.name}" for p in plate.outputs},
     )
+
+
+def _gains(parameters: Parameters) -> dict[str, System]:
+    """Gains of the commanded ports that are uncertain, each by the name of its port."""
+    known = factors(parameters)
+    commanded = ((port, f"{port.name}.{GAIN}") for port in (FSM_COMMAND, PMA_FORCE))
+    return {port.name: uncertain_gain(port, known[name]) for port, name in commanded if name in known}
+
+
+def _through(wires: list[Connection], gains: Mapping[str, System]) -> list[Connection]:
+    """Wires from these inputs, led through the gains of their names."""
+    turned = [(f"{source}.{source}", target) if source in gains else (source, target) for source, target in wires]
+    return [*turned, *((name, f"{name}.{name}") for name in gains)]
 
 
 def _drives(parameters: Parameters) -> dict[str, System]:

@@ -30,11 +30,13 @@ import numpy as np
 from lftkit import Connection, Port, System, connect, state_space, static_gain
 from lftkit.systems.connection.filters import high_pass
 from lftkit.systems.delay import delayed_port
+from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.parameters import Parameters, uncertain_parameters
 from titop_plant.telescope.sensors import noise_of_samples, sensors
+from titop_plant.telescope.tables.uncertain import GAIN, factors
 
 DISTURBANCES = (WHEEL_IMBALANCE, SADM_TORQUE)
 """Micro-vibrations; a telescope without array drives has the first port alone, see :func:`disturbances_of`."""
@@ -55,9 +57,13 @@ def disturbances_of(system: System) -> tuple[str, ...]:
 
 
 def with_sensors(system: System, parameters: Parameters) -> System:
-    """Add the measured ports that the structure does not have, behind their low-pass (two states for each value)."""
+    """Add the measured ports that the structure does not have, behind their low-pass (two states for each value).
+
+    Gains of sensors that are uncertain are behind it.
+    """
     systems, wires = {"telescope": system}, list[Connection]((p.name, f"telescope.{p.name}") for p in system.inputs)
     outputs: dict[str, str | tuple[str, ...]] = {p.name: f"telescope.{p.name}" for p in system.outputs}
+    known = factors(parameters)
     for entry in MEASURED_SENSORS:
         port, source = entry.port, system.output_port(entry.source)
         outputs[port.name] = f"telescope.{source.name}"
@@ -65,7 +71,14 @@ def with_sensors(system: System, parameters: Parameters) -> System:
             systems[port.name] = _low_pass(parameters["sensors"][entry.low_pass], source, port)
             wires.append((f"telescope.{source.name}", f"{port.name}.{source.name}"))
             outputs[port.name] = f"{port.name}.{port.name}"
-    return connect(systems, wires, inputs=system.inputs, outputs=outputs)
+        factor = known.get(f"{port.name}.{GAIN}")
+        if factor is not None:
+            block = f"{GAIN}_{port.name}"
+            systems[block] = uncertain_gain(port, factor)
+            wires.append((outputs[port.name], f"{block}.{port.name}"))
+            outputs[port.name] = f"{block}.{port.name}"
+    seen = connect(systems, wires, inputs=system.inputs, outputs=outputs)
+    return seen.sorted_channels(list(uncertain_parameters(parameters))) if known else seen
 
 
 def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> System:

@@ -37,6 +37,7 @@ from titop_plant.telescope.requirements import (
     window_probability,
     with_limits,
 )
+from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_spreads, factors
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -71,7 +72,8 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
         its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
         motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
         ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`,
-        ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.placed.devices`.
+        ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.placed.devices`,
+        ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`.
         Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
 
     Raises
@@ -91,6 +93,7 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)
     limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
+    spreads = own.pop(UNCERTAIN, {})
     if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
         raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
     mechanisms = take_mechanisms(own)
@@ -105,6 +108,8 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
         }
     merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
+    if spreads:
+        merged[UNCERTAIN] = checked_spreads(spreads, file)
     for name in OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:
@@ -218,7 +223,8 @@ def uncertain_parameters(parameters: Parameters) -> dict[str, RealParameter]:
 
     ``wheel_1.speed`` and so on [rad/s]; of each array the uncertain frequencies ``<parameters>.omega_1`` and so on
     [rad/s]; ``solar_array.tau`` = tan(theta / 4), one theta for all arrays that turn; of appendages their uncertain
-    frequencies. The arrays of the reference share ``solar_array.omega_1`` and ``solar_array.omega_2``.
+    frequencies; factors of the table ``[uncertain]``, where there is one. The arrays of the reference share
+    ``solar_array.omega_1`` and ``solar_array.omega_2``.
     """
     result = {}
     for i, wheel in enumerate(reaction_wheels(parameters), start=1):
@@ -231,7 +237,7 @@ def uncertain_parameters(parameters: Parameters) -> dict[str, RealParameter]:
         low, high = (math.tan(theta / 4) for theta in turning[0].table["theta_range"])
         about = f"tan(theta/4), theta the angle of {_words(turning, arrays)}"
         result[ANGLE] = RealParameter(ANGLE, 0.0, low, high, "1", about)
-    return result | _frequencies(others)
+    return result | _frequencies(others) | factors(parameters)
 
 
 def _frequencies(bodies: Sequence[MountedBody]) -> dict[str, RealParameter]:

@@ -73,7 +73,7 @@ def middle_of(model: Responses, box: Sequence[Interval]) -> Matrices:
     q = model.sizes[0]
     cz, sz, cw, sw = np.ones(q), np.zeros(q), np.zeros(q), np.zeros(q)
     for group, angle, (low, high) in zip(map(list, model.groups), model.angle, box):
-        at, width = 0.5 * (low + high), 0.5 * (high - low)
+        at, width = 0.5 * (low + high), 0.5 * (high - low) or 1.0  # of a fixed parameter any
         cw[group], sw[group] = at, width
         if angle and is_circle(low, high):
             cw[group], sw[group] = 0.0, 1.0

@@ -31,6 +31,8 @@ PENALTY = 1e-3
 """Of G: its centre comes from 10^5 times the size of D to a thousand times, and rounding falls as much."""
 SINGLE = 1e-37, 1e38
 """Magnitudes between which scalings are rounded to single precision."""
+FIXED = 1e-3
+"""Gain about its own loop that a fixed parameter is given."""
 PRECISION = 1e-7
 """Distance to the optimal margin at which a test without scalings is given up."""
 
@@ -66,6 +68,7 @@ class ScalingTest:
         self.groups = list(map(list, model.groups))
         q, d = model.sizes[0], model.sizes[3]
         z, e = model.at(omega)
+        box = [_opened(ends, z[np.ix_(group, group)]) for ends, group in zip(box, self.groups)]
         cz, sz, cw, sw = middle_of(model, box)
         inner = np.asarray(
             linalg.solve(np.diag(cz) - z[:, :q] * cw, np.hstack([z[:, :q] * sw - np.diag(sz), z[:, q:]]))
@@ -159,6 +162,17 @@ class ScalingTest:
     def losses(self, y: FloatArray) -> FloatArray:
         """What the interval of each parameter costs: the largest is the one to bisect."""
         return self.problem.result(y).losses[: len(self.groups)]
+
+
+def _opened(ends: Interval, own: ComplexArray) -> Interval:
+    """The interval of a parameter, and a narrow one about a parameter that is fixed, whose D would be infinite.
+
+    `own`: from its channels to themselves. Scalings for a wider interval hold for the fixed value.
+    """
+    if ends[1] > ends[0]:
+        return ends
+    half = FIXED / max(float(np.abs(own).sum(axis=1).max(initial=0.0)), 10.0 * FIXED)
+    return ends[0] - half, ends[1] + half
 
 
 def _factors(angle: bool, low: float, high: float) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import pytest
 from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs.sampled_loop import box_of, loop_model, prove_level
+from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.branching import Branching
 
 SLOW, FAST, ZETA = 1.0, 10.0, 0.05
@@ -64,3 +64,15 @@ def test_a_box_is_bisected_at_most_as_often_as_asked() -> None:
     whole, cut = (prove_level(*claim, deepest=deepest) for deepest in (0, 3))
     assert not whole.strips and {box for box, _ in whole.uncovered} == {box_of(system)}
     assert len({strip.box for strip in cut.strips}) > 1
+
+
+@pytest.mark.parametrize("fixed", [(0,), (0, 1)])
+def test_fixed_parameters_are_proven_too(fixed: tuple[int, ...]) -> None:
+    """An interval without width: D would be infinite. The bound is that of the parameters that are left."""
+    system = aligned_modes(2, damping=0.1)
+    model, band = loop_model(system, dt=0.1), (0.3, 3.0)
+    box = tuple((0.0, 0.0) if k in fixed else ends for k, ends in enumerate(box_of(system)))
+    found = prove_level(model, box, band, 11.0)
+    assert not found.uncovered
+    proof = LoopProof(model, tuple(p.name for p in system.parameters), box, band, 11.0, tuple(found.strips))
+    assert check_loop_proof(proof).box == box

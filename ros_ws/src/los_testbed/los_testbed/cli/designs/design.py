@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +16,7 @@ from rich.text import Text
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, verify_folder
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
+from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
@@ -215,6 +215,7 @@ def verify(
     *,
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
     samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    uncertain: Uncertain = None,
     cluster: Cluster,
     json_: Json = False,
 ) -> None:
@@ -227,10 +228,10 @@ def verify(
     from lftkit.support.threads import one_thread
 
     if folder is not None:
-        verify_folder(folder, samples, cluster, json_)
+        verify_folder(folder, samples, cluster, json_, uncertain or ())
         return
     with one_thread(), cluster.workers() as pool:
-        result, failed = _verified(samples, pool)
+        result, failed = _verified(samples, pool, uncertain or ())
     if json_:
         print_json({**result, "failures": failed})
     else:
@@ -242,7 +243,7 @@ def verify(
         raise typer.Exit(1)
 
 
-def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]]:
+def _verified(samples: int, workers: Workers, uncertain: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
     from los_design.search.worst_points import load_adversarial
     from los_design.synthesis.store import load_designs
     from los_design.verification.verification import (
@@ -255,9 +256,13 @@ def _verified(samples: int, workers: Workers) -> tuple[dict[str, Any], list[str]
     from los_loop.margins import rounded
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant, telescope
+    from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
+    from titop_plant.telescope.tables.uncertain import with_uncertain
 
-    parameters, assembled = load_parameters(), telescope()
+    parameters, assembled = with_uncertain(load_parameters(), uncertain), telescope()
+    if uncertain:
+        assembled = build_telescope(parameters)
     for variant in VERIFIED:
         warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
     system = control_loop_plant(assembled, parameters)

@@ -7,7 +7,7 @@ import math
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +18,7 @@ from rich.table import Column, Table
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import designs_in
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Json
+from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, numbers
 from los_testbed.variants import WORST_POINTS
@@ -55,6 +55,8 @@ figure is violated or not proven to its end.
 
     los-testbed design certify --output proofs --stage fsm+pma --figure "sensitivity, mirror"   # a disk margin
 
+    los-testbed design certify --output proofs --uncertain isolator.stiffness=10% --figure slow
+
     los-testbed design certify --output proofs --scheduler tcp://host:8786    # its workers prove the parts
 """
 
@@ -87,6 +89,7 @@ def certify(
             "of the fast tones' band as `fast, 85 to 126`."
         ),
     ] = None,
+    uncertain: Uncertain = None,
     wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
     cluster: Cluster,
     json_: Json = False,
@@ -108,7 +111,7 @@ def certify(
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + wall_limit
-    loops, known = loops_of(folder, list(MIRROR_STAGES))
+    loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or ())
     found: list[FigureBounds] = []
     with ExitStack() as stack:
         pool = stack.enter_context(cluster.workers())
@@ -157,8 +160,19 @@ def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
     return found
 
 
-def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
-    """The implemented loops, and the worst points that are known of them."""
+def loops_of(
+    folder: Path | None, stages: list[str], uncertain: Sequence[str] = ()
+) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
+    """The implemented loops, and the worst points that are known of them.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Of `design all`; None for the shipped pair.
+    stages : list of str
+    uncertain : sequence of str
+        Further uncertain factors of the telescope, as ``isolator.stiffness=10%``. Known points have them at 1.
+    """
     from los_design.search.worst_points import load_worst_points
     from los_design.synthesis.store import load_designs
     from los_loop.implemented_loop import ImplementedLoop
@@ -167,6 +181,7 @@ def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemen
     from titop_plant.simulation.build import control_loop_plant
     from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters
+    from titop_plant.telescope.tables.uncertain import with_uncertain
 
     if folder is None:
         parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
@@ -174,6 +189,7 @@ def loops_of(folder: Path | None, stages: list[str]) -> tuple[dict[str, Implemen
         parameters, k_fsm, k_pma = designs_in(folder)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
+    parameters = with_uncertain(parameters, uncertain)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     system = control_loop_plant(build_telescope(parameters), parameters)
     points = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,7 @@ from rich.table import Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import DesignSeed, Json, Telescope
+from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, met, numbers
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
@@ -44,8 +45,10 @@ The exit code is 1 if a requirement is not met.
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
 
-def check_output(folder: Path, parameters: Path | None) -> None:
+def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str] = ()) -> None:
     """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
+
+    Further uncertain factors become the table ``[uncertain]`` of the file that is kept.
 
     Raises
     ------
@@ -53,8 +56,9 @@ def check_output(folder: Path, parameters: Path | None) -> None:
         A file in its place, a folder of another telescope's designs, or one that cannot be written to.
     """
     from titop_plant.telescope.parameters import load_parameters, parameters_hash
+    from titop_plant.telescope.tables.uncertain import UNCERTAIN, with_uncertain
 
-    own = load_parameters(parameters)
+    own = with_uncertain(load_parameters(parameters), uncertain)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--output must be a folder, got the file {folder}")
     kept = folder / TELESCOPE_FILE
@@ -63,7 +67,16 @@ def check_output(folder: Path, parameters: Path | None) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         beside = [own["body"]["modal_data"], own["payload"]["modal_data"], own["optics"]["pupil"]]
-        if parameters is None or any(beside) or own["camera"]["noise_curve"]:
+        beside.append(own["camera"]["noise_curve"])
+        if uncertain:
+            text = "" if parameters is None else parameters.read_text("utf-8")
+            if any(beside) or UNCERTAIN in load_parameters(parameters):
+                raise ValueError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
+            table = "".join(f"{name} = {spread!r}\n" for name, spread in own[UNCERTAIN].items())
+            with atomic_file(kept) as temporary:
+                temporary.write_text(f"{text}\n[{UNCERTAIN}]\n{table}", "utf-8")
+            return
+        if parameters is None or any(beside):
             return  # the reference, or files that belong beside the file
         if not (kept.exists() and kept.samefile(parameters)):
             with atomic_file(kept) as temporary:
@@ -77,6 +90,7 @@ def design_all(
     *,
     output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
     parameters: Telescope = None,
+    uncertain: Uncertain = None,
     seed: DesignSeed = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
@@ -88,15 +102,16 @@ def design_all(
     """See ALL_EXAMPLES."""
     from los_design import redesign
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
+    from titop_plant.telescope.tables.uncertain import with_uncertain
 
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    check_output(output, parameters)
+    check_output(output, parameters, uncertain or ())
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     with cluster.workers() as pool, Progress("design") as bar:
         summary = redesign.design_all(
-            load_parameters(parameters),
+            with_uncertain(load_parameters(parameters), uncertain or ()),
             output,
             seed=seed,
             effort=effort,
@@ -128,7 +143,7 @@ def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
     return parameters, k_fsm, k_pma
 
 
-def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> None:
+def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, uncertain: Sequence[str] = ()) -> None:
     """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
 
     Raises
@@ -144,8 +159,10 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool) -> 
     from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.layout import mirror_stages
     from titop_plant.telescope.parameters import design_basis
+    from titop_plant.telescope.tables.uncertain import with_uncertain
 
     parameters, k_fsm, k_pma = designs_in(folder)
+    parameters = with_uncertain(parameters, uncertain)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     with one_thread(), cluster.workers() as pool, Progress(f"{folder.name} as implemented") as bar:
         system = control_loop_plant(build_telescope(parameters), parameters)

@@ -24,6 +24,14 @@ Transient = Annotated[
     typer.Option(help="Seconds to leave out at the start; default: as the bag says, else 5, at most half."),
 ]
 Telescope = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
+Uncertain = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--uncertain",
+        metavar="ENTRY=SPREAD",
+        help="Further uncertain factor of the telescope, e.g. isolator.stiffness=10%; may be given again.",
+    ),
+]
 Designs = Annotated[str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")]
 ObserverFile = Annotated[Path | None, typer.Option(help="Observer file instead of the stored design.")]
 ForceLawFile = Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the stored design.")]

@@ -1,0 +1,93 @@
+"""Further uncertain factors: isolator and gains, against telescopes that are assembled with the changed values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lftkit import System
+from titop_plant.interface import COLUMNS
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
+from titop_plant.telescope.tables.uncertain import ENTRIES, spread_of, with_uncertain
+
+SPREADS = ("isolator.stiffness=10%", "isolator.damping=0.3", "fsm_command.gain=5%", "camera_los.gain=3%")
+AT = {"isolator.stiffness": 1.1, "isolator.damping": 0.7, "fsm_command.gain": 0.95, "camera_los.gain": 1.03}
+OMEGA = (0.3, 8.0, 90.0, 400.0)
+
+
+def plant(parameters: Mapping[str, Any]) -> System:
+    return control_loop_plant(build_telescope(parameters), parameters)
+
+
+@pytest.fixture(scope="module")
+def uncertain() -> System:
+    return plant(with_uncertain(load_parameters(), SPREADS))
+
+
+def test_they_stand_behind_the_others_in_the_order_of_delta(uncertain: System) -> None:
+    reference = load_parameters()
+    before, names = list(uncertain_parameters(reference)), [p.name for p in uncertain.parameters]
+    assert names == [*before, *AT]
+    assert names == list(uncertain_parameters(with_uncertain(reference, SPREADS)))
+    assert [uncertain.channels.count(name) for name in AT] == [6, 6, 2, 2]
+
+
+def test_a_member_is_the_telescope_with_these_values(uncertain: System) -> None:
+    reference = load_parameters()
+    table = reference["isolator"]
+    isolator = {
+        **table,
+        "stiffness": [1.1 * value for value in table["stiffness"]],
+        "damping": [0.7 * value for value in table["damping"]],
+    }
+    member, other = uncertain.at(AT), plant({**reference, "isolator": isolator}).at({})
+    scale_in, scale_out = np.ones(member.D.shape[1]), np.ones(member.D.shape[0])
+    scale_in[COLUMNS["fsm_command"]], scale_out[COLUMNS["camera_los"]] = 0.95, 1.03
+    for omega in OMEGA:
+        found, expected = member.response(omega), scale_out[:, None] * other.response(omega) * scale_in
+        size = np.abs(expected).max(axis=1, keepdims=True) + 1e-300
+        assert np.abs((found - expected) / size).max() < 1e-6
+
+
+def test_without_the_table_nothing_changes() -> None:
+    reference = load_parameters()
+    assert with_uncertain(reference, ()) is reference
+    assert parameters_hash(with_uncertain(reference, SPREADS)) != parameters_hash(reference)
+
+
+def test_a_file_says_the_same_as_the_option(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('[uncertain]\nisolator.stiffness = 0.1\n"camera_los.gain" = 0.03\n')
+    option = with_uncertain(load_parameters(), ["camera_los.gain=3%", "isolator.stiffness=10 %"])
+    assert uncertain_parameters(load_parameters(file)) == uncertain_parameters(option)
+    assert parameters_hash(load_parameters(file)) == parameters_hash(option)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("isolator.stiffness", "ENTRY=SPREAD"),
+        ("isolator.stiffness=much", "ENTRY=SPREAD"),
+        ("isolator.mass=10%", "must name one of isolator.stiffness"),
+        ("isolator.damping=0%", "above 0"),
+        ("isolator.damping=nan", "above 0"),
+        ("isolator.damping=95%", "at most 0.9"),
+    ],
+)
+def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        spread_of(text)
+    assert spread_of(f"{ENTRIES[0]} = 10%") == (ENTRIES[0], 0.1)
+
+
+def test_a_file_with_another_entry_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[uncertain]\nisolator.mass = 0.1\n")
+    with pytest.raises(ValueError, match=r"mine\.toml.*must name one of"):
+        load_parameters(file)
