@@ -11,7 +11,7 @@ from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.stages import Plan
+from los_testbed.run.stages import Plan, provenance
 from los_testbed.variants import of_designs, of_scenario
 
 from lftkit import SampledSystem
@@ -95,6 +95,7 @@ def test_stages_and_figures_are_those_that_the_telescope_has(tmp_path: Path) -> 
     base = RunConfig.from_mapping({**of_designs(str(EXAMPLES / "small_telescope")), "mode": "inprocess"})
     plan = Plan(base, tmp_path / "stages", ("imbalance",), 1, ("all",))
     assert [run.loop for run in plan.runs()] == ["none", "isolator", "fsm"] and plan.stages[-1] == MIRROR_STAGES[0]
+    assert base.loop == "fsm+pma" and plan.base.loop == "fsm" and provenance(plan)
     with pytest.raises(ValueError, match="loop must be one of none, isolator, fsm without proof-mass actuators"):
         RunParts(replace(base, loop="fsm+pma")).settings  # noqa: B018
 

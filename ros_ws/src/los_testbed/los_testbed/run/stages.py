@@ -78,6 +78,10 @@ class Plan:
     keep: bool = False
     designs: str = ""
 
+    def __post_init__(self) -> None:
+        # the stage of a configuration, where none was asked for, is one that the telescope may not have
+        object.__setattr__(self, "base", replace(self.base, loop=self.stages[-1]))
+
     def members(self) -> dict[str, RunConfig]:
         """Telescopes by name."""
         found = {"nominal": self.base}
