@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from titop_plant.interface import DT, FRAME_TICKS, RATE
-from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 if TYPE_CHECKING:
     from pointing_analysis.image.star_camera import StarCamera

@@ -28,7 +28,6 @@ from titop_plant.telescope.layout import (
     solar_arrays,
     without_sources,
 )
-from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.placed.devices import SENSOR
 from titop_plant.telescope.requirements import (
     instant_probability,
@@ -37,6 +36,7 @@ from titop_plant.telescope.requirements import (
     window_probability,
     with_limits,
 )
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_spreads, factors
 
 if sys.version_info >= (3, 11):

@@ -24,7 +24,7 @@ from typing import Any
 
 from pointing_analysis.requirements.text import Requirement, RequirementError, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
-from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 LIMITS = ("ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window")
 """Values of ``parameters["weights"]`` that are made of the requirements."""

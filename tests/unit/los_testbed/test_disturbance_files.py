@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
-from los_testbed.disturbance_files import Run, entries_of, make_sources
+from los_testbed.disturbance_files import entries_of, make_sources
+from los_testbed.disturbance_kinds import Run
 from los_testbed.factories import RunParts
 from scipy import io
 

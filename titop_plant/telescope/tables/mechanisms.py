@@ -22,7 +22,7 @@ from typing import Any
 from titop_plant.blocks.stepper import Stepper
 from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.telescope.layout import ARRAYS, BEARING, BROADBAND, DENSITIES, STEPPER, WHEELS
-from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 Table = dict[str, Any]
 

@@ -22,10 +22,10 @@ from titop_plant.telescope.layout import (
     solar_arrays,
     wheel_axes,
 )
-from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.placed.devices import ACTUATOR, SENSOR
-from titop_plant.telescope.placed.tables import DEVICE_KEYS, DEVICES, check_devices
 from titop_plant.telescope.tables.mechanisms import OF_LISTS, check_mechanisms
+from titop_plant.telescope.tables.parameter_check import ParameterFile
+from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_devices
 
 Table = dict[str, Any]
 
@@ -113,7 +113,7 @@ def checked_layout(
     ValueError
         A key or value that does not fit, a missing one, a name used twice, an unknown point, an array without modes,
         bodies that share parameters of different values, wheels that do not span the space; sensors and actuators as
-        :func:`titop_plant.telescope.placed.tables.check_devices`.
+        :func:`titop_plant.telescope.tables.placed_devices.check_devices`.
     """
     complete: Table = {}
     for kind, tables in given.items():

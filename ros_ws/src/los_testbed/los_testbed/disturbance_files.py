@@ -21,29 +21,23 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
-from pointing_analysis.files.structured_text import is_number, read_text
-from pointing_analysis.read.series import stamps_of
+from los_testbed.disturbance_kinds import KINDS, Entry, Run
+from pointing_analysis.files.structured_text import read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
-from pointing_analysis.read.tables.times import UNITS, time_column
-from pointing_analysis.read.time_grid import time_grid
-from titop_plant.interface import DT
 from titop_plant.telescope.parameters import FOLDER
 
 if TYPE_CHECKING:
     from titop_plant.simulation.sources.drive import PlacedSource
-    from titop_plant.simulation.sources.signals import Signal
     from titop_plant.telescope.parameters import Parameters
 
 if sys.version_info >= (3, 11):
@@ -51,73 +45,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-AXES = (
-    ("fx", "force_x", "force.x"),
-    ("fy", "force_y", "force.y"),
-    ("fz", "force_z", "force.z"),
-    ("tx", "mx", "torque_x", "torque.x"),
-    ("ty", "my", "torque_y", "torque.y"),
-    ("tz", "mz", "torque_z", "torque.z"),
-)
-"""Names of the columns of the six axes, in any case; an array of six columns is ``wrench``."""
-NEWTON = MappingProxyType({"": 1.0, "N": 1.0, "Nm": 1.0, "mN": 1e-3, "mNm": 1e-3})
-LARGEST = 1e7
-"""[N, Nm] Larger values are no force on a spacecraft."""
 COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
-
-
-@dataclass(frozen=True)
-class Run:
-    """What of a run its sources depend on: wheel speeds [rad/s], length [s], seed, names of the wheels."""
-
-    speeds: tuple[float, ...]
-    duration: float
-    seed: int
-    names: tuple[str, ...] = ()
-
-    def speed_at(self, place: str) -> float | None:
-        """Speed of the wheel at a place [rad/s]; None where there is no wheel."""
-        places = {f"wheel_{i}": speed for i, speed in enumerate(self.speeds, start=1)}
-        return {**places, **dict(zip(self.names, self.speeds))}.get(place)
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One table ``[[disturbance]]`` with the folder of its file."""
-
-    table: Mapping[str, Any]
-    folder: Path
-    where: str
-
-    def error(self, text: str) -> ValueError:
-        """A ValueError that names file and source."""
-        return ValueError(f"{self.where}, disturbance {self.table.get('name', '?')!r}: {text}")
-
-    def number(self, key: str, default: float | None = None, low: float = -math.inf) -> float:
-        """A finite number, above `low`."""
-        value = self.table.get(key, default)
-        if not is_number(value) or not (math.isfinite(value) or value == default) or not value > low:
-            above = "" if low == -math.inf else f" above {low:g}"
-            raise self.error(f"{key} must be a number{above}, got {value!r}")
-        return float(value)
-
-    def vector(self, key: str, table: Mapping[str, Any] | None = None) -> FloatArray:
-        """Three numbers, zero where the key is missing."""
-        value = (self.table if table is None else table).get(key, [0.0, 0.0, 0.0])
-        try:
-            found = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            found = np.zeros(0)
-        if found.shape != (3,) or not (np.abs(found) <= LARGEST).all():
-            raise self.error(f"{key} must be three numbers, got {value!r}")
-        return found
-
-    def file(self) -> Table:
-        """Table of values."""
-        name = self.table.get("file")
-        if not isinstance(name, str):
-            raise self.error(f"file must be the name of a file, got {name!r}")
-        return read_table(self.folder / name)
 
 
 def entries_of(items: Sequence[str]) -> list[Entry]:
@@ -240,224 +168,3 @@ def _frame(frame: Any) -> FloatArray | None:
         return np.eye(3) if frame == "body" else np.array(frame, dtype=float)
     except (ValueError, TypeError):
         raise ValueError(f"frame must be own, body or three rows of three numbers, got {frame!r}") from None
-
-
-def _rng(entry: Entry, run: Run) -> np.random.Generator:
-    key = zlib.crc32(str(entry.table["name"]).encode())
-    return np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(98, key)))
-
-
-def _axes(entry: Entry, table: Table, n: int, squared_units: bool = False) -> FloatArray:
-    """Values (n, 6) [N, Nm] of a table."""
-    values = np.zeros((n, 6))
-    bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
-    whole = [f"wrench.{i + 1}" for i in range(6)]
-    found = 0
-    for axis, names in enumerate(AXES):
-        for base in (*names, whole[axis]):
-            column = next((bases[key] for key in bases if key == base or key.endswith(f".{base}")), None)
-            if column is not None:
-                unit = table.unit(column)
-                if not squared_units and unit not in NEWTON:
-                    raise entry.error(f"unit of {column} must be N, mN, Nm or mNm, got {unit!r}")
-                values[:, axis] = np.asarray(table.columns[column], dtype=float) * NEWTON.get(unit, 1.0)
-                found += 1
-                break
-    if not found:
-        names_ = ", ".join(names[0].capitalize() for names in AXES)
-        raise entry.error(f"{table.path} must have columns of {names_}, got {table.listed()}")
-    odd = ~(np.abs(values) <= LARGEST)
-    if odd.any():
-        raise entry.error(f"{table.path} must have finite values in every row, got {int(odd.sum())} that are not")
-    return values
-
-
-def _column(entry: Entry, table: Table, *names: str) -> FloatArray:
-    for name in table.columns:
-        if split_unit(name)[0].lower() in names:
-            return np.asarray(table.columns[name], dtype=float)
-    raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
-
-
-Made = tuple["Signal", tuple[str, ...]]
-
-
-def _series(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import SampledSignal, repeated
-
-    table = entry.file()
-    n = max(len(column) for column in table.columns.values())
-    values, remarks = _axes(entry, table, n), list(table.left_out)
-    when = time_column(table.of_length(n), [])
-    if when is not None:
-        seconds = np.asarray(table.columns[when], dtype=float) * UNITS.get(table.unit(when), 1.0)
-        stamps_of(seconds, n, None)
-        grid = time_grid(seconds)
-        if grid is None or not grid.fits or not np.array_equal(grid.place, np.arange(n)):
-            steps = np.diff(seconds) if n > 1 else np.zeros(1)
-            raise entry.error(
-                f"times of {table.path} must be uniform and without gaps, "
-                f"got steps of {steps.min():g} to {steps.max():g} s"
-            )
-        rate = 1.0 / grid.period
-    else:
-        rate = table.rate or entry.number("rate", None, 0.0)
-    length = n / rate
-    if not entry.table.get("keep_mean", False):
-        mean = values.mean(axis=0)
-        values = values - mean
-        if np.abs(mean).max() > 0.01 * values.std():
-            remarks.append(f"mean {_listed(mean)} removed (keep_mean = true keeps it)")
-    if length < run.duration:
-        if not entry.table.get("repeat", False):
-            raise entry.error(
-                f"{table.path} must be as long as the run, {run.duration:g} s, got {length:g} s "
-                "(repeat = true repeats it)"
-            )
-        values = repeated(values, rate)
-    return SampledSignal(values, rate, DT), tuple(remarks)
-
-
-def _listed(values: FloatArray) -> str:
-    return ", ".join(f"{value:.3g}" for value in values)
-
-
-def _harmonics(entry: Entry) -> list[tuple[float, FloatArray]]:
-    """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
-    tables = entry.table.get("harmonics")
-    if tables is None:
-        table = entry.file()
-        order = _column(entry, table, "order", "harmonic")
-        rows = list(zip(order.tolist(), _axes(entry, table, len(order))))
-    elif isinstance(tables, list) and tables and all(isinstance(one, dict) and "order" in one for one in tables):
-        rows = [(float(one["order"]), np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
-    else:
-        raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
-    if any(not order > 0 for order, _ in rows):
-        raise entry.error("order of a harmonic must be positive, got another")
-    return rows
-
-
-def _speed(entry: Entry, run: Run) -> float:
-    """Speed of a rotor [rad/s]: given, or that of the wheel where it is."""
-    place = entry.table.get("place", "bus")
-    if "speed" in entry.table:
-        return entry.number("speed")
-    if (speed := run.speed_at(str(place))) is not None:
-        return speed
-    raise entry.error(f"speed must be given [rad/s] at {place}, which is no wheel, got none")
-
-
-def _phased(amplitude: FloatArray, sense: float, rng: np.random.Generator) -> ComplexArray:
-    """Amplitudes with random phases; radial ones turn with the rotor, **x leads y by a quarter turn for sense > 0**."""
-    force, axial, torque, about = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 4))
-    turn = -1j * sense
-    return np.asarray(amplitude * np.array([force, turn * force, axial, torque, turn * torque, about]))
-
-
-def _wheel(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import tone_signal
-
-    speed, rng = _speed(entry, run), _rng(entry, run)
-    squared = entry.table.get("squared", True)
-    if not isinstance(squared, bool):
-        raise entry.error(f"squared must be true or false, got {squared!r}")
-    sense, size = float(np.sign(speed)) or 1.0, speed**2 if squared else 1.0
-    rows = [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in _harmonics(entry)]
-    return _audible(tone_signal, rows)
-
-
-def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, ComplexArray]], *more: Any) -> Made:
-    """Tones below the tick rate; what is above is left out, and said."""
-    kept = [row for row in rows if row[1] < 2 * np.pi / DT]
-    if not kept:
-        raise ValueError("disturbance must have a tone below 1000 Hz, got none")
-    remarks = (f"{len(rows) - len(kept)} tones above 1000 Hz left out",) if len(kept) < len(rows) else ()
-    return make(kept, DT, *more), remarks
-
-
-def _waterfall(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import tone_signal
-    from titop_plant.simulation.sources.waterfall import lines_at
-
-    table, speed, rng = entry.file(), _speed(entry, run), _rng(entry, run)
-    name = next((name for name in table.columns if split_unit(name)[0].lower() == "speed"), "speed")
-    scale = {"rpm": 1 / 60, "rad/s": 1 / (2 * np.pi), "Hz": 1.0, "hz": 1.0}.get(table.unit(name))
-    if scale is None:
-        raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
-    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, "frequency")
-    speeds, bins = np.unique(at), np.unique(frequency)
-    values = _axes(entry, table, at.size)
-    if speeds.size < 2 or speeds.size * bins.size != at.size:
-        raise entry.error(
-            f"{table.path} must have a row for each of its frequencies at each of two or more speeds, "
-            f"got {at.size} rows with {bins.size} frequencies and {speeds.size} speeds"
-        )
-    grid = values[np.lexsort((frequency, at))].reshape(speeds.size, bins.size, 6)
-    try:
-        found, amplitude = lines_at(abs(speed) / (2 * np.pi), speeds, bins, grid)
-    except ValueError as error:
-        raise entry.error(str(error)) from None
-    sense = float(np.sign(speed)) or 1.0
-    rows = [(2 * np.pi * f / abs(speed), 2 * np.pi * f, _phased(a, sense, rng)) for f, a in zip(found, amplitude)]
-    return _audible(tone_signal, rows)
-
-
-def _psd(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import NOISE_SECONDS, PASSES, noise_of_density
-
-    table = entry.file()
-    frequency = _column(entry, table, "frequency", "f")
-    density = _axes(entry, table, frequency.size, squared_units=True)
-    if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
-        raise entry.error(
-            f"{table.path} must have two or more ascending frequencies and no negative density, got {frequency.size} "
-            f"frequencies, {int((np.diff(frequency) <= 0).sum())} not above the last, and {int((density < 0).sum())} "
-            "negative densities"
-        )
-    kept = frequency > 0
-    remarks = []
-    if frequency[-1] > PASSES:
-        remarks.append(f"density above {PASSES:g} Hz left out")
-    if run.duration > NOISE_SECONDS:
-        remarks.append(f"noise repeats after {NOISE_SECONDS:g} s")
-    signal = noise_of_density(frequency[kept], density[kept], run.duration, DT, _rng(entry, run))
-    return signal, tuple(remarks)
-
-
-def _cooler(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import phase_walk, tone_signal
-
-    rng, base = _rng(entry, run), 2 * np.pi * entry.number("frequency", None, 0.0)
-    rows: list[tuple[float, float, ComplexArray]] = []
-    for order, amplitude in _harmonics(entry):
-        rows.append((order, order * base, amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi))))
-    width = entry.number("linewidth", 0.0)
-    if width < 0:
-        raise entry.error(f"linewidth must not be negative, got {width:g} Hz")
-    phase = phase_walk(width, round(run.duration / DT), DT, rng) if width else None
-    return _audible(tone_signal, rows, phase)
-
-
-def _pulses(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import PulseSignal
-
-    wrench = np.r_[entry.vector("force"), entry.vector("torque")]
-    width, period = entry.number("width", None, 0.0), entry.number("period", None, 0.0)
-    if width > period:
-        raise entry.error(f"width must not be above the period of {period:g} s, got {width:g} s")
-    last = entry.number("last", math.inf)
-    return PulseSignal(wrench, entry.number("first", 0.0), width, period, last, DT), ()
-
-
-KINDS: Mapping[str, tuple[Callable[[Entry, Run], Made], set[str]]] = MappingProxyType(
-    {
-        "series": (_series, {"file", "rate", "repeat", "keep_mean"}),
-        "harmonics": (_wheel, {"file", "harmonics", "squared", "speed"}),
-        "waterfall": (_waterfall, {"file", "speed"}),
-        "psd": (_psd, {"file"}),
-        "cooler": (_cooler, {"frequency", "harmonics", "linewidth", "file"}),
-        "pulses": (_pulses, {"force", "torque", "period", "width", "first", "last"}),
-    }
-)
-"""Maker of each kind of source, and its keys."""

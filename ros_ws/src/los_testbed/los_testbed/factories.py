@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from los_loop.sampled_loop import Delays
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
-    from los_testbed.disturbance_files import Entry
+    from los_testbed.disturbance_kinds import Entry
     from los_testbed.image_camera import Telescope
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
@@ -436,7 +436,8 @@ class RunParts:
         """Sources of disturbance of files; ValueError: one of them cannot be used."""
         if not (self._entries or self._mechanisms):
             return ()
-        from los_testbed.disturbance_files import Run, make_sources
+        from los_testbed.disturbance_files import make_sources
+        from los_testbed.disturbance_kinds import Run
         from titop_plant.simulation.plant_config import motion
         from titop_plant.simulation.sources.mechanisms import mechanism_sources
         from titop_plant.telescope.layout import reaction_wheels

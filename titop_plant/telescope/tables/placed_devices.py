@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from titop_plant.interface import COLUMNS
-from titop_plant.telescope.parameter_check import ParameterFile
 from titop_plant.telescope.placed.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
 from titop_plant.telescope.placed.points import REFERENCE_POINT, points
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 DEVICES = (SENSOR, ACTUATOR)
 
