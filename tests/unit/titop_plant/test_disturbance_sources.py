@@ -137,7 +137,7 @@ def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.P
     tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
     low = []
     for one in ("bus", place):
-        telescope = drive._loaded(None, True).system[
+        telescope = drive.loaded_telescope(None, True).system[
             "attitude", "load_" + nodes(PARAMETERS)[one] if one != "bus" else "external_wrench"
         ]
         data = telescope.at({})

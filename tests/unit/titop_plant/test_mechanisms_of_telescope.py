@@ -12,7 +12,7 @@ from oracles.accurate_response import accurate_response
 from scipy import linalg
 
 from titop_plant.simulation.disturbances import sadm_tones
-from titop_plant.simulation.sources.drive import _loaded
+from titop_plant.simulation.sources.drive import loaded_telescope
 from titop_plant.simulation.sources.mechanisms import mount_matrix
 from titop_plant.simulation.sources.places import place_matrix, source_ports
 from titop_plant.telescope.assembly import build_telescope
@@ -144,7 +144,7 @@ def _slices(parameters: Any, names: list[str]) -> list[slice]:
 
 
 def test_a_source_has_the_torque_of_each_motor(path: Path) -> None:
-    system = _loaded(str(path), True).system
+    system = loaded_telescope(str(path), True).system
     assert system.input_port("motor_torque").size == 2
     data = system["sadm_angle", "motor_torque"].at({})
     static = data.D - data.C @ linalg.solve(data.A, data.B)
