@@ -129,6 +129,7 @@ def test_without_commands_the_rig_goes_safe_by_itself_and_a_stray_packet_moves_n
     [
         (("--fault=silent", "--fault-at=0.2"), "no sample for 140 ms"),
         (("--fault=frozen", "--fault-at=0.2"), "frozen for 200 samples"),
+        (("--fault=not_finite", "--fault-at=0.2"), "accel_Ip not finite for 140 ms"),
         pytest.param(("--fault=corrupt", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
         pytest.param(("--fault=brown_out", "--fault-at=0.2"), "no sample for 140 ms", marks=pytest.mark.slow),
     ],
@@ -144,6 +145,29 @@ def test_a_fault_of_the_rig_ends_the_run_with_mirror_and_forces_at_zero(rig, tex
     supervisor.end()
     assert rig.until("safe")["before"] <= 1.1e-4
     assert text in supervisor.statistics()["device_fault"]
+
+
+@pytest.mark.parametrize("rig", [("--fault=outage", "--fault-at=0.2")], indirect=True)
+def test_an_outage_of_the_line_brings_the_rig_to_zero_and_it_flies_again(rig):
+    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor.open()
+    assert fly_until(supervisor, lambda: supervisor.counts["absent_accel_Ip"] > 60 and supervisor.frames)
+    assert supervisor.state == ACTIVE
+    found = rig.until("safe")
+    assert found["why"] == "watchdog" and found["after_ms"] >= 50 and found["before"] <= 1.1e-4
+    assert rig.next()["event"] == "active", "commands move it again"
+    supervisor.end()
+
+
+@pytest.mark.parametrize("rig", [("--fault=repeated", "--fault-at=0", "--watchdog=5000")], indirect=True)
+def test_repeated_packets_are_refused_and_counted(rig):
+    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor.open()
+    complete, _ = fly(supervisor, 200)
+    found = supervisor.statistics()
+    assert complete > 20 and int(found["device_refused_repeated"]) > 100
+    assert not supervisor.counts["surplus_accel_Ip"] > 100, "no sample is used twice"
+    supervisor.end()
 
 
 def fly_until(supervisor, done, ticks=20_000):

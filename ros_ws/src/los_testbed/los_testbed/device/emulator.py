@@ -39,8 +39,13 @@ from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASURE
 PRIORITY = 90
 """A rig does not wait for the programs of its host."""
 
-FAULTS = ("silent", "frozen", "camera_silent", "brown_out", "corrupt", "clock_jump")
+FAULTS = (
+    *("silent", "frozen", "not_finite", "camera_silent", "brown_out", "outage", "corrupt", "repeated"),
+    "clock_jump",
+)
 BROWN_OUT_S = 0.5
+OUTAGE_S = 0.1
+"""The line is out in both directions for so long."""
 PSEUDO_TERMINAL = "pty"
 """Line of the emulator that it makes itself; it says the path of the other end when it is ready."""
 LEFT_NS = 1_000_000_000
@@ -214,6 +219,8 @@ class Emulator:
         if fault == "frozen":
             self._frozen = values if self._frozen is None else self._frozen
             values = self._frozen
+        if fault == "not_finite":
+            values[0] = np.nan
         if np.isfinite(self._measurement[CAMERA]).all() and fault != "camera_silent":
             self._waiting.append((k + settings.read_out, acquired, self._measurement[CAMERA].copy()))
         sleep_until(time.monotonic_ns() + round(1e3 * settings.latency_us))
@@ -230,12 +237,17 @@ class Emulator:
 
     def _fault(self) -> str:
         """Fault that is there now."""
-        since = time.monotonic_ns() - self._first_ns if self._first_ns else 0
-        return self.settings.fault if since > 1e9 * self.settings.fault_at else ""
+        since = self._since_fault_ns()
+        over = self.settings.fault == "outage" and since > 1e9 * OUTAGE_S
+        return self.settings.fault if since > 0 and not over else ""
+
+    def _since_fault_ns(self) -> float:
+        """Time since the fault began; not above zero before."""
+        return time.monotonic_ns() - self._first_ns - 1e9 * self.settings.fault_at if self._first_ns else 0.0
 
     def _send(self, data: bytes) -> None:
         fault = self._fault()
-        if fault == "silent" or self._random.random() < self.settings.loss:
+        if fault in ("silent", "outage") or self._random.random() < self.settings.loss:
             return
         if fault == "corrupt":
             data = data[:-5] + bytes([data[-5] ^ 1]) + data[-4:]
@@ -243,7 +255,7 @@ class Emulator:
             self._held_back = data
             return
         late, self._held_back = self._held_back, None
-        for one in (data, late):
+        for one in (data, data if fault == "repeated" else None, late):
             if one is not None:
                 with contextlib.suppress(OSError):  # the host is gone: the watchdog sees it
                     self.line.send_to(one, self._peer)
@@ -254,7 +266,7 @@ class Emulator:
         except OSError:  # nobody is at the other end
             return
         for data, arrived_ns, peer in arrived:
-            if self._is_dead():
+            if self._is_dead() or self._fault() == "outage":
                 continue
             packet = self._reader.read(data) if self._key else None
             if packet is not None and peer == self._peer:
@@ -318,7 +330,8 @@ class Emulator:
         self._command[:] = 0.0
         self._applied[:] = 0.0
         self._mirror.stop()
-        say("safe", why=why, after_ms=round(since, 3), before=before)
+        ill = {"fault_ms": round(self._since_fault_ns() / 1e6, 3)} if self.settings.fault else {}
+        say("safe", why=why, after_ms=round(since, 3), before=before, **ill)
 
 
 def _name_of(plant: Any) -> float:

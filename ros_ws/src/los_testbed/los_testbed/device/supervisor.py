@@ -171,7 +171,9 @@ class Supervisor:
         if len(silent) == len(self._silent):
             raise self.failed(f"no sample for {self._limit_ticks} ms")
         if silent:
-            raise self.failed(f"{', '.join(silent)} silent for {self._limit_ticks} ms")
+            odd = any(self.counts[f"not_finite_{port}"] >= self._limit_ticks for port in silent)
+            what = "not finite" if odd else "silent"
+            raise self.failed(f"{', '.join(silent)} {what} for {self._limit_ticks} ms")
         frozen = [port for port in EVERY_TICK if self._equal[port] > FROZEN_TICKS]
         if frozen:
             raise self.failed(f"{', '.join(frozen)} frozen for {FROZEN_TICKS} samples")
