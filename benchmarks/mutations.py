@@ -81,7 +81,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
     f"{ROS_PACKAGE}/los_testbed/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
     f"{ROS_PACKAGE}/los_testbed/campaign/verdict.py": ("tests/unit/los_testbed/test_campaign_verdict.py",),
-    f"{ROS_PACKAGE}/los_testbed/run/summary.py": (
+    f"{ROS_PACKAGE}/los_testbed/run/summary/summary.py": (
         "tests/unit/los_testbed/test_summary_on_screen.py",
         "tests/unit/los_testbed/test_requirement_outputs.py",
     ),
