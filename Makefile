@@ -162,7 +162,8 @@ site: $(READY)
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
-	echo 'numpy>=2.2,<2.3' > .venv-lock/override.txt
+	# fmpy is content with the lark-parser of ROS, which has the same module as lark, and needs no cmake of its own
+	printf '%s\n' 'numpy>=2.2,<2.3' "lark; python_version < '3'" "cmake; python_version < '3'" > .venv-lock/override.txt
 	.venv-lock/bin/uv pip compile --universal --python-version 3.10 --all-extras --no-header --no-annotate \
 	    --override .venv-lock/override.txt --no-emit-package lftkit pyproject.toml -o requirements.lock
 

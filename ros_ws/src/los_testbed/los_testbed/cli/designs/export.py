@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options.options import Designs, Json
+from los_testbed.cli.options.options import Designs, Json, Telescope
 from los_testbed.cli.output import print_json, warn
 from los_testbed.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen
@@ -34,6 +34,19 @@ the designs. Exit code 1 if any of them differ.
     los-testbed export check flight_code                              # against the shipped pair
 
     los-testbed export check mine_c --designs designs/mine
+"""
+
+FMU_EXAMPLES = """Units of FMI 2.0 (co-simulation) for Simulink and other simulators: the laws, or the telescope.
+
+A step is one tick of 1 ms, or several with the same inputs. In each step the telescope goes first, then the laws: then
+the loop is that of the testbed without sensor noise, with its bits. The units have their sources, and the library of
+this system if there is a C compiler (CC, or cc, gcc, clang).
+
+**Examples**
+
+    los-testbed export fmu                                            # los_law.fmu, the shipped pair
+
+    los-testbed export fmu --plant --output telescope.fmu             # the telescope under its worst tone
 """
 
 export_app = typer.Typer(help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown")
@@ -97,3 +110,39 @@ def export_check(
         print_json({"found": checked.found, "expected": checked.expected, "faults": list(checked.faults)})
     if checked.faults:
         raise typer.Exit(ExitCode.FAILED)
+
+
+@export_app.command("fmu", help=FMU_EXAMPLES)
+def export_fmu(
+    designs: Designs = None,
+    plant: Annotated[bool, typer.Option("--plant", help="The telescope instead of the laws.")] = False,
+    parameters: Telescope = None,
+    output: Annotated[Path | None, typer.Option(metavar="FILE", help="New file, NAME.fmu.")] = None,
+    json_: Json = False,
+) -> None:
+    """See FMU_EXAMPLES."""
+    from los_testbed.config import RunConfig
+    from los_testbed.factories import RunParts
+    from los_testbed.flight_code.fmu import LAW, PLANT, law_model, plant_model, write_fmu
+    from los_testbed.flight_code.laws import laws_of
+    from los_testbed.variants import of_designs
+    from pointing_analysis.files.atomic_output import check_output
+
+    path = output or Path(f"{PLANT if plant else LAW}.fmu")
+    check_output(path, "--output", new=True)
+    if plant:
+        given = {"parameters": None if parameters is None else str(parameters)}
+        config = RunConfig.from_mapping({**of_designs(designs or ""), **given, "mode": "inprocess", "start": "rest"})
+        model = plant_model(RunParts(config).plant())
+    elif parameters is not None:
+        raise ValueError("--parameters must be given with --plant, the laws are those of their designs")
+    else:
+        laws = laws_of(designs)
+        warn(laws.warnings)
+        model = law_model(laws)
+    built = write_fmu(model, path)
+    console = Screen(stderr=json_)
+    for name, text in {"unit": str(path), "model": model.description, "library": built}.items():
+        console.print(f"{name:<10}{text}", soft_wrap=True, highlight=False, markup=False)
+    if json_:
+        print_json({"output": str(path), "tables_sha256": model.sha256, "library": built})
