@@ -28,7 +28,7 @@ from typing import Any
 
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import COMMANDED, MEASURED
-from titop_plant.telescope.parameter_check import ParameterFile
+from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 UNCERTAIN = "uncertain"
 """Name of the table."""
