@@ -45,6 +45,7 @@ $(READY): requirements.lock pyproject.toml lftkit/pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e ./lftkit -e .
 	$(BIN)/python -m los_testbed.loop.compiled_loop
+	$(BIN)/python -m lftkit.analysis.compiled_norm
 	@touch $(READY)
 
 run: $(READY)

@@ -1,14 +1,15 @@
 """System norms that hold for lightly damped models of hundreds of states.
 
 The H-infinity norm is two-sided: a gain really reached (computed by a direct solution at the reported frequency),
-and a level certified never to be exceeded. Discrete-time systems (`dt` given) are not mapped to continuous time:
-gains and level are those of the given matrices on the unit circle.
+and a level certified never to be exceeded. The gains of discrete-time systems (`dt` given) are those of the given
+matrices on the unit circle; a map to continuous time tests the level of few states where it loses almost nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,11 +18,12 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle.circle_h2 import discrete_h2
 from lftkit.analysis.circle.circle_norm import discrete_norm
+from lftkit.analysis.circle.half_plane import HalfPlane
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
 from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
 from lftkit.analysis.peak_search import climb
-from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
+from lftkit.analysis.small_norm import COMPILED_STATES, MAX_STATES, Origin, compiled, small_hinf_norm
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.matrices import checked_matrices
 
@@ -77,8 +79,10 @@ def hinf_norm(
         Relative distance of the two sides.
     certificate : {"auto", "interval", "hamiltonian"}
         ``auto`` takes the Hamiltonian for up to 40 states whose damping is far from rounding; else the interval test
-        where the modal form is sound and the Hamiltonian otherwise. In discrete time intervals of the unit circle are
-        used, and integer arithmetic where rounding would matter and there are at most 24 states.
+        where the modal form is sound and the Hamiltonian otherwise. In discrete time the Hamiltonian is that of a map
+        to continuous time, for up to 40 states and where neither the map nor the damping brings anything near
+        rounding; else intervals of the unit circle are used, and integer arithmetic where rounding would matter and
+        there are at most 24 states.
 
     Returns
     -------
@@ -109,6 +113,8 @@ def hinf_norm(
         raise ValueError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
     if not rtol > 0:
         raise ValueError(f"rtol must be positive, got {rtol}")
+    if certificate == "auto" and (found := _by_compiled_code((A, B, C, D), dt, rtol)):
+        return found
     system = checked_matrices(A, B, C, D)
     if dt is None:
         return _continuous(system, rtol, certificate)
@@ -116,7 +122,7 @@ def hinf_norm(
         raise ValueError(f"dt must be positive, got {dt}")
     if certificate == "hamiltonian":
         raise ValueError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
-    return _discrete(system, dt, rtol)
+    return _discrete(system, dt, rtol, certificate)
 
 
 def hinf_norms(
@@ -180,10 +186,43 @@ def spectral_abscissa(A: ArrayLike) -> float:
     return float(linalg.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
 
 
-def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
+def _by_compiled_code(given: Sequence[ArrayLike], dt: float | None, rtol: float) -> HInfNorm | None:
+    """Norm of few states; None without numba, and for everything that is not sound or not plainly well formed."""
+    system = _plain(given)
+    if system is None or not (dt is None or dt > 0.0) or (kernel := compiled()) is None:
+        return None
+    try:
+        if dt is None:
+            value, upper, omega = kernel.norm(system, rtol, system, 0.0, 0.0)
+        else:
+            value, upper, angle = kernel.circle_norm(system, rtol)
+            omega = angle / dt
+    except (ValueError, linalg.LinAlgError):  # eigenvalues that do not converge, a matrix without an inverse
+        return None
+    return HInfNorm(value, upper, omega, "hamiltonian") if value >= 0.0 else None
+
+
+def _plain(given: Sequence[ArrayLike]) -> Matrices | None:
+    """Four arrays of finite floats that fit, with 1 to `COMPILED_STATES` states, balanced; B and C are not zero."""
+    arrays = [X for X in given if isinstance(X, np.ndarray) and X.ndim == 2 and X.dtype == float and isfinite(X.sum())]
+    if len(arrays) < 4:
+        return None
+    A, B, C, D = arrays
+    n, (p, m) = len(A), D.shape
+    if A.shape != (n, n) or B.shape != (n, m) or C.shape != (p, n) or not 0 < n <= COMPILED_STATES:
+        return None
+    if not (B.any() and C.any()):
+        return None
+    A, B, C = balanced(A, B, C)
+    return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(C), np.ascontiguousarray(D)
+
+
+def _discrete(system: Matrices, dt: float, rtol: float, certificate: str) -> HInfNorm:
     A, B, C, D = system
     if len(A) == 0:
         return _norm_of_feedthrough(A, D)
+    if certificate == "auto" and len(A) <= MAX_STATES and B.any() and C.any() and (found := _mapped(system, dt, rtol)):
+        return found
     peak = discrete_norm(system, rtol)
     if peak is None:
         poles = linalg.eigvals(balanced(A, B, C)[0])
@@ -192,6 +231,15 @@ def _discrete(system: Matrices, dt: float, rtol: float) -> HInfNorm:
     if peak.upper < np.inf and not (B.any() and C.any()):
         return _norm_of_feedthrough(A[:0, :0], D)
     return HInfNorm(peak.value, peak.upper, peak.theta / dt, peak.certificate)
+
+
+def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
+    """By a map to continuous time, or None where it could lose what decides."""
+    A, B, C, D = system
+    for plane in HalfPlane.of((*balanced(A, B, C), D)):
+        if peak := small_hinf_norm(plane.matrices, rtol, Origin(plane.response, plane.condition)):
+            return HInfNorm(peak.value, peak.upper, plane.angle(peak.omega) / dt, "hamiltonian")
+    return None
 
 
 def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:

@@ -7,9 +7,12 @@ other way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from math import hypot
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +25,41 @@ from lftkit.analysis.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 MAX_STATES = 40
+COMPILED_STATES = 12  # up to which compiled code is used where numba is installed
 MAX_LEVELS = 8
 SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
 TRUSTED = 0.1  # relative rounding of the modal form over `rtol`, at most, where it alone says that there is no peak
 CANCELLATION = 1e-12  # smallest norm over the bound of the sum of the modal terms
 SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
 LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
-DIRECT = 1e-2  # relative rounding of a direct solution without refinement over `rtol`, at most
+CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
+DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
+DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
+
+
+@cache
+def compiled() -> ModuleType | None:
+    """The compiled steps, :mod:`lftkit.analysis.compiled_norm`; None without numba (extra ``fast``)."""
+    try:
+        from lftkit.analysis import compiled_norm
+    except ImportError:
+        return None
+    return compiled_norm
+
+
+class Origin(NamedTuple):
+    """Where a mapped system comes from.
+
+    Parameters
+    ----------
+    response : callable
+        Response (p, m) of the matrices that were given at a frequency of the mapped system [rad/s], also at infinity.
+    condition : float
+        The mapped matrices are exact to so many roundings.
+    """
+
+    response: Callable[[float], ComplexArray]
+    condition: float
 
 
 @dataclass(frozen=True)
@@ -40,7 +71,7 @@ class NormPeak:
     omega: float
 
 
-def small_hinf_norm(system: Matrices, rtol: float) -> NormPeak | None:
+def small_hinf_norm(system: Matrices, rtol: float, origin: Origin | None = None) -> NormPeak | None:
     """H-infinity norm of a balanced system (A, B, C, D) in continuous time, or None where this way is not sound.
 
     Parameters
@@ -49,8 +80,11 @@ def small_hinf_norm(system: Matrices, rtol: float) -> NormPeak | None:
         Shapes (n, n), (n, m), (p, n), (p, m); B and C are not zero.
     rtol : float
         Relative distance of the two sides.
+    origin : Origin, optional
+        Of a system that is an exact map of another one up to rounding: the gain is that of the other one, and nothing
+        is decided by what the map may have lost.
     """
-    form = _ModalForm.of(system)
+    form = _ModalForm.of(system, origin.condition if origin else 0.0)
     if form is None or form.rounding > SEPARATION * rtol**0.5 * form.decay:
         return None
     if not form.terms + float(abs(system[3]).max()) < LARGE:
@@ -59,7 +93,9 @@ def small_hinf_norm(system: Matrices, rtol: float) -> NormPeak | None:
     smallest = max(CANCELLATION * form.terms, 1.0 / LARGE)
     for _ in range(MAX_LEVELS):
         omega, gain = form.climbed(omega, gain, rtol)
-        value = form.direct_gain(system, omega, rtol)
+        value = form.direct_gain(system, omega, rtol, origin)
+        if value is None:
+            return None
         if abs(value - gain) > TRUSTED * rtol * value or value <= smallest:
             return None
         upper = value * (1.0 + rtol)
@@ -92,6 +128,8 @@ class _ModalForm(NamedTuple):
         Of the eigenvectors.
     rounding : float
         Rounding error of a pole [rad/s].
+    lost : float
+        Roundings of the matrices themselves (0: they are exact).
     terms : float
         Bound of the sum of the magnitudes of the modal terms.
     """
@@ -103,10 +141,11 @@ class _ModalForm(NamedTuple):
     decay: float
     condition: float
     rounding: float
+    lost: float
     terms: float
 
     @classmethod
-    def of(cls, system: Matrices) -> _ModalForm | None:
+    def of(cls, system: Matrices, lost: float) -> _ModalForm | None:
         """The form, or None for a system that is not stable or has no basis of eigenvectors."""
         A, B, C, D = system
         n = len(A)
@@ -123,9 +162,9 @@ class _ModalForm(NamedTuple):
         poles.imag = imaginary
         residues = _residues((C @ vectors).T, right, heights)
         values = list(map(complex, parts, heights))
-        rounding = EPS * max(map(abs, values)) / reciprocal
+        rounding = _rounding(max(map(abs, values)), lost) / reciprocal
         terms = n * float(abs(residues).max()) / decay
-        return cls(poles, residues, D, values, decay, 1.0 / reciprocal, rounding, terms)
+        return cls(poles, residues, D, values, decay, 1.0 / reciprocal, rounding, lost, terms)
 
     def seeds(self) -> FloatArray:
         """Frequencies of possible peaks: zero, resonances, magnitudes of the poles."""
@@ -154,7 +193,7 @@ class _ModalForm(NamedTuple):
         """Peak near `omega`."""
         if omega == np.inf or omega == 0.0:
             return omega, gain
-        return climb(self.with_derivatives, omega, gain, self.distance(omega), rtol)
+        return climb(self.with_derivatives, omega, gain, self.distance(omega), CLIMB * rtol)
 
     def with_derivatives(self, omega: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Response (p, m) at a finite frequency [rad/s] and its first and second derivative with respect to it."""
@@ -167,8 +206,11 @@ class _ModalForm(NamedTuple):
         """Distance from j omega to the nearest pole [rad/s]."""
         return min(abs(pole - 1j * omega) for pole in self.values)
 
-    def direct_gain(self, system: Matrices, omega: float, rtol: float) -> float:
-        """Gain by a direct solution, refined where rounding could be felt."""
+    def direct_gain(self, system: Matrices, omega: float, rtol: float, origin: Origin | None) -> float | None:
+        """Gain by a direct solution, refined where rounding could be felt (of a mapped system: None there)."""
+        if origin is not None:
+            felt = omega < np.inf and self.rounding > DIRECT_OF_MAP * rtol * self.distance(omega)
+            return None if felt else _norm(origin.response(omega))
         if omega == np.inf:
             return _norm(system[3])
         if self.rounding > DIRECT * rtol * self.distance(omega):
@@ -186,7 +228,7 @@ class _ModalForm(NamedTuple):
         """
         real, imaginary = _hamiltonian_eigenvalues(*system, level)
         sizes = list(map(hypot, real, imaginary))
-        rounding = EPS * self.condition * max(sizes) / gap
+        rounding = _rounding(max(sizes), self.lost) * self.condition / gap
         found = {
             abs(y)
             for x, y, size in zip(real, imaginary, sizes)
@@ -194,6 +236,11 @@ class _ModalForm(NamedTuple):
             and abs(x) <= 2.0 * (rounding * self.distance(y)) ** 0.5 + rounding
         }
         return sorted(found)
+
+
+def _rounding(size: float, lost: float) -> float:
+    """Rounding of a matrix of the norm `size`, and of one that is exact to `lost` roundings of 1 and of its norm."""
+    return EPS * (max(lost, 1.0) * size + lost)
 
 
 def _residues(left: FloatArray, right: FloatArray, heights: list[float]) -> ComplexArray:

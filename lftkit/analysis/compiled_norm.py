@@ -1,0 +1,305 @@
+"""The steps of :mod:`lftkit.analysis.small_norm` for a few states in compiled code, where Python calls are the cost.
+
+The same seeds, the same steps to the peak, the same test of the level; only the eigenvalues come from the complex
+routine of LAPACK, which numba reaches. numba is optional (extra ``fast``) and is imported with this module. All
+compiled code is in this file, since its cache follows the changes of one file only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import njit
+
+from lftkit.analysis.circle.half_plane import MAX_CONDITION
+from lftkit.analysis.eigenvectors import EPS
+from lftkit.analysis.peak_search import FALL, MAX_STEPS
+from lftkit.analysis.small_norm import (
+    CANCELLATION,
+    CLIMB,
+    DIRECT,
+    DIRECT_OF_MAP,
+    LARGE,
+    MAX_LEVELS,
+    SEPARATION,
+    SMALL_GAP,
+    TRUSTED,
+)
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
+
+F = TypeVar("F", bound=Callable[..., Any])
+Found = tuple[float, float, float]
+REFUSED = (-1.0, -1.0, 0.0)
+
+
+def _compiled(function: F) -> F:
+    """Compiled at its first call, or read from the cache; without a cache where none can be written."""
+    try:
+        made = njit(cache=True, fastmath=False)(function)
+    except RuntimeError:  # no folder for a cache
+        made = njit(fastmath=False)(function)
+    return made  # type: ignore[no-any-return]
+
+
+@_compiled
+def _gram(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
+    """``X Y^H`` for wide or square matrices, else ``(Y^H X)^T``: of the smaller of the two sizes."""
+    p, m = X.shape
+    wide = p <= m
+    size, inner = min(p, m), max(p, m)
+    out = np.zeros((size, size), dtype=np.complex128)
+    for i in range(size):
+        for j in range(size):
+            for k in range(inner):
+                out[i, j] += X[i, k] * np.conj(Y[j, k]) if wide else X[k, i] * np.conj(Y[k, j])
+    return out
+
+
+@_compiled
+def _gain(G: ComplexArray) -> float:
+    """Largest singular value."""
+    gram = _gram(G, G)
+    if len(gram) == 1:
+        return float(np.sqrt(gram[0, 0].real))
+    if len(gram) == 2:
+        half, middle = 0.5 * (gram[0, 0] - gram[1, 1]).real, 0.5 * (gram[0, 0] + gram[1, 1]).real
+        return float(np.sqrt(middle + np.hypot(half, abs(gram[0, 1]))))
+    return float(np.sqrt(max(np.linalg.eigh(gram)[0][-1], 0.0)))
+
+
+@_compiled
+def _modal(weights: ComplexArray, residues: ComplexArray) -> ComplexArray:
+    """Sum of the residues (n, p, m) with `weights` (n,)."""
+    n, p, m = residues.shape
+    out = np.zeros((p, m), dtype=np.complex128)
+    for k in range(n):
+        for i in range(p):
+            for j in range(m):
+                out[i, j] += weights[k] * residues[k, i, j]
+    return out
+
+
+@_compiled
+def _squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> Found:
+    """As :func:`lftkit.analysis.peak_search.squared_gain`."""
+    gram, first, second, own = _gram(G, G), _gram(G1, G), _gram(G2, G), _gram(G1, G1)
+    k = len(gram)
+    if k == 1:
+        curvature = 2.0 * (second[0, 0].real + own[0, 0].real)
+        return gram[0, 0].real, 2.0 * first[0, 0].real, curvature
+    values, vectors = np.linalg.eigh(gram)
+    slope, curvature = 0.0, 0.0
+    for other in range(k - 1, -1, -1):
+        along, turned = 0.0j, 0.0
+        for i in range(k):
+            for j in range(k):
+                left, right = np.conj(vectors[i, other]), vectors[j, k - 1]
+                along += left * (first[i, j] + np.conj(first[j, i])) * right
+                if other == k - 1:
+                    turned += (left * (2.0 * second[i, j] + 2.0 * own[i, j]) * right).real
+        if other == k - 1:
+            slope, curvature = along.real, turned
+        else:
+            size = abs(along)
+            curvature += 2.0 * size * size / max(values[k - 1] - values[other], 1e-300)
+    return values[k - 1], slope, curvature
+
+
+@_compiled
+def _distance(poles: ComplexArray, omega: float) -> float:
+    """Distance from j omega to the nearest pole [rad/s]."""
+    best = np.inf
+    for pole in poles:
+        best = min(best, abs(pole - 1j * omega))
+    return best
+
+
+@_compiled
+def _climbed(
+    poles: ComplexArray, residues: ComplexArray, D: FloatArray, omega: float, gain: float, rtol: float
+) -> tuple[float, float]:
+    """As :func:`lftkit.analysis.peak_search.climb`, on the modal form."""
+    if omega == np.inf or omega == 0.0:
+        return omega, gain
+    limit = _distance(poles, omega)
+    best, low, high = omega, 0.0, np.inf
+    for _ in range(MAX_STEPS):
+        term = 1.0 / (1j * omega - poles)
+        once = -1j * term * term
+        G = _modal(term, residues) + D
+        square, slope, curvature = _squared_gain(G, _modal(once, residues), _modal(-2j * once * term, residues))
+        if square > gain * gain:
+            best, gain = omega, np.sqrt(square)
+        if slope * slope <= -4.0 * FALL * rtol * square * curvature:
+            break
+        if slope > 0.0:
+            low = omega
+        else:
+            high = omega
+        step = limit if slope > 0.0 else -limit
+        if curvature < 0.0:
+            step = min(max(-slope / curvature, -limit), limit)
+        omega += step
+        if not low < omega < high:
+            omega = 0.5 * (low + high)
+    return best, gain
+
+
+@_compiled
+def _best(poles: ComplexArray, residues: ComplexArray, D: FloatArray, seeds: FloatArray) -> tuple[float, float]:
+    """Frequency of the largest gain at the `seeds` and at infinity, and that gain."""
+    omega, gain = np.inf, _gain(D.astype(np.complex128))
+    for seed in seeds:
+        found = _gain(_modal(1.0 / (1j * seed - poles), residues) + D)
+        if found >= gain:
+            omega, gain = seed, found
+    return omega, gain
+
+
+@_compiled
+def _seeds(poles: ComplexArray) -> FloatArray:
+    """Zero, resonances, magnitudes of the poles."""
+    seeds = np.zeros(1 + 2 * len(poles))
+    count = 1
+    for pole in poles:
+        x, y, size = -pole.real, pole.imag, abs(pole)
+        if y >= -4.0 * EPS * size:
+            seeds[count] = size
+            count += 1
+            if y > x:
+                seeds[count] = np.sqrt((y - x) * (y + x))
+                count += 1
+    return seeds[:count]
+
+
+@_compiled
+def _direct(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, point: complex) -> float:
+    """Gain of ``D + C (point I - A)^-1 B``."""
+    shifted = -A.astype(np.complex128)
+    for k in range(len(A)):
+        shifted[k, k] += point
+    return _gain(C.astype(np.complex128) @ np.linalg.solve(shifted, B.astype(np.complex128)) + D.astype(np.complex128))
+
+
+@_compiled
+def _hamiltonian(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> ComplexArray:
+    """Eigenvalues of the Hamiltonian matrix, imaginary where the gain equals `level`."""
+    n = len(A)
+    b, c, d = B / np.sqrt(level), C / np.sqrt(level), D / level
+    across = np.ascontiguousarray(d.T) @ c
+    both = np.concatenate((across, np.ascontiguousarray(b.T)), axis=1).astype(np.complex128)
+    gap = np.linalg.solve(np.eye(D.shape[1]) - np.ascontiguousarray(d.T) @ d + 0.0j, both)
+    H = np.empty((2 * n, 2 * n), dtype=np.complex128)
+    H[:n] = b.astype(np.complex128) @ gap
+    H[n:] = np.ascontiguousarray(-across.T).astype(np.complex128) @ gap
+    H[:n, :n] += A
+    H[n:, n:] -= A.T
+    H[n:, :n] -= np.ascontiguousarray(c.T) @ c
+    return np.linalg.eigvals(H)  # type: ignore[return-value]
+
+
+@_compiled
+def _crossings(values: ComplexArray, poles: ComplexArray, rounding: float) -> FloatArray:
+    """Frequencies of the eigenvalues that may be imaginary, ascending, and the middles between them."""
+    found = np.empty(len(values))
+    count = 0
+    for value in values:
+        off, height = abs(value.real), abs(value.imag)
+        reach = min(abs(value), _distance(poles, height))
+        if off <= 2.0 * np.sqrt(rounding * reach) + rounding:
+            found[count] = height
+            count += 1
+    places = np.sort(found[:count])
+    return places if count < 2 else np.concatenate((places, 0.5 * (places[1:] + places[:-1])))
+
+
+@_compiled
+def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: float) -> Found:
+    """Gain reached, level not exceeded and frequency [rad/s]; `REFUSED` where this way is not sound.
+
+    The `system` is balanced and in continuous time. With a `sign` other than 0 it is the map of `given`, a
+    discrete-time system, exact to `lost` roundings: see :class:`lftkit.analysis.circle.half_plane.HalfPlane`.
+    """
+    A, B, C, D = system
+    n = len(A)
+    poles, vectors = np.linalg.eig(A.astype(np.complex128))
+    decay = -poles.real.max()
+    if not decay > 0.0:
+        return REFUSED
+    inverse = np.linalg.inv(vectors)
+    condition = n**0.5 * np.abs(inverse).sum(axis=0).max()
+    if not condition * n * EPS < 1.0:
+        return REFUSED
+    left, right = C.astype(np.complex128) @ vectors, inverse @ B.astype(np.complex128)
+    residues = np.empty((n, D.shape[0], D.shape[1]), dtype=np.complex128)
+    for k in range(n):
+        for i in range(D.shape[0]):
+            residues[k, i] = left[i, k] * right[k]
+    rounding = EPS * (max(lost, 1.0) * np.abs(poles).max() + lost) * condition
+    terms = n * np.abs(residues).max() / decay
+    if rounding > SEPARATION * rtol**0.5 * decay or not terms + np.abs(D).max() < LARGE:
+        return REFUSED
+    omega, gain = _best(poles, residues, D, _seeds(poles))
+    direct = _gain(D.astype(np.complex128))
+    for _ in range(MAX_LEVELS):
+        omega, gain = _climbed(poles, residues, D, omega, gain, CLIMB * rtol)
+        if omega == np.inf and sign == 0.0:
+            value = direct
+        elif omega < np.inf and rounding > (DIRECT if sign == 0.0 else DIRECT_OF_MAP) * rtol * _distance(poles, omega):
+            return REFUSED
+        elif sign == 0.0:
+            value = _direct(A, B, C, D, 1j * omega)
+        else:
+            point = -sign + 0.0j if omega == np.inf else sign * (1.0 + 1j * omega) / (1.0 - 1j * omega)
+            value = _direct(given[0], given[1], given[2], given[3], point)
+        if abs(value - gain) > TRUSTED * rtol * value or value <= max(CANCELLATION * terms, 1.0 / LARGE):
+            return REFUSED
+        upper = value * (1.0 + rtol)
+        gap = 1.0 - (direct / upper) ** 2
+        values = _hamiltonian(A, B, C, D, upper)
+        size = np.abs(values).max()
+        places = _crossings(values, poles, EPS * (max(lost, 1.0) * size + lost) * condition / gap)
+        if not len(places):
+            return value, upper, omega
+        omega, gain = _best(poles, residues, D, places)
+        if gain <= upper:
+            sound = rounding <= TRUSTED * rtol * decay and gap > SMALL_GAP
+            return (value, upper, omega) if sound else REFUSED
+    return REFUSED
+
+
+@_compiled
+def circle_norm(given: Matrices, rtol: float) -> Found:
+    """As :func:`norm`, for a balanced system in discrete time, by the maps of `HalfPlane`: the angle [rad] is the last.
+
+    See :class:`lftkit.analysis.circle.half_plane.HalfPlane`.
+    """
+    A, B, C, D = given
+    n = len(A)
+    sign = 1.0 if np.trace(A) >= 0.0 else -1.0
+    for _ in range(2):
+        shifted = sign * A.astype(np.complex128)
+        for k in range(n):
+            shifted[k, k] += 1.0
+        inverse = np.linalg.inv(shifted).real.copy()
+        condition = np.abs(shifted).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max()
+        if condition <= MAX_CONDITION:
+            own, driven = -2.0 * inverse, inverse @ B
+            for k in range(n):
+                own[k, k] += 1.0
+            mapped = own, driven * (2.0 * sign), C @ inverse, D - (C @ driven) * sign
+            value, upper, omega = norm(mapped, rtol, given, sign, condition)  # type: ignore[arg-type]
+            if value >= 0.0:
+                turn = 2.0 * np.arctan(omega)
+                return value, upper, turn if sign > 0.0 else np.pi - turn
+        sign = -sign
+    return REFUSED
+
+
+if __name__ == "__main__":  # fill the cache
+    from lftkit.analysis.norms import hinf_norm
+
+    for dt in (None, 1.0):
+        hinf_norm(-0.5 * np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), dt=dt)
