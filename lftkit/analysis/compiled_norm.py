@@ -17,6 +17,7 @@ from lftkit.analysis.circle.half_plane import MAX_CONDITION
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.analysis.peak_search import FALL, MAX_STEPS
 from lftkit.analysis.small_norm import (
+    AT_CIRCLE,
     CANCELLATION,
     CLIMB,
     DIRECT,
@@ -227,6 +228,8 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
     poles, vectors = np.linalg.eig(A.astype(np.complex128))
     decay = -poles.real.max()
     if not decay > 0.0:
+        return REFUSED
+    if sign != 0.0 and (-4.0 * poles.real / np.abs(1.0 - poles) ** 2).min() < AT_CIRCLE * n:
         return REFUSED
     inverse = np.linalg.inv(vectors)
     condition = n**0.5 * np.abs(inverse).sum(axis=0).max()

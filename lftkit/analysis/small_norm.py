@@ -31,6 +31,7 @@ SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of th
 TRUSTED = 0.1  # relative rounding of the modal form over `rtol`, at most, where it alone says that there is no peak
 CANCELLATION = 1e-12  # smallest norm over the bound of the sum of the modal terms
 SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
+AT_CIRCLE = 16.0 * EPS  # 1 - |z|^2 of a pole over the number of states, below which another way says what is stable
 LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
 CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
 DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
@@ -85,7 +86,9 @@ def small_hinf_norm(system: Matrices, rtol: float, origin: Origin | None = None)
         is decided by what the map may have lost.
     """
     form = _ModalForm.of(system, origin.condition if origin else 0.0)
-    if form is None or form.rounding > SEPARATION * rtol**0.5 * form.decay:
+    if form is None or (origin and form.nearest_to_circle() < AT_CIRCLE * len(system[0])):
+        return None
+    if form.rounding > SEPARATION * rtol**0.5 * form.decay:
         return None
     if not form.terms + float(abs(system[3]).max()) < LARGE:
         return None
@@ -205,6 +208,10 @@ class _ModalForm(NamedTuple):
     def distance(self, omega: float) -> float:
         """Distance from j omega to the nearest pole [rad/s]."""
         return min(abs(pole - 1j * omega) for pole in self.values)
+
+    def nearest_to_circle(self) -> float:
+        """Smallest ``1 - |z|^2`` of the poles ``z = (1 + s) / (1 - s)``."""
+        return min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in self.values)
 
     def direct_gain(self, system: Matrices, omega: float, rtol: float, origin: Origin | None) -> float | None:
         """Gain by a direct solution, refined where rounding could be felt (of a mapped system: None there)."""
