@@ -51,7 +51,7 @@ OUT_OF_TIME = "out_of_time"
 SAMPLES = {"full": 200, "short": 20}
 """Random parameter points of the verification, beside the nominal one and all corners (short: every eighth corner)."""
 SEARCHES = {
-    "full": SearchOptions(ascents=150, seed=77),
+    "full": SearchOptions(ascents=150, seed=77, members=60),
     "short": SearchOptions(frequencies=200, points=40, ascents=40, iterations=20, seed=77),
 }
 

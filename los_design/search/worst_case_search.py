@@ -3,7 +3,8 @@
 A search of one metric has three steps, in each of the frequency bands :data:`BANDS`, so that no peak hides another:
 
 1. **Screening.** At every frequency of a grid the metric is computed at random corners and random points of the box;
-   at some of them also next to the telescope's slow modes there.
+   at some of them also next to the telescope's slow modes there, and, of some members, at the peaks of their gain
+   over an axis of frequencies so fine that it has them.
 2. **Ascent.** From the best screened pairs the logarithm of the gain is maximised over log frequency and parameters
    (L-BFGS-B in the unit cube), with the gradient of the singular value (:mod:`los_loop.implemented_loop`).
 3. **Confirmation.** The best point of each band, or of those near the largest value, is computed again on the sampled
@@ -59,6 +60,13 @@ MODES, MODE_OFFSETS = (0.1, BAND_EDGE), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e
 """Band [rad/s] of the telescope's modes that a search starts at, whatever its grid, and the relative distances of the
 starts: the arrays' modes have a damping ratio of 0.1 %."""
 
+PEAKS, PEAK_STEP, PEAK_GROUP = (BAND_EDGE, 640.0), 2e-3, 40
+"""Band [rad/s] in which the peaks of members are looked for, relative step of that axis (half of the width of a peak of
+structural modes with a damping ratio of 0.2 %), and frequencies that a process looks at together."""
+
+AT_AN_EDGE = 1e-6
+"""Relative distance from the edge of a band at which an ascent has reached it, and begins beyond it."""
+
 LEADING, VARIED, CLIMBS = 0.75, (7, 40), 3
 """Bands whose best value is above this part of the largest one are searched again around their best point: number of
 frequencies and of varied points at each, and ascents from the best of them."""
@@ -102,6 +110,8 @@ class SearchOptions:
         Points below this part of the largest value of their metric keep the value of the LFT: the periodic solution
         takes a quarter of the time of a search. Measured on two designs, it differs by less than 1e-4 of the largest
         value (by the sidebands of the camera).
+    members : int
+        Members whose peaks over the fine axis of :data:`PEAKS` are starts, too; 0: there are none.
     """
 
     frequencies: int = 500
@@ -112,6 +122,7 @@ class SearchOptions:
     patience: int = 3
     several: int = 1
     confirmed: float = 0.0
+    members: int = 0
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "points", "ascents", "iterations"):
@@ -178,6 +189,7 @@ class Search:
         near = _mixed_points(rng, max(2, options.points), size)
         near[0] = self.loop.point({})
         parts = workers.map(self._screened, chunks) + workers.map(self._at_modes, [(names, point) for point in near])
+        parts += workers.map(self._at_peaks, self._fine_axis(names))
         return {name: [entry for part in parts for entry in part[name]] for name in names}
 
     def _screened(self, item: tuple[Sequence[str], Sequence[tuple[float, FloatArray]]]) -> dict[str, list[Found]]:
@@ -209,6 +221,34 @@ class Search:
                 if metric.band[0] <= closed.omega < metric.band[1]:
                     value = float(largest_gains(responses[:, metric.rows, metric.columns])[0])
                     tables[name].append((value * self.loop.scale(metric, closed.omega), closed.omega, point))
+        return tables
+
+    def _fine_axis(self, names: Sequence[str]) -> list[tuple[Sequence[str], FloatArray, FloatArray]]:
+        """Metrics, frequencies and points of which :meth:`_at_peaks` finds the peaks, in overlapping parts."""
+        members, options = self.options.members, self.options
+        if not members:
+            return []
+        low, high = PEAKS
+        axis = np.asarray(np.geomspace(low, high, int(np.log(high / low) / PEAK_STEP)), dtype=float)
+        points = _mixed_points(np.random.default_rng([options.seed, members]), members, len(self.loop.names))
+        return [(names, axis[k : k + PEAK_GROUP + 2], points) for k in range(0, len(axis) - 2, PEAK_GROUP)]
+
+    def _at_peaks(self, item: tuple[Sequence[str], FloatArray, FloatArray]) -> dict[str, list[Found]]:
+        """Peaks of the gain of each point, over frequencies, for each metric."""
+        names, axis, points = item
+        values = {name: np.zeros((len(axis), len(points))) for name in names}
+        for k, closed in enumerate(self.loop.at_each(axis)):
+            responses = self.loop.all_responses(closed, points)
+            for name in names:
+                metric = self.metrics[name]
+                if metric.band[0] <= closed.omega < metric.band[1]:
+                    own = largest_gains(responses[:, metric.rows, metric.columns])
+                    values[name][k] = own * self.loop.scale(metric, closed.omega)
+        tables: dict[str, list[Found]] = {}
+        for name, own in values.items():
+            inside = own[1:-1]
+            where = np.argwhere((inside > 0.0) & (inside >= own[:-2]) & (inside > own[2:]))
+            tables[name] = [(float(inside[k, j]), float(axis[k + 1]), points[j]) for k, j in where]
         return tables
 
     def _climbs(self, item: tuple[str, Sequence[Pair]]) -> list[Found]:
@@ -269,8 +309,33 @@ class Search:
         return max(metric.band[0], BANDS[max(n - 1, 0)]), min(metric.band[1], BANDS[min(n, len(BANDS) - 1)])
 
     def climb(self, metric: LoopMetric, omega: float, point: FloatArray) -> Found:
-        """Local ascent: value, frequency and point reached. It stays in the band of its start."""
-        band, best = np.array(self._band(metric, omega)), (-np.inf, omega, point)
+        """Local ascent: value, frequency and point reached.
+
+        It stays in the band of its start; one that ends at an edge goes on in the band beyond as long as that is up.
+        """
+        found = self._climb(metric, self._band(metric, omega), omega, point)
+        for _ in BANDS:
+            beyond = self._beyond(metric, found[1], omega)
+            if beyond is None:
+                break
+            further = self._climb(metric, self._band(metric, beyond), beyond, found[2])
+            if further[0] <= found[0]:
+                break
+            omega, found = beyond, further
+        return found
+
+    def _beyond(self, metric: LoopMetric, reached: float, omega: float) -> float | None:
+        """Frequency just beyond the edge that an ascent from `omega` has reached; None within its band."""
+        low, high = self._band(metric, omega)
+        if reached >= high * (1.0 - AT_AN_EDGE) and high < min(metric.band[1], BANDS[-1]):
+            return high * (1.0 + AT_AN_EDGE)
+        if reached <= low * (1.0 + AT_AN_EDGE) and low > max(metric.band[0], BANDS[0]):
+            return low * (1.0 - AT_AN_EDGE)
+        return None
+
+    def _climb(self, metric: LoopMetric, edges: tuple[float, float], omega: float, point: FloatArray) -> Found:
+        """Local ascent within two frequencies."""
+        band, best = np.array(edges), (-np.inf, omega, point)
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
