@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.mcap.bag_files import BagFiles
 from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged
@@ -21,6 +22,8 @@ from pointing_analysis.read.mcap.walk import walk
 NANO = 1e9
 WHOLE = (0.0, math.inf)
 """The part of a bag that is all of it [s]."""
+TRIMMED = 1 << 26
+"""Bytes of messages after which free memory is given back to the system."""
 
 
 class BagPass:
@@ -63,6 +66,7 @@ class BagPass:
         BagError
             A file is not MCAP.
         """
+        passed = 0
         for file in self._bag.files:
             info = FileInfo(max_chunk=self._max_chunk)
             self.infos.append(info)
@@ -76,7 +80,11 @@ class BagPass:
                     info.unpacks = lambda first, last: False
                     continue
                 self._ledger.add(info, block)
+                passed += len(block.data)
                 yield info, block
+                if passed >= TRIMMED:
+                    passed = 0
+                    mapped_arrays.trim()
 
     def seconds(self, block: Block) -> FloatArray:
         """Log times (n,) of the messages of a block [s], counted from the first message of the bag."""

@@ -62,7 +62,8 @@ class ChunkCopies:
         damaged = found.whole is not None and manifest is not None
         digest = manifest.digest if damaged and manifest is not None else found.digest
         if digest not in self._given:
-            self._given[digest] = manifest, found.whole
+            # a whole chunk leaves nothing for a copy: its manifest, a tenth of its size, is not kept
+            self._given[digest] = None if found.whole is None else manifest, found.whole
             return found, manifest, False
         known, given = self._given[digest]
         if known is None or given is None:
