@@ -11,6 +11,7 @@ import posixpath
 import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 from xml.etree.ElementTree import Element
 
 from pointing_analysis.files.structured_text import load_toml
@@ -27,6 +28,28 @@ PACKAGES = {
 LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
+CELL = re.compile(r"<td((?: [^>]*)?)>((?:(?!</td>).)*)</td>", re.DOTALL)
+NOT_FOUND = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Page not found - {title}</title>
+<style>
+:root {{ color-scheme: light dark; }}
+a {{ color: inherit; }}
+body {{ font: 1.1rem/1.5 sans-serif; max-width: 36rem; margin: 4rem auto; padding: 0 1rem; }}
+</style>
+</head>
+<body>
+<main>
+<h1>Page not found</h1>
+<p>There is no page at this address. <a id="start" href="{start}">The documentation of {title}</a> begins here.</p>
+</main>
+<script>if (location.protocol === "file:") document.getElementById("start").href = "index.html";</script>
+</body>
+</html>
+"""
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):`(~?)([\w.]+)`")
 
 
@@ -116,12 +139,30 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     """Empty heads of tables are cells: a head without text has no name for assistive technology.
 
+    Cells of four or more words are of the class ``prose``: on a phone their column is not as narrow as one word.
+
     Examples
     --------
     >>> on_page_content('<tr><th></th><th align="left"></th><th>stage</th></tr>')
     '<tr><td></td><td align="left"></td><th>stage</th></tr>'
+    >>> on_page_content("<tr><td>12.5 of 40</td><td>what the run has recorded</td></tr>")
+    '<tr><td>12.5 of 40</td><td class="prose">what the run has recorded</td></tr>'
     """
-    return EMPTY_HEAD.sub(r"<td\1></td>", html)
+    return CELL.sub(_cell, EMPTY_HEAD.sub(r"<td\1></td>", html))
+
+
+def _cell(match: re.Match[str]) -> str:
+    words = re.sub(r"<[^>]*>", " ", match[2]).split()
+    prose = len(words) >= 4 and sum(word.isalpha() for word in words) >= 3 and "class=" not in match[1]
+    return f'<td class="prose"{match[1]}>{match[2]}</td>' if prose else match[0]
+
+
+def on_post_template(output: str, template_name: str, config: Any) -> str:
+    """The page for addresses that do not exist needs no other file: a server shows it in any folder."""
+    if template_name != "404.html":
+        return output
+    start = urlsplit(config.site_url or "/").path or "/"
+    return NOT_FOUND.format(title=config.site_name, start=start)
 
 
 def linked(source: str, text: str, target: str, anchor: str) -> str:
