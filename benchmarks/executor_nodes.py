@@ -1,6 +1,8 @@
 """The loop as one writes it with rclpy: callbacks with message objects, a ROS timer, an executor. For comparison only.
 
-    python benchmarks/executor_nodes.py plant|estimator|controller events|single --ros-args --params-file run.yaml
+    python benchmarks/executor_nodes.py plant|estimator|controller KIND --ros-args --params-file run.yaml
+
+KIND is events, single, or events-real-time, which has the priorities and processors of the testbed's own nodes.
 
 The same cores, topics, stamps and recorder as the testbed's own nodes; rclpy, middleware and process as they come:
 default transports and profile, ordinary scheduling and timers, collector on. The plant measures the same figures; the
@@ -241,13 +243,16 @@ NODES: dict[str, Any] = {"plant": PlantTimer, "estimator": Estimator, "controlle
 def main() -> int:
     name, kind, *arguments = sys.argv[1:]
 
-    node_context.sharpen_timers = lambda: None  # the process as it comes
+    if kind != "events-real-time":
+        node_context.sharpen_timers = lambda: None  # the process as it comes
 
     def body(context: NodeContext) -> int:
         with one_thread():
             node = NODES[name](context)
-            executor = EventsExecutor() if kind == "events" else SingleThreadedExecutor()
+            executor = SingleThreadedExecutor() if kind == "single" else EventsExecutor()
             executor.add_node(context.node)
+            if kind == "events-real-time":
+                context.become_real_time()
             while not context.stop:  # without a finite timeout the events executor keeps the interpreter to itself
                 executor.spin_once(timeout_sec=0.1)
             node.finish()

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES as CHANGING
+from los_testbed.nodes.support import node_context
 from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
 from los_testbed.topics import TOPICS
@@ -240,3 +242,24 @@ def test_nodes_end_when_their_runner_is_killed(tmp_path):
 def _children(pid):
     with open(f"/proc/{pid}/task/{pid}/children") as stream:
         return [int(word) for word in stream.read().split()]
+
+
+def test_a_node_that_has_ended_is_not_killed_by_the_second_signal_of_a_launch(monkeypatch):
+    """`ros2 launch` sends SIGINT to each node, and the terminal to the group: the first one decides the exit code."""
+
+    class Context:
+        def __init__(self, name, arguments):
+            signal.signal(signal.SIGINT, lambda number, frame: None)
+
+        def close(self):
+            assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN, "the first one must be heard"
+
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.getsignal(number) for number in numbers]
+    monkeypatch.setattr(node_context, "NodeContext", Context)
+    try:
+        assert node_context.run_node("plant", [], lambda context: 0) == 0
+        assert all(signal.getsignal(number) is signal.SIG_IGN for number in numbers)
+    finally:
+        for number, handler in zip(numbers, before):
+            signal.signal(number, handler)

@@ -273,3 +273,5 @@ def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeCon
     finally:
         if context is not None:
             context.close()
+        for number in (signal.SIGINT, signal.SIGTERM):  # the node has ended: a second signal changes nothing of that
+            signal.signal(number, signal.SIG_IGN)
