@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated
@@ -22,8 +23,19 @@ every later verdict about it repeats this.
     los-testbed bag repair bags/run-20260101-120000
 """
 
+TRACE_EXAMPLES = """Write the ticks of a run in real time as a trace, for ui.perfetto.dev or chrome://tracing.
+
+A track has the ticks, one each node: from the deadline to the plant's last sample, from there to the estimate, from
+there to the commands, by the times at which the messages were sent. Ticks whose commands were not sent within their
+period are marked. 60 s are some 30 MB.
+
+**Example**
+
+    los-testbed bag trace bags/run-20260101-120000 --start 10 --stop 12
+"""
+
 bag_app = typer.Typer(
-    help="Describe, check, sign and repair recorded runs.", no_args_is_help=True, rich_markup_mode="markdown"
+    help="Describe, check, sign, repair and trace recorded runs.", no_args_is_help=True, rich_markup_mode="markdown"
 )
 
 
@@ -61,3 +73,26 @@ def repair(
         content |= {"finished": found.finished, "problems": list(found.problems)}
         print_json({**content, "contradictions": list(found.contradictions)})
     leave_if_contradicted(found.contradictions)
+
+
+@bag_app.command(help=TRACE_EXAMPLES)
+def trace(
+    source: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
+    output: Annotated[Path | None, typer.Option(help="New file; default: trace.json in the current folder.")] = None,
+    start: Annotated[float, typer.Option(help="First second of the part.")] = 0.0,
+    stop: Annotated[float, typer.Option(help="End of the part [s].")] = math.inf,
+    json_: Json = False,
+) -> None:
+    """See TRACE_EXAMPLES."""
+    from los_testbed.bags.trace import write_trace
+    from pointing_analysis.files.atomic_output import check_output
+    from pointing_analysis.read.run import Run
+
+    if not 0.0 <= start < stop:
+        raise ValueError(f"--start and --stop must rise from 0, got {start:g} and {stop:g}")
+    target = output or Path("trace.json")
+    check_output(target, "--output", new=True)
+    ticks, late = write_trace(Run.open(source), target, start, stop)
+    say(Screen(stderr=json_), f"{ticks} ticks, {late} without commands within their period: {target}")
+    if json_:
+        print_json({"output": str(target), "ticks": ticks, "late": late})
