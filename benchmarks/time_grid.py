@@ -2,7 +2,7 @@
 
     python benchmarks/time_grid.py --seconds 600
 
-A plant that is stopped (SIGSTOP) is one whose processor somebody else has taken, and no other program is disturbed.
+A plant that is stopped (SIGSTOP) gets no processor, as if another program had it, and no other program is disturbed.
 """
 
 from __future__ import annotations

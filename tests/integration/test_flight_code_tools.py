@@ -24,23 +24,19 @@ CHECKS = ",".join(["-*", *(f"{group}-*" for group in GROUPS), "-bugprone-easily-
 SOURCES = [f"{unit}.c" for unit in UNITS]
 
 
-def needs(tool: str) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(shutil.which(tool) is None, reason=f"no {tool}")
-
-
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(laws_of(), tmp_path_factory.mktemp("flight") / "code", LIBRARY)
 
 
-@needs("clang-tidy")
+@pytest.mark.skipif(shutil.which("clang-tidy") is None, reason="no clang-tidy")
 def test_clang_tidy_finds_nothing(flight: Path) -> None:
     line = ["clang-tidy", "--quiet", f"--checks={CHECKS}", "--warnings-as-errors=*", *SOURCES, "--", "-std=c99"]
     done = subprocess.run(line, cwd=flight, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
 
-@needs("cppcheck")
+@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck")
 def test_cppcheck_finds_the_listed_deviations_of_misra_alone(flight: Path) -> None:
     line = ["cppcheck", "--std=c99", "--enable=style,warning,performance,portability", "--addon=misra", *FLOAT]
     line += ["--quiet", "--template={file}:{line}: {id}", *SOURCES]
@@ -50,8 +46,7 @@ def test_cppcheck_finds_the_listed_deviations_of_misra_alone(flight: Path) -> No
     assert rules and set(rules) <= DEVIATIONS
 
 
-@needs("valgrind")
-@needs("gcc")
+@pytest.mark.skipif(not (shutil.which("valgrind") and shutil.which("gcc")), reason="no valgrind or gcc")
 def test_a_step_takes_the_same_instructions_for_all_values(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All loops have fixed bounds: what a step costs depends on absent samples and limits by a few instructions."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))

@@ -14,6 +14,7 @@ REMEDIES = {
     "could not import 'cryptography": "install the extra: pip install 'los-testbed[campaign]'",
     "could not import 'numba": "install the extra: pip install 'los-testbed[fast]'",
     "could not import 'openpyxl": "install the extra: pip install 'los-testbed[xlsx]'",
+    "could not import 'fmpy": "install the extra: pip install 'los-testbed[fmi]'",
     "could not import 'h5py": "install the extra: pip install 'los-testbed[hdf5]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'astropy": "install the extra: pip install 'los-testbed[image]'",
@@ -40,6 +41,9 @@ REMEDIES = {
     "no openssl": "install the program: apt-get install openssl",
     "no cross compiler and emulator of AArch64": "install them: apt-get install gcc-aarch64-linux-gnu "
     "libc6-dev-arm64-cross qemu-user",
+    "no clang-tidy": "install the program: apt-get install clang-tidy",
+    "no cppcheck": "install the program: apt-get install cppcheck",
+    "no valgrind or gcc": "install the programs: apt-get install valgrind gcc libc6-dev",
     "no clang": "install the compiler: apt-get install clang",
     "no C compiler": "install a compiler: apt-get install gcc libc6-dev",
     "no make or cmake": "install the programs: apt-get install make cmake",

@@ -32,7 +32,10 @@ US = 1000.0
 
 
 def sent_times(run: Run, namespace: str, start: float, stop: float) -> tuple[dict[int, list[float]], int]:
-    """For each tick, by its stamp [ns], the times at which the messages of `TOPICS` were sent [ns]; NaN: not at all; first stamp."""
+    """For each tick of a part the times at which the messages of `TOPICS` were sent [ns]; first stamp of the run [ns].
+
+    Ticks are given by their stamps [ns], a message that there is not is NaN.
+    """
     names = {f"{namespace}/{name}": k for k, name in enumerate(TOPICS)}
     found: dict[int, list[float]] = {}
     for file in bag_files(run.path).files:

@@ -26,8 +26,8 @@ from los_testbed.flight_code.export import FLAGS, TEMPLATES, TIME_LIMIT_S, compi
 from los_testbed.flight_code.laws import FlightLaws
 from los_testbed.flight_code.tables import HEADER, Tables, common_hash, hex_float
 from pointing_analysis.files.atomic_output import atomic_file
-from titop_plant.interface import COLUMNS as PLACES
 from titop_plant.interface import (
+    COLUMNS,
     COMMAND_PORTS,
     COMMANDS,
     DT,
@@ -162,7 +162,7 @@ def plant_model(plant: SampledPlant) -> Model:
     found = Tables.of(**tables)
     every = [1] * MEASUREMENTS
     for name, ticks in sample_ticks(plant.frame_ticks).items():
-        every[PLACES[name]] = [ticks] * (PLACES[name].stop - PLACES[name].start)
+        every[COLUMNS[name]] = [ticks] * (COLUMNS[name].stop - COLUMNS[name].start)
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
     text = _template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
