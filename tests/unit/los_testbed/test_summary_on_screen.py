@@ -56,6 +56,27 @@ def printed(results: RunSummaries, **options: Any) -> str:
     return file.getvalue()
 
 
+@pytest.mark.parametrize(
+    ("plant", "skipped", "told"),
+    [
+        ({}, 0, ""),
+        ({}, 4, ""),  # windows that miss samples for another reason
+        (
+            {"lost_periods": "3"},
+            0,
+            "3 periods were lost: the plant went on with the command it had, and no sample was sent",
+        ),
+        ({"lost_periods": "3"}, 4, "no sample was sent; 4 windows of 20 ms with one are left out"),
+        ({"unsent_ticks": "2"}, 1, "in 2 ticks the device gave not all samples"),
+    ],
+)
+def test_what_a_plant_could_not_send_is_told_with_the_windows_that_it_cost(
+    summary: Summary, plant: dict[str, str], skipped: int, told: str
+) -> None:
+    found = screen._lost_periods(recorded(plant), replace(summary, windows_skipped=skipped))
+    assert told in found and bool(found) == bool(told) and ("windows" in found) == bool(told and skipped)
+
+
 def test_statistics_are_the_numbers_that_a_count_can_be() -> None:
     plant = {
         "ticks": "1e15",
