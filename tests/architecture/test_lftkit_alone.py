@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
@@ -43,3 +44,11 @@ def test_no_test_of_lftkit_imports_another_package() -> None:
                 waiting.append(helper)
     assert len(seen) > 50 and "los_design" in OTHERS
     assert not wrong
+
+
+def test_no_test_of_lftkit_reads_what_is_not_a_test() -> None:
+    """A path upwards from a test ends at the folder of tests, at most."""
+    for path in (TESTS / "unit" / "lftkit").rglob("*.py"):
+        depth = len(path.relative_to(TESTS).parts) - 1
+        for levels in re.findall(r"parents\[(\d+)\]", path.read_text("utf-8")):
+            assert int(levels) <= depth, path

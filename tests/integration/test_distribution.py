@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 import tarfile
 import zipfile
@@ -27,7 +28,19 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 PACKAGES = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"]
 TOP = sorted({name.split(".")[0] for name in PACKAGES})
 LIBRARY = tomllib.loads((ROOT / "lftkit/pyproject.toml").read_text("utf-8"))["project"]
-HEAVY = ("rclpy", "mcap", "typer", "jinja2", "pydantic", "matplotlib", "rich", "yaml", "los_testbed", "titop_plant")
+HEAVY = (
+    "rclpy",
+    "numba",
+    "mcap",
+    "typer",
+    "jinja2",
+    "pydantic",
+    "matplotlib",
+    "rich",
+    "yaml",
+    "los_testbed",
+    "titop_plant",
+)
 """What neither the distribution lftkit needs nor its import loads."""
 
 
@@ -89,7 +102,7 @@ def test_the_library_alone_needs_no_testbed(lftkit_alone: Path, tmp_path: Path) 
     code = (
         "import sys, pkgutil, importlib, lftkit, json\n"
         "for module in pkgutil.walk_packages(lftkit.__path__, 'lftkit.'):\n"
-        "    if not module.name.endswith('.plots'): importlib.import_module(module.name)\n"
+        "    if not module.name.endswith(('.plots', '.compiled_norm')): importlib.import_module(module.name)\n"
         f"print(json.dumps([n for n in {HEAVY} if n in sys.modules]), lftkit.__file__)\n"
     )
     done = run(lftkit_alone / "python", "-c", code, folder=tmp_path)
@@ -100,6 +113,28 @@ def test_the_library_alone_needs_no_testbed(lftkit_alone: Path, tmp_path: Path) 
     assert run(lftkit_alone / "python", "-c", found, folder=tmp_path).stdout == "[]\n"
     done = run(lftkit_alone / "python", str(ROOT / "examples/multi_requirement_pid.py"), folder=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_the_library_passes_its_tests_and_examples_without_the_repository(
+    library: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """An environment with ``lftkit[test]``, the tests of lftkit and what they use of ``tests``, and nothing else."""
+    extra = LIBRARY["optional-dependencies"]["test"]
+    programs = environment(tmp_path / "env", [library[1]], LIBRARY["dependencies"] + extra)
+    for part in ("conftest.py", "support", "oracles", "fixtures", "unit/lftkit"):
+        source, target = ROOT / "tests" / part, tmp_path / "tests" / part
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, target)
+    options = ("-q", "-m", "not slow", "-o", "pythonpath=tests tests/support", "-o", "markers=slow")
+    done = run(programs / "python", "-m", "pytest", *options, "tests", folder=tmp_path, timeout=3600)
+    assert done.returncode == 0, done.stdout[-3000:]
+    for name in ("two_mass_spring_benchmark", "robust_mass_spring_damper", "multi_requirement_pid"):
+        done = run(programs / "python", str(ROOT / f"examples/{name}.py"), folder=tmp_path)
+        assert done.returncode == 0, done.stderr
 
 
 def test_the_wheel_from_the_sdist_has_every_file_of_the_packages(built: tuple[Path, Path]) -> None:

@@ -99,7 +99,7 @@ def environment(folder: Path, wheels: list[Path], requirements: list[str]) -> Pa
 
 
 def run(
-    program: Path, *arguments: str, folder: Path, variables: dict[str, str] | None = None
+    program: Path, *arguments: str, folder: Path, variables: dict[str, str] | None = None, timeout: float = 240.0
 ) -> subprocess.CompletedProcess[str]:
     """Run an installed program in a folder outside the tree, with no path of ours in the environment."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
@@ -109,5 +109,5 @@ def run(
         env={**kept, **(variables or {})},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=timeout,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parents[4] / "examples/two_mass_spring_benchmark.py"
+EXAMPLE = Path(__file__).parents[2] / "examples/two_mass_spring_benchmark.py"
 
 
 def test_the_benchmark_takes_twelve_lines_and_finds_the_published_margin(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,53 @@
+"""What docs/certificates.md states of the check of sampled loops: its lines, and the tests of its premises."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+from support.trusted_code import CHECKER, code_lines, imported_by, lines
+
+TESTS = Path(__file__).parents[1]
+PAGE = (TESTS.parent / "docs" / "certificates.md").read_text("utf-8")
+PACKAGES = (
+    "lftkit",
+    "los_design",
+    "los_loop",
+    "titop_plant",
+    "los_estimator",
+    "fsm_pma_controller",
+    "pointing_analysis",
+)
+
+
+def stated(pattern: str) -> list[int]:
+    found = re.search(pattern, " ".join(PAGE.split()))
+    assert found is not None, pattern
+    return [int(number) for number in found.groups()]
+
+
+def test_the_page_states_how_much_code_is_trusted() -> None:
+    files = imported_by(CHECKER, PACKAGES)
+    found = [len(files), lines(files), sum(map(code_lines, files))]
+    assert found == stated(
+        r"What is trusted is the package `lftkit/proofs/trusted`: (\d+) files, (\d+) lines, (\d+) of"
+    )
+
+
+def test_the_page_states_what_makes_the_model() -> None:
+    """To a tenth: it is the program itself, and changes with it."""
+    files = imported_by("los_design.verification.loop_models", PACKAGES)
+    assert [len(files), lines(files)] == pytest.approx(
+        stated(r"some (\d+) files with (\d+) lines make the model"), rel=0.1
+    )
+
+
+def test_each_premise_of_the_page_has_a_forged_proof() -> None:
+    """The table of the page names the functions that are tried, and no others."""
+    tried = runpy.run_path(str(TESTS / "unit/lftkit/proofs/test_proof_premises.py"))
+    table = PAGE.split("**Premises.**")[1].split("\n\n")[1]
+    named = {row.split("|")[2].strip().strip("`") for row in table.splitlines()[2:]}
+    others = {"covered", "scalings_allowed", "negative", "proof_of_loop"}
+    assert named == {function for function, _ in tried["ALONE"].values()} | others | set(tried["UNSTABLE"])
