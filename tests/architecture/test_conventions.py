@@ -105,7 +105,7 @@ def test_every_package_is_in_one_distribution() -> None:
 
 
 def test_the_library_imports_its_dependencies_only() -> None:
-    """Every import of lftkit, also inside functions: the standard library, its dependencies, what is optional in one module."""
+    """Every import of lftkit, also inside functions: standard library, dependencies, optional ones in one module."""
     allowed = {"lftkit", "numpy", "scipy", "control", "threadpoolctl", *sys.stdlib_module_names}
     optional = {
         "lftkit/analysis/compiled_norm.py": {"numba"},
