@@ -50,6 +50,7 @@ from los_design.verification.error_sum import ErrorSum
 from los_design.verification.error_sums import error_sums
 from los_design.verification.fast_parts import PARTS
 from los_design.verification.figure_texts import bound_text
+from los_design.verification.frames import frames_share
 from los_design.verification.loop_models import provable
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
@@ -119,6 +120,9 @@ class CheckedBundle:
         Of the telescope in the bundle.
     name : str
         :attr:`Bundle.name`.
+    frames : mapping of str to float
+        Of stages that are proven stable and whose nominal loop is so with the camera's frames, the part of a sample
+        that comes back by its images (:mod:`los_design.verification.frames`); below 1 all members are stable with them.
     noise : mapping of str to (NoiseBound, NoiseBound)
         Of stages with a proof of noise the bounds of the absolute and the relative error [rad].
     sums : mapping of str to tuple of ErrorSum
@@ -133,6 +137,7 @@ class CheckedBundle:
     name: str
     noise: Mapping[str, tuple[NoiseBound, NoiseBound]] = field(default_factory=dict)
     sums: Mapping[str, tuple[ErrorSum, ...]] = field(default_factory=dict)
+    frames: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -391,6 +396,12 @@ def check_bundle(
             found.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
             )
+        frames = {}
+        for stage, loop in loops.items():
+            share = frames_share({f.figure: f.level * f.limit for f in found if f.stage == stage})
+            steady = share is not None and math.isinf(stable[stage])
+            if share is not None and steady and loop.sampled_at({})[1].spectral_radius() < 1.0:
+                frames[stage] = share
         noise = {s: checked_noise(bundle, loops[s], each, stable) for s in bundle.noise}
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
@@ -399,7 +410,7 @@ def check_bundle(
         s: error_sums(parameters, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
         for s in loops
     }
-    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums)
+    return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums, frames)
 
 
 def checked_noise(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from los_design.verification.fast_parts import PARTS
+from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES
 from los_loop.spec import LINE_OF_SIGHT
@@ -26,6 +27,8 @@ def bound_text(figure: str, level: float, limit: float) -> str:
     >>> bound_text("fast, 85 to 126", 0.5, 1.4544410e-7)
     'fast, 85 to 126 rad/s: 15 of 30 mas'
     """
+    if figure in FRAME_LIMITS:
+        return f"{figure} {level * limit:.3g} of {limit:.3g}"
     kind = figure.split(", ")[0]
     if kind in RETURNED or kind == SENSITIVITY:
         return f"{figure} {level * limit:.4g} of {limit:.4g} ({margin_text(kind, level * limit)})"

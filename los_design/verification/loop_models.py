@@ -16,10 +16,12 @@ from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.trusted.proof import Interval
 from los_design.verification.fast_parts import FAST, PARTS
+from los_design.verification.frames import IMAGES, SEEN
+from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
-from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, MEASUREMENTS, sample_ticks
+from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, sample_ticks
 from titop_plant.telescope.layout import ANGLE, torque_bounds, wheel_count
 from titop_plant.telescope.parameters import Parameters
 from titop_plant.telescope.sensors import noise_of_ticks
@@ -36,6 +38,8 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
 
     Inputs are the normalised disturbances, or signals added to the commands of one port (a sensitivity).
     """
+    if metric.name in FRAME_LIMITS:
+        return frames_model(loop, metric.limit, opened=metric.name == IMAGES)
     los = OUTPUTS[LINE_OF_SIGHT]
     commands = metric.rows != los
     first = metric.rows.start - (los.stop if commands else 0)
@@ -62,6 +66,27 @@ def noise_model(loop: ImplementedLoop) -> LoopModel:
     limit = float(loop.parameters["weights"]["ape_limit"])
     rows = tuple(range(OUTPUTS[LINE_OF_SIGHT].stop))
     return _model(loop, inputs, noisy, window=0.0, rows=rows, scale=limit, commands=False)
+
+
+def frames_model(loop: ImplementedLoop, limit: float, *, opened: bool) -> LoopModel:
+    """The implemented loop from what is added to the camera's measurement to that measurement, before the hold.
+
+    With the sum, in the closed loop (S of :mod:`los_design.verification.frames`); or without it and `opened`: what is
+    added is all that the controllers see of the camera (L there, with the hold).
+    """
+    cameras = [COLUMNS[name] for name, ticks in sample_ticks().items() if ticks > 1]
+    seen = np.concatenate([np.arange(part.start, part.stop) for part in cameras])
+    rows = tuple(range(len(seen)))
+    model = _model(loop, np.ones((len(seen), 3)), seen, window=0.0, rows=rows, scale=limit, commands=False)
+    q, y, _, d, _ = model.sizes
+    C, D = model.C[q + seen], model.D[q + seen]
+    C, D = np.vstack([model.C[: q + y], C]), np.vstack([model.D[: q + y], D])
+    if opened:
+        added = np.zeros((len(seen), D.shape[1]))
+        added[:, q : q + d] = np.eye(len(seen))
+        C[q + seen], D[q + seen] = 0.0, added
+        D[q + y :] -= added
+    return replace(model, C=C, D=D)
 
 
 def _disturbances(parameters: Parameters) -> FloatArray:
@@ -181,6 +206,14 @@ def parts_near_edge(parameters: Parameters, stage: str) -> dict[str, LoopMetric]
     return {name: replace(fast, name=name, band=band) for name, band in PARTS.items()}
 
 
+def frames_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+    """Gains that show what the camera's frames do to stability (:mod:`los_design.verification.frames`)."""
+    edge, like = NYQUIST / FRAME_TICKS, next(iter(margins_of(parameters, stage).values()))
+    bands = {SEEN: (0.0, edge), IMAGES: (edge, NYQUIST)}
+    return {name: replace(like, name=name, limit=FRAME_LIMITS[name], band=band) for name, band in bands.items()}
+
+
 def provable(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
-    """All gains of a stage that can be proven: figures, margins, parts of the fast tones' band."""
-    return figures_of(parameters, stage) | margins_of(parameters, stage) | parts_near_edge(parameters, stage)
+    """All gains of a stage that can be proven: figures, margins, frames, parts of the fast tones' band."""
+    others = margins_of(parameters, stage) | frames_of(parameters, stage) | parts_near_edge(parameters, stage)
+    return figures_of(parameters, stage) | others

@@ -165,7 +165,7 @@ def _sentences(checked: CheckedBundle) -> list[str]:
         lines.append(
             f"proven: {figure.stage}, {figure.text}, {figure.level:.4g} of the limit, from {low:g} to {high:.6g} rad/s"
         )
-    lines += [f"{stage}: {_stability(below)}" for stage, below in checked.stable.items()]
+    lines += [f"{stage}: {_stability(below, checked.frames.get(stage))}" for stage, below in checked.stable.items()]
     for stage, (absolute, relative) in checked.noise.items():
         lines.append(
             f"proven: {stage}, noise of the sensors, rms of both axes: {absolute.rms / RAD_PER_ARCSEC:.4g} arcsec, "
@@ -182,8 +182,17 @@ def _sentences(checked: CheckedBundle) -> list[str]:
     return lines
 
 
-def _stability(below: float) -> str:
-    """What is said about stability, with its condition, if no pole crosses the axis up to a frequency [rad/s]."""
+def _stability(below: float, frames: float | None = None) -> str:
+    """What is said about stability, with its condition, if no pole crosses the axis up to a frequency [rad/s].
+
+    `frames`: part of a camera's sample that comes back by its images, where that was proven.
+    """
+    if math.isinf(below) and frames is not None and frames < 1.0:
+        return (
+            "proven: stable with the camera's frames, of whose samples images bring back less than "
+            f"{frames:.2g} (the nominal loop with frames by its eigenvalues), as a loop without the images that held "
+            "commands get by uncertain parameters above half of the tick rate"
+        )
     if math.isinf(below):
         return "proven: stable, as a loop without the sidebands that sampling makes of uncertain parameters and frames"
     if below:

@@ -63,13 +63,14 @@ figure is violated or not proven to its end.
 SUMMARY = "bounds.json"
 FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
 PARTS_OF_FAST = ("85 to 126", "126 to 128.5", "128.5 to 132", "132 to 138", "138 to 150", "150 to 200")
+FRAMES = ("frames, seen", "frames, images")
 AT_MIRROR = ("sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror", "noise")
 NEAR_EDGE = tuple(f"fast, {part}" for part in PARTS_OF_FAST)
 BY_NAME = {
-    "fsm": (*AT_MIRROR, *NEAR_EDGE),
-    "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces", *NEAR_EDGE),
+    "fsm": (*AT_MIRROR, *FRAMES, *NEAR_EDGE),
+    "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces", *FRAMES, *NEAR_EDGE),
 }
-"""Margins, the noise of the sensors, parts of the fast tones' band: proven where they are asked for by name."""
+"""Margins, noise of the sensors, what frames do, parts of the fast tones' band: proven where they are asked for."""
 
 
 @with_cluster
