@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
+from lftkit.support.workers import Workers
 from los_testbed.campaign.sampling import DELTA, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
@@ -23,9 +23,23 @@ MOST_ASCENTS = 200
 """Ascents of each metric."""
 
 
-@lru_cache(maxsize=1)
-def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[str, float]], ...]:
-    """Value and parameters of the worst point of each band of each metric, worst first."""
+_last: dict[tuple[RunConfig, int, int], tuple[tuple[float, dict[str, float]], ...]] = {}
+
+
+def _worst(
+    base: RunConfig, ascents: int, seed: int, workers: Workers | None
+) -> tuple[tuple[float, dict[str, float]], ...]:
+    """Value and parameters of the worst point of each band of each metric, worst first; those of the last call kept."""
+    key = (base, ascents, seed)
+    if key not in _last:
+        _last.clear()
+        _last[key] = _searched(*key, workers)
+    return _last[key]
+
+
+def _searched(
+    base: RunConfig, ascents: int, seed: int, workers: Workers | None
+) -> tuple[tuple[float, dict[str, float]], ...]:
     from los_design.search.worst_case_search import Search, SearchOptions
     from los_loop.implemented_loop import ImplementedLoop
     from los_loop.open_loop import OpenLoop
@@ -36,12 +50,12 @@ def _worst(base: RunConfig, ascents: int, seed: int) -> tuple[tuple[float, dict[
         options = SearchOptions(ascents=ascents, seed=seed)
         open_loop = OpenLoop(parts.family.control_loop, parts.parameters)
         loop = ImplementedLoop(open_loop, controllers["k_fsm"], controllers["k_pma"], base.loop)
-        found = Search(loop, options).run(METRICS)
+        found = Search(loop, options).run(METRICS, workers=workers)
     points = [point for band in found.values() for point in band]
     return tuple((p.gamma, dict(p.parameters)) for p in sorted(points, key=lambda p: -p.gamma))
 
 
-def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
+def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Workers | None = None) -> FloatArray:
     """Parameters of the members: worst points of the search, then uniform ones.
 
     The search is :class:`los_design.search.worst_case_search.Search`.
@@ -56,6 +70,8 @@ def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
     samples : int
         Number of members.
     seed : int
+    workers : Workers, optional
+        Processes that search; the members do not depend on them.
 
     Returns
     -------
@@ -70,7 +86,7 @@ def adversarial_members(base: RunConfig, samples: int, seed: int) -> FloatArray:
     ascents = min(MOST_ASCENTS, 10 * samples)
     width = np.ptp(members("corners", 0, seed, base.parameters), axis=0)
     chosen: list[FloatArray] = []
-    for _, values in _worst(base, ascents, seed):
+    for _, values in _worst(base, ascents, seed, workers):
         point = np.array([values[name] for name in DELTA])
         if all(np.abs((point - other) / width).max() > APART for other in chosen):
             chosen.append(point)

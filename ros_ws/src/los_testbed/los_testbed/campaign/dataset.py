@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.arrays import FloatArray
+from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
@@ -68,9 +69,16 @@ class Campaign:
 
     @classmethod
     def of(
-        cls, base: RunConfig, sampling: str, samples: int, seed: int, depth: str, identity: Mapping[str, str]
+        cls,
+        base: RunConfig,
+        sampling: str,
+        samples: int,
+        seed: int,
+        depth: str,
+        identity: Mapping[str, str],
+        workers: Workers | None = None,
     ) -> Campaign:
-        """Campaign with the members that `sampling` gives; an adversarial one takes a search of some minutes.
+        """Campaign with the members that `sampling` gives; an adversarial one takes a search, for which `workers` are.
 
         Raises
         ------
@@ -80,7 +88,7 @@ class Campaign:
         """
         check_depth(base, depth)
         if sampling == "adversarial":
-            points = adversarial_members(base, samples, seed)
+            points = adversarial_members(base, samples, seed, workers)
         else:
             points = members(sampling, samples, seed, base.parameters)
         seeds = member_seeds(len(points), seed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +15,14 @@ from rich.console import Console
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
-from los_testbed.cli.options.cluster_options import SchedulerOption, TlsCaFile, TlsCertificate, TlsKey
+from los_testbed.cli.options.cluster_options import (
+    Cluster,
+    SchedulerOption,
+    TlsCaFile,
+    TlsCertificate,
+    TlsKey,
+    processes,
+)
 from los_testbed.cli.options.options import (
     Designs,
     ForceLawFile,
@@ -31,6 +39,7 @@ from los_testbed.run.summary.screen import Screen
 if TYPE_CHECKING:
     from distributed import Client
 
+    from lftkit.support.workers import Workers
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.config import RunConfig
 
@@ -110,8 +119,9 @@ def campaign(
     folder.check(resume)
     warn(RunParts(base).check())
     check_cluster(scheduler, tls)  # before a search for adversarial members, which takes minutes
-    with Progress("parameters of the members"):
-        asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
+    searched = Cluster(workers or processes(0), scheduler, tls)
+    with Progress("parameters of the members"), _searching(searched, sampling) as pool:
+        asked = Campaign.of(base, sampling, samples, seed, depth, identity(base), pool)
     if resume:
         folder.compare(asked)
     console = Screen(stderr=json_)
@@ -128,6 +138,11 @@ def campaign(
     _show(console, summary, folder)
     if json_:
         print_json(summary)
+
+
+def _searching(cluster: Cluster, sampling: str) -> AbstractContextManager[Workers | None]:
+    """Workers for the search of an adversarial sampling; the others need none."""
+    return cluster.workers() if sampling == "adversarial" else nullcontext()
 
 
 def _evaluate(asked: Campaign, folder: ResultFolder, client: Client, done: frozenset[int]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from los_testbed.cli.options.cluster_options import Cluster, WorkersOption
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import (
     Designs,
     ForceLawFile,
@@ -49,7 +49,9 @@ UNFINISHED = 1
 """Exit code where the wall limit ended the trade."""
 
 
+@with_cluster
 def trade(
+    *,
     magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = "10,12,14,15,15.5",
     rates: Annotated[str, typer.Option(help="Frames per second, with commas.")] = "50,25",
     duration: Annotated[float | None, option("duration")] = None,
@@ -62,7 +64,7 @@ def trade(
     designs: Designs = None,
     parameters: Telescope = None,
     time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 7200.0,
-    workers: WorkersOption = 0,
+    cluster: Cluster,
     output: NewFolder = None,
     json_: Json = False,
 ) -> None:
@@ -75,7 +77,6 @@ def trade(
     from pointing_analysis.files.atomic_output import write_text
 
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    cluster = Cluster.of(workers, "", None, None, None)
     given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}
     stated = {name: value for name, value in given.items() if value is not None}
     files = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)

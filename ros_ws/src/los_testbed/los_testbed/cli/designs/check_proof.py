@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from los_testbed.cli.designs.proofs import loops_of
-from los_testbed.cli.options.cluster_options import WorkersOption, processes
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
@@ -36,15 +37,19 @@ words in the file prove nothing.
     los-testbed design check-proof proof.json
 
     los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --of designs/soft
+
+    los-testbed design check-proof proofs/bundle.zip --scheduler tls://host:8786   # its workers check the strips
 """
 
 
+@with_cluster
 def check_proof(
     file: Annotated[Path, typer.Argument(help="Proof (.json), or bundle (.zip) or proof (.npz) of `design certify`.")],
     of: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
     ] = None,
-    workers: WorkersOption = 0,
+    *,
+    cluster: Cluster,
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
@@ -53,16 +58,15 @@ def check_proof(
     from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
     from lftkit.proofs.trusted.proof import ProofError
 
-    count = processes(workers)
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
     if of is not None and file.suffix != ".npz":
         raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
     try:
         if file.suffix == ".zip":
-            _check_bundle(file, count, json_)
+            _check_bundle(file, cluster, json_)
         elif proof_format(file) == LOOP:
-            _check_loop(file, count, of, json_)
+            _check_loop(file, cluster, of, json_)
         elif proof_format(file) == NOISE_FORMAT:
             raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
@@ -96,12 +100,12 @@ def _check_system(file: Path, json_: bool) -> None:
     sys.stdout.write(f"{checked.cells} parts; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
 
 
-def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
+def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
     """Check a proof of a sampled loop, and of which loop it is."""
     from lftkit.proofs.sampled_loop import check_loop_proof, read_loop_proof
     from lftkit.proofs.trusted.proof import ProofError
+    from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
-    from lftkit.support.workers import Workers
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
 
     whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
@@ -115,8 +119,14 @@ def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
     other = ", ".join(compared.mismatches)
     if of is not None and other:
         raise ProofError(f"it is not of {whose}: other {other}")
-    with one_thread(), Workers(count) as pool:
-        checked = check_loop_proof(proof, pool.each)
+    with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
+
+        def each(function: Callable[[Any], int | str], strips: Sequence[Any]) -> Iterator[int | str]:
+            for done, outcome in enumerate(pool.each(function, strips)):
+                bar.report(done + 1, len(strips))
+                yield outcome
+
+        checked = check_loop_proof(proof, each)
     if json_:
         below = checked.stable_below if math.isfinite(checked.stable_below) else None
         mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
@@ -135,14 +145,13 @@ def _check_loop(file: Path, count: int, of: Path | None, json_: bool) -> None:
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
 
 
-def _check_bundle(file: Path, count: int, json_: bool) -> None:
+def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
     """Check all proofs of a bundle and print what they prove, of what, and what they do not."""
     from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
-    from lftkit.support.workers import Workers
     from los_design.verification.bundle import as_mapping, check_bundle, open_bundle
 
-    with open_bundle(file) as bundle, one_thread(), Workers(count) as pool, Progress(file.name) as bar:
+    with open_bundle(file) as bundle, one_thread(), cluster.workers() as pool, Progress(file.name) as bar:
         checked = check_bundle(bundle, pool.each, bar.report)
     if json_:
         print_json(as_mapping(checked))
