@@ -139,13 +139,15 @@ class ModelDepth:
         rows, peaks = gain_figures(STAGES[-1]), self._peaks(W, index, T)
         relative = [peaks[row.name] for row in rows if row.is_error and row.relative]
         worst, at = max(relative)
-        noise = noise / RAD_PER_MAS
+        noise, total = noise / RAD_PER_MAS, 0.0
+        for peak, omega in sorted(relative, reverse=True):
+            total = self.level(peak / RAD_PER_MAS, noise, omega, total)
         found = {
             **{gain_column(row): self._shown(row, peaks[row.name][0]) for row in rows},
             "rpe_fine_gain": worst / figure("RPE").limit(self.parameters, STAGES[-1]),
             "noise_ape_arcsec_rms": plain / RAD_PER_ARCSEC,
             "noise_rpe_mas_rms": noise,
-            "total_mas": max(self.level(peak / RAD_PER_MAS, noise, omega) for peak, omega in relative),
+            "total_mas": total,
             "rpe_peak_rad_s": at,
         }
         return {name: float(found[name]) for name in model_metrics()}
@@ -184,11 +186,11 @@ class ModelDepth:
             gains = {name: np.concatenate([gain, further[name]])[order] for name, gain in gains.items()}
         return {name: _peak(self.model.omega[index], gain) for name, gain in gains.items()}
 
-    def level(self, tone: float, noise: float, omega: float) -> float:
-        """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s]."""
+    def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
+        """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s], at least `least`."""
         probability = window_probability(telescope_requirements(self.parameters))
         turn = omega * float(self.parameters["weights"]["rpe_window"])
-        return combined_level(tone, noise, probability, turn=turn)
+        return combined_level(tone, noise, probability, turn=turn, least=least)
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
