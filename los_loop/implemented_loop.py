@@ -283,8 +283,8 @@ class ImplementedLoop:
         self, closed: Sequence[ClosedAt], delta: ComplexArray, rows: slice, columns: slice
     ) -> ComplexArray:
         """Responses of K closed loops, each for a diagonal of Delta (K, 32) of its own: shape (K, rows, columns)."""
-        kinds = ((own.M, own.T12[rows], own.T21[:, columns], own.T11[rows][:, columns]) for own in closed)
-        return closed_lft(*map(np.array, zip(*kinds)), delta)
+        M, T12, T21, T11 = (np.array([getattr(own, name) for own in closed]) for name in ("M", "T12", "T21", "T11"))
+        return closed_lft(M, T12[:, rows], T21[:, :, columns], T11[:, rows, columns], delta)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
