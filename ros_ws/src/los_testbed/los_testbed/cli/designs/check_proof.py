@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
 The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
-`lftkit/proofs/sampled_loop/checker.py` and what it imports): it optimises nothing. Exit code 1 if the
+`lftkit/proofs/trusted` and nothing else): it optimises nothing. Exit code 1 if the
 proof is refused.
 
 A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
