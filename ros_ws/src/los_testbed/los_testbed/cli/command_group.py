@@ -65,7 +65,7 @@ ENTRIES = {
         "keys",
         "KEYS_EXAMPLES",
     ),
-    "bag": Entry("groups", "Describe, check, sign and repair recorded runs.", "bag_app"),
+    "bag": Entry("groups", "Describe, check, sign, repair and trace recorded runs.", "bag_app"),
     "image": Entry("analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"),
     "control": Entry(
         "control",

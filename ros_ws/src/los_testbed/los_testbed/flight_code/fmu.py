@@ -126,7 +126,7 @@ def law_model(laws: FlightLaws) -> Model:
     return Model(LAW, text, inputs, outputs, files, digest)
 
 
-def plant_model(plant: SampledPlant) -> Model:
+def plant_model(plant: object) -> Model:
     """The telescope with its disturbance, without sensor noise: command to measurement and true line of sight.
 
     Between its samples the value of a slower sensor is the last one.
@@ -134,14 +134,14 @@ def plant_model(plant: SampledPlant) -> Model:
     Parameters
     ----------
     plant : SampledPlant
-        At its start.
+        It is reset.
 
     Raises
     ------
     ValueError
         A plant of another kind, or one whose parameters change.
     """
-    if type(plant) is not SampledPlant or plant.sensed.size:
+    if not isinstance(plant, SampledPlant) or type(plant) is not SampledPlant or plant.sensed.size:
         raise ValueError(f"the plant must be the telescope with constant parameters, got {type(plant).__name__}")
     plant.reset()
     step = plant.kernel_ticks(1)

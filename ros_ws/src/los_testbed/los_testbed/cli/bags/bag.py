@@ -41,7 +41,7 @@ bag_app = typer.Typer(
 
 @bag_app.callback()
 def bag_group() -> None:
-    """Describe, check, sign and repair recorded runs."""
+    """Describe, check, sign, repair and trace recorded runs."""
 
 
 @bag_app.command(help=REPAIR_EXAMPLES)

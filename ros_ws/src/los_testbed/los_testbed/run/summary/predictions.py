@@ -13,7 +13,7 @@ from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.run.replay import controller_of
-from los_testbed.run.summary.rig_prediction import rig_tones
+from los_testbed.run.summary.rig_prediction import rig_tones, statistics_of
 from los_testbed.run_start import AT_REST, START_FILE, RunStart, emulated
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import on_camera
@@ -95,9 +95,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
 
 def _emulated(run: Run) -> str:
     """Name of the telescope that a rig has said to simulate; "" for other runs and without a true line of sight."""
-    statistics = run.parameters.get("statistics")
-    plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
-    return "" if on_camera(run) else str(plant.get("device_emulates", ""))
+    return "" if on_camera(run) else str(statistics_of(run, "plant").get("device_emulates", ""))
 
 
 def _check_controllers(run: Run) -> None:
@@ -116,8 +114,7 @@ def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:
     if run["truth/los"].lost_before:
         raise ValueError("the record does not begin with the run: its first samples are lost")
     stamp = run["truth/los"].stamp
-    statistics = run.parameters.get("statistics")
-    plant = statistics.get("plant", {}) if isinstance(statistics, dict) else {}
+    plant = statistics_of(run, "plant")
     recorded = round((int(stamp[-1]) - int(stamp[0])) / TICK_NS) + 1 if len(stamp) else 0
     missing = int(plant.get("ticks", 0)) - recorded if math.isinf(stop) else 0
     if not recorded or int(stamp[0]) % (period_ticks(config.frame_ticks) * TICK_NS) or missing > LATE:

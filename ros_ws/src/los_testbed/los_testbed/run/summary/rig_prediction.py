@@ -8,6 +8,9 @@ before the run is not known; the tones have the frequency that they have on the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from los_loop.sampled_loop import Delays
@@ -26,6 +29,13 @@ RARE = 0.01
 """Share of the ticks that may have a longer delay."""
 
 
+def statistics_of(run: Run, node: str) -> Mapping[str, Any]:
+    """What a node said at the end of a run; nothing where the bag has none, or another type."""
+    statistics = run.parameters.get("statistics")
+    found = statistics.get(node) if isinstance(statistics, Mapping) else None
+    return found if isinstance(found, Mapping) else {}
+
+
 def rig_tones(
     run: Run, parts: RunParts, transient: float | None
 ) -> tuple[tuple[ToneComparison, ...], tuple[float, float]]:
@@ -36,11 +46,10 @@ def rig_tones(
     ValueError
         Delays that are not in the bag, or too long for a settled loop.
     """
-    statistics = run.parameters["statistics"]
-    plant, observer = (statistics.get(node, {}) for node in ("plant", "estimator"))
+    plant, observer = (statistics_of(run, node) for node in ("plant", "estimator"))
     shares = delay_ticks(str(plant.get("device_delay_ticks", "")))
     late = sum(share for ticks, share in shares.items() if ticks > LONGEST)
-    if not shares:
+    if not shares or not all(0.0 <= share <= 1.0 for share in shares.values()):
         raise ValueError("the bag does not say the delays of the rig")
     if late > RARE:
         raise ValueError(f"{late:.0%} of the commands came more than {LONGEST} ticks after their measurements")
