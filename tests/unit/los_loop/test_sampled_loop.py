@@ -79,7 +79,8 @@ def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, los = np.zeros(22), np.zeros(2), np.zeros(2)
-    under_way, frame = deque(np.zeros(8) for _ in range(1 + delays.commands)), np.zeros(2)
+    under_way = deque(np.zeros(8) for _ in range(1 + delays.commands))
+    frame: FloatArray = np.zeros(2)
     for k in range(100):
         plant.step(under_way.popleft(), measured, los)
         assert loop.truth @ z == pytest.approx(los, rel=1e-9, abs=1e-12)

@@ -10,6 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
 from los_testbed.flight_code import export
 from los_testbed.flight_code.export import FILES, c_string, provenance, render
 from los_testbed.flight_code.laws import FlightLaws, laws_of
@@ -18,6 +20,8 @@ from los_testbed.flight_code.vectors import VERDICTS, gate_ticks, law_ticks
 
 import fsm_pma_controller
 import los_estimator
+from los_design.verification.bundle import write_bundle
+from titop_plant.telescope.parameters import load_parameters
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -173,3 +177,23 @@ def test_check_refuses_what_is_no_flight_code(call: Call, without_compiler: None
     (tmp_path / "mine" / missing).write_text("int x;\n")
     code, out, err = call("export", "check", "mine")
     assert (code, out) == (2, "") and err.count("\n") == 1 and "none" in err
+
+
+def test_the_check_compares_with_what_a_bundle_of_proofs_is_about(
+    call: Call, laws: FlightLaws, without_compiler: None, tmp_path: Path
+) -> None:
+    (tmp_path / "proof.npz").write_bytes(b"of the loop, which this command does not read")
+    parts = RunParts(RunConfig())
+    pair = parts.models["k_fsm"], parts.models["k_pma"]
+    other = replace(pair[0], C=pair[0].C * (1 + 1e-15)), pair[1]
+    for name, controllers in (("same", pair), ("other", other)):
+        proofs = {("fsm", "APE"): tmp_path / "proof.npz"}
+        write_bundle(tmp_path / f"{name}.zip", load_parameters(), controllers, proofs)
+    code, _, _ = call("export", "c", "--output", str(tmp_path / "code"))
+    assert code == 0
+    code, out, _ = call("export", "check", str(tmp_path / "code"), "--proof", str(tmp_path / "same.zip"))
+    assert code == 0 and "has the tables of the proofs in" in out
+    code, out, _ = call("export", "check", str(tmp_path / "code"), "--proof", str(tmp_path / "other.zip"))
+    assert code == 1 and "k_fsm.c has other tables" in out
+    code, _, err = call("export", "check", str(tmp_path / "code"), "--proof", str(tmp_path / "proof.npz"))
+    assert code == 2 and err.count("\n") == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -119,6 +120,23 @@ def laws_of(designs: str | None = None) -> FlightLaws:
     models: Mapping[str, Any] = parts.models
     controller = assemble_controller(models, parts.basis, STAGES[-1])
     return FlightLaws.of(LosEstimator(models["k_fsm"]), controller, warnings)
+
+
+def laws_of_bundle(path: Path) -> FlightLaws:
+    """The laws that a bundle of proofs is about; its proofs are not checked here.
+
+    Raises
+    ------
+    ValueError
+        A file that is no bundle, or is damaged.
+    """
+    from los_design.verification.bundle import open_bundle
+    from titop_plant.telescope.parameters import design_basis
+
+    with open_bundle(path) as bundle:
+        basis = design_basis(bundle.parameters)
+        models = {"k_fsm": bundle.k_fsm, "k_pma": bundle.k_pma}
+        return FlightLaws.of(LosEstimator(bundle.k_fsm), assemble_controller(models, basis, STAGES[-1]))
 
 
 def _step_matrix(law: SampledSystem) -> FloatArray:

@@ -34,6 +34,8 @@ the designs. Exit code 1 if any of them differ.
     los-testbed export check flight_code                              # against the shipped pair
 
     los-testbed export check mine_c --designs designs/mine
+
+    los-testbed export check mine_c --proof proofs.zip                # against what a bundle of proofs is about
 """
 
 FMU_EXAMPLES = """Units of FMI 2.0 (co-simulation) for Simulink and other simulators: the laws, or the telescope.
@@ -91,16 +93,22 @@ def export_c(
 def export_check(
     folder: Annotated[Path, typer.Argument(help="Folder of `export c`.")],
     designs: Designs = None,
+    proof: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Bundle of `design certify`, in the place of the designs.")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """See CHECK_EXAMPLES."""
-    from los_testbed.flight_code.laws import laws_of
+    from los_testbed.flight_code.laws import laws_of, laws_of_bundle
     from los_testbed.flight_code.tables import check_tables
 
     if not folder.is_dir():
         raise ValueError(f"FOLDER must be a folder of flight code, got {folder}")
-    checked = check_tables(folder, laws_of(designs).tables())
-    whose = designs or "the shipped designs"
+    if proof is not None and designs is not None:
+        raise ValueError(f"--proof must be given without --designs, got {designs}")
+    laws = laws_of(designs) if proof is None else laws_of_bundle(proof)
+    checked = check_tables(folder, laws.tables())
+    whose = designs or (f"the proofs in {proof}" if proof else "the shipped designs")
     console = Screen(stderr=json_)
     verdict = "differs:" if checked.faults else f"has the tables of {whose}, SHA-256 {checked.found}"
     console.print(f"{folder} {verdict}", soft_wrap=True, highlight=False, markup=False)
