@@ -78,7 +78,8 @@ def tune_discrete(
     models : sequence of System
         All with the same sampling period.
     requirements : sequence
-        :class:`HinfGain` over all frequencies, with weights of the same period, and goals that are made of such gains.
+        :class:`HinfGain` over all frequencies, also of a sector, and goals that are made of such gains. Weights have
+        the same period, or are in continuous time, as those of goals, and count at ``s = (2 / T) (z - 1) / (z + 1)``.
     structure : AffineStructure
         A static gain, also with fixed or bounded entries, or a state-space controller with all entries free.
     initial, met, options
@@ -110,11 +111,11 @@ def tune_discrete(
     ready, needs = resolved(models, requirements)
     dt = _common_period(ready)
     _check_structure(structure)
-    images = [_image_of_requirement(r, dt) for r in needs]
+    images = [image_of_requirement(r, dt) for r in needs]
     starts = [_parameters_of_image(structure, np.asarray(x, dtype=float), dt) for x in initial]
     found = tune([image_of(m) for m in ready], images, structure, initial=starts, met=met, options=options)
     K = sampled_from_image(found.controller, dt)
-    certificate = _certified(ready, K, needs, dt)
+    certificate = certified(ready, K, needs, dt)
     status = found.status
     stable = bool(np.all(certificate.abscissae < 0.0))
     if stable and not np.allclose(certificate.values, found.values, rtol=AGREEMENT, atol=1e-9):
@@ -135,6 +136,18 @@ def tune_discrete(
     )
 
 
+def _gain(loop: System, r: HinfGain, dt: float) -> tuple[float, float, float]:
+    """Value, upper bound and frequency of a gain of the weighted discrete loop."""
+    if isinstance(r, SectorGain):
+        index = r.realised(loop)
+        if index is None:
+            return np.inf, np.inf, np.inf
+        norm = hinf_norm(*index.matrices, dt=dt, rtol=1e-5)
+        return norm.value, norm.upper, norm.omega
+    norm = hinf_norm(*loop.matrices, dt=dt, rtol=1e-5)
+    return norm.value / r.bound, norm.upper / r.bound, norm.omega
+
+
 def _common_period(models: Sequence[System]) -> float:
     for model in models:
         model.require_certain()
@@ -153,20 +166,29 @@ def _check_structure(structure: AffineStructure) -> None:
         raise ValueError("a dynamic controller in discrete time must have all entries free, got fixed or bounded ones")
 
 
-def _image_of_requirement(r: Requirement, dt: float) -> HinfGain:
-    if not isinstance(r, HinfGain) or isinstance(r, SectorGain) or r.banded:
-        raise ValueError(f"{r.name}: requirement must be a gain over all frequencies in discrete time")
+def image_of_requirement(r: Requirement, dt: float) -> HinfGain:
+    """The gain on the image of a discrete model; a ValueError names what has none."""
+    if not isinstance(r, HinfGain) or r.banded:
+        what = "one in a band" if isinstance(r, HinfGain) else type(r).__name__
+        raise ValueError(f"{r.name}: requirement must be a gain over all frequencies in discrete time, got {what}")
     weights: dict[str, Any] = {}
     for name in ("weight_in", "weight_out"):
         weight: System | None = getattr(r, name)
-        if weight is not None and weight.order:
+        if weight is not None and weight.order and weight.dt:
             if weight.dt != dt:
-                raise ValueError(f"{r.name}: {name} must have the sampling period {dt} s, got {weight.dt or 0.0} s")
+                raise ValueError(f"{r.name}: {name} must have the sampling period {dt} s, got {weight.dt} s")
             weight = image_of(weight)
         elif weight is not None:
             weight = System(*weight.matrices, weight.inputs, weight.outputs, weight.name)
         weights[name] = weight
     return replace(r, **weights)
+
+
+def _sampled_weights(r: HinfGain, dt: float) -> HinfGain:
+    """The requirement with weights in continuous time as discrete ones."""
+    weights = {name: getattr(r, name) for name in ("weight_in", "weight_out")}
+    moved = {name: sampled_from_image(w, dt) for name, w in weights.items() if w is not None and w.order and not w.dt}
+    return replace(r, **moved) if moved else r  # type: ignore[arg-type]
 
 
 def _parameters_of_image(structure: AffineStructure, x: FloatArray, dt: float) -> FloatArray:
@@ -177,7 +199,8 @@ def _parameters_of_image(structure: AffineStructure, x: FloatArray, dt: float) -
     return structure.parameters_of(image_of(sampled))
 
 
-def _certified(models: Sequence[System], K: System, requirements: Sequence[Requirement], dt: float) -> Certificate:
+def certified(models: Sequence[System], K: System, requirements: Sequence[Requirement], dt: float) -> Certificate:
+    """Norms of the discrete loops with the discrete controller `K`; decays are those of ``log|z| / T`` [rad/s]."""
     shape = (len(requirements), len(models))
     values, upper, omega, decays = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(len(models))
     for k, model in enumerate(models):
@@ -185,6 +208,5 @@ def _certified(models: Sequence[System], K: System, requirements: Sequence[Requi
         decays[k] = np.log(max(float(np.abs(poles).max(initial=0.0)), 1e-300)) / dt
         for i, r in enumerate(requirements):
             assert isinstance(r, HinfGain)
-            norm = hinf_norm(*weighted_loop(model, K, r).matrices, dt=dt, rtol=1e-5)
-            values[i, k], upper[i, k], omega[i, k] = norm.value / r.bound, norm.upper / r.bound, norm.omega
+            values[i, k], upper[i, k], omega[i, k] = _gain(weighted_loop(model, K, _sampled_weights(r, dt)), r, dt)
     return Certificate(values, upper, omega, decays)

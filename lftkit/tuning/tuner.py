@@ -170,8 +170,9 @@ def tune(
 
     Parameters
     ----------
-    models : sequence of Model
-        Active models, for instance one plant at several parameter values.
+    models : sequence of System
+        Active models, for instance one plant at several parameter values. Those in discrete time are tuned by
+        :func:`lftkit.tuning.discrete.tune_discrete`, which says what it takes.
     requirements : sequence
         :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles` and the goals of
         :mod:`lftkit.tuning.goals`, soft or hard.
@@ -212,6 +213,12 @@ def tune(
     ('converged', -4.0, 0.2)
     """
     options = options or TuningOptions()
+    if any(model.dt for model in models):
+        from lftkit.tuning.discrete import tune_discrete
+
+        if loop_delay or min_decay != MIN_DECAY:
+            raise ValueError("loop_delay and min_decay are for models in continuous time, got discrete ones")
+        return tune_discrete(models, requirements, structure, initial=initial, met=met, options=options)
     # a little below, so that the upper side of the certificate is not above
     options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()

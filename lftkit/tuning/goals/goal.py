@@ -75,4 +75,5 @@ def with_output(model: System, name: str, C: FloatArray, D: FloatArray) -> Syste
     if any(p.name == name for p in model.outputs):
         return model
     outputs = (*model.outputs, Port(name, len(C)))
-    return System(model.A, model.B, np.vstack([model.C, C]), np.vstack([model.D, D]), model.inputs, outputs, model.name)
+    C, D = np.vstack([model.C, C]), np.vstack([model.D, D])
+    return System(model.A, model.B, C, D, model.inputs, outputs, model.name, dt=model.dt)

@@ -269,6 +269,7 @@ def _opened(model: System, name: str) -> System:
         (*model.inputs, Port(f"{name}.added", size)),
         model.outputs,
         model.name,
+        dt=model.dt,
     )
     for kind, share in (("applied", 1.0), ("returned", 0.0), ("middle", 0.5)):
         wide = with_output(wide, f"{name}.{kind}", C_own, np.hstack([own, share * np.eye(size)]))

@@ -116,7 +116,17 @@ class StepTracking(_FromReference):
         return f"{self._error}.mismatch {self.time_constant:g} s"
 
     def prepared(self, model: System) -> System:
-        """The model with the difference of the output and the reference model's."""
+        """The model with the difference of the output and the reference model's.
+
+        Raises
+        ------
+        ValueError
+            A model in discrete time: an H2 norm has no image there.
+        """
+        if model.dt:
+            raise ValueError(
+                f"{self._name(self.name)}: goal must be asked in continuous time, got a period of {model.dt} s"
+            )
         model = super().prepared(model)
         if any(p.name == self._mismatch for p in model.outputs):
             return model

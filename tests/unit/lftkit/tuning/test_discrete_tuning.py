@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,15 +12,27 @@ from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
+    ConicSector,
+    Goal,
     H2Gain,
     HinfGain,
+    LoopShape,
+    Margins,
+    MaxLoopGain,
+    MinLoopGain,
+    Overshoot,
+    Sensitivity,
+    StepTracking,
     TuningOptions,
     gain,
     pid,
     state_space,
+    tune,
     tune_discrete,
 )
-from lftkit.tuning.discrete import image_of, sampled_from_image
+from lftkit.tuning.certificate import certify
+from lftkit.tuning.discrete import certified, image_of, image_of_requirement, sampled_from_image
+from lftkit.tuning.goals.goal import resolved
 
 OPTIONS = TuningOptions(starts=1)
 
@@ -78,7 +92,7 @@ def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
         HinfGain("w", "z", weight_in=lag, weight_out=double, name="weighted"),
         HinfGain("w", "z", bound=4.0, hard=True, name="bound"),
     ]
-    result = tune_discrete([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
     assert result.feasible and result.certificate is not None and result.certificate.stable
     loop = close_loop(plant, result.controller, ["w"], ["z"])
     theta = np.linspace(0.0, np.pi, 2001)
@@ -111,11 +125,60 @@ def test_an_image_has_the_response_of_its_system_and_leads_back() -> None:
 
 def test_what_has_no_discrete_form_is_refused_in_one_line() -> None:
     plant, static = delayed_lag(), gain([("y", 1)], [("u", 1)])
-    with pytest.raises(ValueError, match=r"must be a gain over all frequencies in discrete time$"):
+    with pytest.raises(ValueError, match=r"in discrete time, got H2Gain$"):
         tune_discrete([plant], [H2Gain("w", "z")], static)
-    with pytest.raises(ValueError, match=r"must be a gain over all frequencies in discrete time$"):
+    with pytest.raises(ValueError, match=r"in discrete time, got ClosedLoopPoles$"):
         tune_discrete([plant], [HinfGain("w", "z"), ClosedLoopPoles(min_decay=1.0)], static)
     with pytest.raises(ValueError, match="must have all entries free"):
         tune_discrete([plant], [HinfGain("w", "z")], pid("y", "u", derivative_filter=0.1))
     with pytest.raises(ValueError, match=r"sampling period must be 0\.1 s, got 0\.2 s$"):
         tune_discrete([plant, delayed_lag(0.2)], [HinfGain("w", "z")], static)
+
+
+def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
+    """x+ = pole x + w + u with the outputs x (to be measured and controlled)."""
+    return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
+
+
+def held(k: float, goal: Goal, plant: System | None = None) -> float:
+    """Value of a goal for u = k y on the discrete loop, which is that of the image that is tuned."""
+    models, needs = resolved([plant or lag_on_samples()], [goal])
+    dt = models[0].dt
+    K = System.static([[k]], [("y", 1)], [("u", 1)])
+    found = certified(models, replace(K, dt=dt), needs, dt)
+    image = certify([image_of(models[0])], K, [image_of_requirement(r, dt) for r in needs])
+    assert found.stable and found.values == pytest.approx(image.values, rel=2e-5)
+    return float(found.values[0, 0])
+
+
+@pytest.mark.parametrize("k", [-0.5, -0.9])
+def test_goals_of_a_lag_on_samples_are_those_of_closed_forms(k: float) -> None:
+    """S = (z - 0.5) / (z - 0.5 - k), from w to x 1 / (z - 0.5 - k): all extremes are at z = 1 or z = -1."""
+    ends = np.array([1.0, -1.0])
+    S, T = (ends - 0.5) / (ends - 0.5 - k), -k / (ends - 0.5 - k)
+    gain_ = 1.0 / (ends - 0.5 - k)
+    assert held(k, Sensitivity("u")) == pytest.approx(abs(S).max(), rel=1e-5)
+    assert held(k, Sensitivity("u", complementary=True)) == pytest.approx(abs(T).max(), rel=1e-5)
+    margins = held(k, Margins("u", gain_margin=3.0))  # a disk of size 1
+    assert margins == pytest.approx(abs(S - 0.5).max(), rel=1e-5)
+    assert held(k, Overshoot("w", "z", percent=4.0)) == pytest.approx(abs(gain_).max(), rel=1e-5)
+    sector = held(k, ConicSector("w", "z", low=-4.0, high=4.0))  # |gain| below 4
+    assert sector == pytest.approx(abs(gain_).max() / 4.0, rel=1e-5)
+
+
+def test_weights_of_goals_count_at_the_image_of_the_circle() -> None:
+    """Loop shape of the discrete integrator whose image is the integrator of the crossover: exactly 1."""
+    dt, crossover = 0.1, 2.0
+    half = 0.5 * dt * crossover  # crossover / s is half (z + 1) / (z - 1)
+    plant = System([[1.0]], [[2 * half]], [[1.0]], [[half]], [("u", 1)], [("y", 1)], dt=dt)
+    assert held(-1.0, LoopShape("u", crossover), plant) == pytest.approx(1.0, rel=1e-3)
+    assert held(-1.0, MinLoopGain("u", 0.5 * crossover), plant) < 0.51
+    assert held(-1.0, MaxLoopGain("u", 0.5 * crossover), plant) == pytest.approx(2.0, rel=1e-3)
+
+
+def test_what_only_continuous_time_has_is_refused_by_name() -> None:
+    for arguments in ({"loop_delay": 0.1}, {"min_decay": 0.5}):
+        with pytest.raises(ValueError, match=r"are for models in continuous time, got discrete ones$"):
+            tune([lag_on_samples()], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]), **arguments)
+    with pytest.raises(ValueError, match=r"^StepTracking w -> z: .* got a period of 0\.1 s$"):
+        held(-0.5, StepTracking("w", "z"))
