@@ -29,10 +29,12 @@ from titop_plant.simulation.disturbance_responses import (
     DisturbanceResponses,
     disturbance_responses,
 )
+from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines
 from titop_plant.telescope.layout import (
     ANGLE,
     arrays_turn,
     driven_arrays,
+    motors,
     on_bearings,
     reaction_wheels,
     solar_arrays,
@@ -78,8 +80,8 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     parameters : str, optional
         Parameter file; default: the reference telescope.
     names : sequence of str, optional
-        Some of :data:`FIGURES` and :data:`OF_BEARINGS`; default: all. That of turning arrays is left out where none
-        turns, that of bearings where all wheels are rigid.
+        Some of :data:`FIGURES` and :data:`OF_MECHANISMS`; default: all. That of turning arrays is left out where none
+        turns, that of bearings where all wheels are rigid, that of steppers where no drive has one.
 
     Returns
     -------
@@ -91,16 +93,20 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
         An unknown picture, a folder that cannot be made, a parameter file that cannot be read.
     """
     for name in names or ():
-        if name not in {**FIGURES, **OF_BEARINGS}:
-            raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_BEARINGS))}")
+        if name not in {**FIGURES, **OF_MECHANISMS}:
+            raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_MECHANISMS))}")
     both = disturbance_responses(parameters)
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
-    known = {**FIGURES, **OF_BEARINGS}
-    possible = {"arrays_turn": arrays_turn(both.parameters), "bearings": on_bearings(both.parameters)}
+    known = {**FIGURES, **OF_MECHANISMS}
+    possible = {
+        "arrays_turn": arrays_turn(both.parameters),
+        "bearings": on_bearings(both.parameters),
+        "steppers": bool(motors(both.parameters)),
+    }
     drawn = [name for name in names or known if possible.get(name, True)]
     return [path for name in drawn for path in _saved(folder, name, *known[name], both)]
 
@@ -167,6 +173,21 @@ def _bearings(figure: Figure, both: DisturbanceResponses) -> None:
         curve = both.weighted(system, values, WHEELS, edges[0], edges[-1])
         axis.loglog(curve.omega, curve.size, color=colour, label=name, linewidth=2.0 if colour == grey else 1.0)
     _decorate(axis, edges, (1e-5, 5.0))
+    _legend(figure, columns=2)
+
+
+def _steppers(figure: Figure, both: DisturbanceResponses) -> None:
+    axis, edges = figure.subplots(), _columns(1e-2, 1e4, 400)
+    fixed, stepper = fixed_lines(both.parameters), stepper_lines(both.parameters)
+    for lines, colour, name, marker in (
+        (fixed, "#777777", "five fixed harmonics of [sadm]", "s"),
+        (stepper, BLUE, "stepper, gearbox and rotor", "o"),
+    ):
+        axis.vlines(lines.omega, 1e-12, lines.size / ARCSEC, color=colour, linewidth=0.8)
+        axis.loglog(lines.omega, lines.size / ARCSEC, marker, color=colour, label=name, markersize=3.5)
+    _templates(axis, both.parameters, edges)
+    _decorate(axis, edges, (1e-9, 10.0))
+    axis.set_ylabel("amplitude of the line of sight [arcsec]")
     _legend(figure, columns=2)
 
 
@@ -305,5 +326,5 @@ FIGURES: dict[str, tuple[float, Callable[[Figure, DisturbanceResponses], None]]]
 }
 """Name to height [inch] and drawing function."""
 
-OF_BEARINGS = {"bearings": (5.0, _bearings)}
-"""The same of a telescope whose wheels have bearings."""
+OF_MECHANISMS = {"bearings": (5.0, _bearings), "steppers": (5.0, _steppers)}
+"""The same of a telescope whose wheels have bearings, and of one whose drives have steppers."""

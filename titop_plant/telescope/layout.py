@@ -329,6 +329,17 @@ def without_bearings(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {**parameters, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
 
 
+def without_steppers(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters with drives whose gearbox ends at the body, with fixed harmonics."""
+
+    def stripped(table: Any) -> Any:
+        if isinstance(table, (list, tuple)):
+            return [stripped(entry) for entry in table]
+        return {key: value for key, value in table.items() if key != STEPPER}
+
+    return {**parameters, **{name: stripped(parameters[name]) for name in ("sadm", ARRAYS) if name in parameters}}
+
+
 def without_sources(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters without what only makes disturbances: broadband noise of wheels, torques of steppers."""
 
