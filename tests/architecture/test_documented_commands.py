@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from documented_commands import PAGES, Printed, parse, printed
+from support.documented_commands import PAGES, Printed, parse, printed
 
 EVERY = [one for page in PAGES for one in printed(page)]
 

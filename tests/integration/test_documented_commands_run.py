@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from documented_commands import PAGES, Printed, printed
 from support.command_line import call_command
+from support.documented_commands import PAGES, Printed, printed
 
 import fsm_pma_controller
 import los_estimator
