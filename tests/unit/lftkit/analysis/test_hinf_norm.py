@@ -69,10 +69,11 @@ def test_discrete_lag(dt: float, a: float, omega: float) -> None:
 @pytest.mark.parametrize("dt", [1.0, 0.01])
 @pytest.mark.parametrize(("radius", "angle"), [(0.99, 0.3), (0.999, 2.5)])
 def test_discrete_resonance(dt: float, radius: float, angle: float) -> None:
-    norm = hinf_norm(*resonator(radius, angle), dt=dt)
-    assert norm.value == pytest.approx(1.0 / ((1 - radius**2) * np.sin(angle)), rel=1e-7)
-    assert norm.omega * dt == pytest.approx(np.arccos(np.cos(angle) * (1 + radius**2) / (2 * radius)), rel=1e-6)
-    assert norm.certificate == "interval"
+    for certificate, found in (("auto", "hamiltonian"), ("interval", "interval")):
+        norm = hinf_norm(*resonator(radius, angle), dt=dt, certificate=certificate)
+        assert norm.value == pytest.approx(1.0 / ((1 - radius**2) * np.sin(angle)), rel=1e-7)
+        assert norm.omega * dt == pytest.approx(np.arccos(np.cos(angle) * (1 + radius**2) / (2 * radius)), rel=1e-6)
+        assert norm.certificate == found
 
 
 def test_discrete_pole_on_or_outside_the_circle_is_unstable() -> None:
