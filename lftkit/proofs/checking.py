@@ -21,7 +21,8 @@ from lftkit.proofs.state_space.checker import DISCRETE
 from lftkit.proofs.state_space.checker import FORMAT as CELLS
 from lftkit.proofs.state_space.checker import check_proof as check_cells
 from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
-from lftkit.proofs.trusted.proof import LoopProof, ProofError
+from lftkit.proofs.trusted.given import LoopProof
+from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.verdict import CheckedProof
 
 FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)

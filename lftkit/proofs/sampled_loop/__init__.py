@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
     from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
-    from lftkit.proofs.trusted.proof import LoopProof
+    from lftkit.proofs.trusted.given import LoopProof
 
 __all__ = [
     "CheckedLoop",
@@ -33,6 +33,6 @@ __getattr__ = names_on_demand(
         "files": ("read_loop_proof", "write_loop_proof"),
         "model": ("LoopModel",),
         "lftkit.proofs.trusted.checker": ("CheckedLoop", "check_loop_proof"),
-        "lftkit.proofs.trusted.proof": ("LoopProof",),
+        "lftkit.proofs.trusted.given": ("LoopProof",),
     },
 )

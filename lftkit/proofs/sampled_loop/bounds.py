@@ -19,8 +19,8 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.branching import Branching
-from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
+from lftkit.proofs.trusted.given import Responses
 from lftkit.proofs.trusted.premises import require_box
 from lftkit.proofs.trusted.proof import Interval, Strip
 from lftkit.proofs.trusted.strips import windows_of

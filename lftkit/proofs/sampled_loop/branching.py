@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
+from lftkit.proofs.trusted.given import Responses
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 

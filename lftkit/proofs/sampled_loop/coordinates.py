@@ -19,8 +19,7 @@ from lftkit.proofs.trusted.stability import WIDEST, deviation_share
 from lftkit.proofs.trusted.strips import ends_of, is_circle
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop.model import LoopModel
-    from lftkit.proofs.sampled_loop.responses import Responses
+    from lftkit.proofs.trusted.given import GivenLoop, Responses
 
 ENOUGH = 0.7
 """Share at the middle of a window below which its width is what has to be less."""
@@ -84,7 +83,7 @@ def middle_of(model: Responses, box: Sequence[Interval]) -> Matrices:
     return cz, sz, cw, sw
 
 
-def to_bisect(model: LoopModel, M: Polynomial, part: Box) -> int | None:
+def to_bisect(model: GivenLoop, M: Polynomial, part: Box) -> int | None:
     """Parameter to bisect where the channels are M over a window, or None where a narrower window is what helps."""
     wide = [k for k, (low, high) in enumerate(part) if model.angle[k] and high - low > WIDEST]
     if wide:
@@ -93,7 +92,7 @@ def to_bisect(model: LoopModel, M: Polynomial, part: Box) -> int | None:
     return widest(model, at, part) if deviation_share(model, at, part) > ENOUGH else None
 
 
-def widest(model: LoopModel, M: Polynomial, part: Box) -> int:
+def widest(model: GivenLoop, M: Polynomial, part: Box) -> int:
     """Parameter whose interval alone has the largest share."""
     shares = []
     for k, (low, high) in enumerate(part):

@@ -11,7 +11,8 @@ import numpy as np
 
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
-from lftkit.proofs.trusted.proof import LoopProof
+from lftkit.proofs.trusted.given import LoopProof
+from lftkit.proofs.trusted.loop import Loop
 
 FORMAT = "los-testbed loop proof 1"
 HEADER = ("groups", "angle", "rows", "commands", "added", "returned")
@@ -49,7 +50,7 @@ def read_loop_proof(path: Path) -> LoopProof:
         return LoopProof(model, tuple(header["names"]), box, band, float(header["level"]), strips, header["about"])
 
 
-def model_entries(model: LoopModel) -> tuple[dict[str, Any], dict[str, Any]]:
+def model_entries(model: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and arrays of a model in a file."""
     header = {"groups": model.groups, "angle": model.angle, "rows": model.rows, "commands": model.commands}
     if model.added:

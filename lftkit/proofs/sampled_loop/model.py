@@ -9,14 +9,15 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import coordinates
-from lftkit.proofs.trusted.loop import CHANGE, Loop
+from lftkit.proofs.trusted.given import GivenLoop
+from lftkit.proofs.trusted.loop import CHANGE
 from lftkit.proofs.trusted.polynomials import Polynomial
 from lftkit.proofs.trusted.proof import Box, Strip
 
 
 @dataclass(frozen=True)
-class LoopModel(Loop):
-    """The loop of a proof, for those who search proofs and for the checker; fields are those of its base."""
+class LoopModel(GivenLoop):
+    """The loop of a proof, for those who search proofs and for the checker; fields are those of :class:`Loop`."""
 
     @property
     def slowest(self) -> float:

@@ -28,8 +28,9 @@ from lftkit.proofs.sampled_loop.files import model_entries, model_of
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.trusted.checker import check_loop_proof
+from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.polynomials import INFLATE
-from lftkit.proofs.trusted.proof import Interval, LoopProof, ProofError, Strip
+from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
 from lftkit.proofs.trusted.stability import stable_below
 
 FORMAT = "los-testbed noise proof 2"

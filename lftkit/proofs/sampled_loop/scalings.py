@@ -12,7 +12,6 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
 from lftkit.proofs.sampled_loop.coordinates import middle_of
-from lftkit.proofs.sampled_loop.responses import Responses
 from lftkit.proofs.state_space.barrier import (
     ANY_REAL,
     CENTRED,
@@ -24,6 +23,7 @@ from lftkit.proofs.state_space.barrier import (
     newton_step,
 )
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
+from lftkit.proofs.trusted.given import Responses
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lftkit.proofs.trusted.premises import require_premises
-from lftkit.proofs.trusted.proof import Box, Interval, LoopProof, ProofError, require_cover
+from lftkit.proofs.trusted.proof import Box, Interval, ProofError, require_cover
 from lftkit.proofs.trusted.stability import stable_below
 from lftkit.proofs.trusted.strips import check_strip
+
+if TYPE_CHECKING:
+    from lftkit.proofs.trusted.given import LoopProof
 
 FAULTS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError)
 """What a damaged proof may raise."""

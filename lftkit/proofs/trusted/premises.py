@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lftkit.proofs.trusted.loop import Loop
-from lftkit.proofs.trusted.proof import Interval, LoopProof, ProofError, Strip
+from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop.responses import Responses
+    from lftkit.proofs.trusted.given import LoopProof, Responses
 
 REAL = ("D", "K_D", "weights")
 

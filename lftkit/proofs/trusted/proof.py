@@ -1,15 +1,14 @@
-"""What a proof by strips claims, why it is refused, and whether its strips cover the claim."""
+"""Strips of a proof, why one is refused, and whether strips cover a box and a band."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray
-    from lftkit.proofs.sampled_loop.model import LoopModel
+    from lftkit.proofs.trusted.polynomials import ComplexArray, FloatArray
 
 Interval = tuple[float, float]
 Box = tuple[Interval, ...]
@@ -40,35 +39,6 @@ class Strip:
     D: tuple[ComplexArray, ...]
     G: tuple[ComplexArray, ...]
     factor: FloatArray
-
-
-@dataclass(frozen=True)
-class LoopProof:
-    """What a file claims and the strips that prove it.
-
-    Parameters
-    ----------
-    model : LoopModel
-    names : tuple of str
-        Of the parameters.
-    box : tuple of (low, high)
-        As in :class:`Strip`.
-    band : (low, high)
-        Frequencies [rad/s].
-    level : float
-        The gain is below this part of the limit.
-    strips : tuple of Strip
-    about : mapping
-        What the loop is, for people: figure, stage, designs.
-    """
-
-    model: LoopModel
-    names: tuple[str, ...]
-    box: Box
-    band: Interval
-    level: float
-    strips: tuple[Strip, ...]
-    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 def uncovered(box: Sequence[Interval], cells: Sequence[Sequence[Interval]]) -> list[Interval] | None:

@@ -40,7 +40,7 @@ from lftkit.proofs.trusted.polynomials import (
 from lftkit.proofs.trusted.proof import Box, Interval
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop.model import LoopModel
+    from lftkit.proofs.trusted.given import GivenLoop
 
 LOOSE = 3e-5
 """Largest remainder of a window."""
@@ -59,7 +59,7 @@ def whole_axis(band: Interval, dt: float) -> bool:
     return band[0] == 0.0 and band[1] >= math.pi / dt
 
 
-def stable_below(model: LoopModel, band: Interval, box: Box) -> float:
+def stable_below(model: GivenLoop, band: Interval, box: Box) -> float:
     """Frequency [rad/s] up to which no pole of a member crosses the axis, if its gain is bounded over `band`.
 
     Poles move continuously with the parameters. Infinite if every member was proven stable; half of the sampling rate
@@ -70,7 +70,7 @@ def stable_below(model: LoopModel, band: Interval, box: Box) -> float:
     return math.inf if windows_above(model, box) else math.pi / model.dt
 
 
-def nominal_windows(model: LoopModel) -> int:
+def nominal_windows(model: GivenLoop) -> int:
     """Windows of frequency with which the nominal loop was proven stable; 0 if it was not.
 
     Zero too without a controller: such a plant's axis has no end at half of the sampling rate.
@@ -103,7 +103,7 @@ def is_real(poles: ComplexArray, B: ComplexArray, C: ComplexArray) -> bool:
     return True
 
 
-def argument_change(model: LoopModel, low: float, high: float) -> tuple[float, float]:
+def argument_change(model: GivenLoop, low: float, high: float) -> tuple[float, float]:
     """Change of the argument of ``det(I - K G)`` from `low` to `high` [rad/s], and a bound of its error [rad].
 
     Raises
@@ -127,7 +127,7 @@ def argument_change(model: LoopModel, low: float, high: float) -> tuple[float, f
     return after - before, 2.0 * n * (2.0 * loose + 1e3 * n * n * UNIT)
 
 
-def windows_above(model: LoopModel, box: Box) -> int:
+def windows_above(model: GivenLoop, box: Box) -> int:
     """Windows from half of the sampling rate to infinity in which no member has a pole on the axis; 0 if not proven.
 
     The nominal loop must have been proven stable by :func:`nominal_windows`.
@@ -152,13 +152,13 @@ def windows_above(model: LoopModel, box: Box) -> int:
     return 0
 
 
-def channels(model: LoopModel, low: float, high: float) -> Polynomial:
+def channels(model: GivenLoop, low: float, high: float) -> Polynomial:
     """``M``: z by w, the nominal loop closed, over a window [rad/s]."""
     q, d = model.sizes[0], model.sizes[3]
     return model.responses(*span(low, high), np.eye(q + d, q, dtype=complex))[0]
 
 
-def commands_bound(model: LoopModel) -> FloatArray:
+def commands_bound(model: GivenLoop) -> FloatArray:
     """Bound of the commands' changes from tick to tick, ``(1 - 1/z) u``, by what is added to the measurements.
 
     Shape (u, y). It holds at all frequencies, as functions of z are periodic.
@@ -182,7 +182,7 @@ def commands_bound(model: LoopModel) -> FloatArray:
     return largest
 
 
-def beyond(model: LoopModel, omega: float, commands: FloatArray) -> Polynomial:
+def beyond(model: GivenLoop, omega: float, commands: FloatArray) -> Polynomial:
     """``M`` at all frequencies from `omega` [rad/s] to infinity: its value there, and a bound of the rest.
 
     Modes are below ``1 / |j w - p|``; the hold is ``(1 - 1/z) / (j w dt)``, and `commands` has its numerator.
@@ -196,7 +196,7 @@ def beyond(model: LoopModel, omega: float, commands: FloatArray) -> Polynomial:
     return Polynomial(model.D[None, :q, :q].astype(complex), INFLATE * rest + TINY)
 
 
-def regular(model: LoopModel, M: Polynomial, parts: Sequence[Box]) -> list[Box]:
+def regular(model: GivenLoop, M: Polynomial, parts: Sequence[Box]) -> list[Box]:
     """Parts of the box, bisected as needed, in which no member has a pole on the axis where its channels are M.
 
     Empty if that was not proven.
@@ -217,7 +217,7 @@ def regular(model: LoopModel, M: Polynomial, parts: Sequence[Box]) -> list[Box]:
     return done
 
 
-def deviation_share(model: LoopModel, M: Polynomial, part: Box) -> float:
+def deviation_share(model: GivenLoop, M: Polynomial, part: Box) -> float:
     """Bound of the spectral radius of |N|; infinite where the middle of the part may have a pole."""
     if any(angle and high - low > WIDEST for angle, (low, high) in zip(model.angle, part)):
         return math.inf
@@ -230,7 +230,7 @@ def deviation_share(model: LoopModel, M: Polynomial, part: Box) -> float:
     return weighted_share(N.bound() + TINY)[0]
 
 
-def deviations(model: LoopModel, part: Box) -> tuple[Polynomial, ...]:
+def deviations(model: GivenLoop, part: Box) -> tuple[Polynomial, ...]:
     """(cz, sz, cw, sw) of each channel, (q,): the values of t include all of the part, whatever the rounding."""
     found = np.zeros((4, model.sizes[0]))
     for group, angle, (low, high) in zip(model.groups, model.angle, part):

@@ -35,7 +35,7 @@ from lftkit.proofs.trusted.polynomials import (
 from lftkit.proofs.trusted.proof import Box, Strip
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop.responses import Responses
+    from lftkit.proofs.trusted.given import Responses
 
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
