@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.read.mapped_arrays import empty, release
+from pointing_analysis.read.mapped_arrays import empty, parts, release
 from pointing_analysis.spectra.line_search import find_lines
 from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.spectra.spectra import without_lines
@@ -39,8 +39,8 @@ def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tupl
     named : (k,) frequencies of the named tones [rad/s]
     """
     rest = without_lines(error, dt, named) if np.size(named) else error
-    some = slice(None, None, max(1, len(error) // LONGEST))
-    if np.size(named) and np.nanstd(rest[some]) <= LEAST * np.nanstd(error[some]):
+    step = max(1, len(error) // LONGEST)
+    if np.size(named) and np.nanstd(_thinned(rest, step)) <= LEAST * np.nanstd(_thinned(error, step)):
         return (), rest
     count = max(1, -(-len(rest) // LONGEST))
     edges = np.linspace(0, len(rest), count + 1).round().astype(int)
@@ -61,6 +61,12 @@ def unnamed_lines(error: FloatArray, dt: float, named: FloatArray) -> tuple[tupl
         release()
     width = 2.0 * math.pi * count / (dt * max(len(rest), 1))
     return _over_parts(found, width), rest if cleaned is None else cleaned
+
+
+def _thinned(values: FloatArray, step: int) -> FloatArray:
+    """``values[::step]``, gathered part by part: a stride over a long record has all of its pages in memory."""
+    pieces = [np.array(values[part][-part.start % step :: step]) for part in parts(len(values))]
+    return np.concatenate(pieces) if pieces else values
 
 
 def _sum_of(lines: Sequence[FoundLine], n: int, dt: float) -> FloatArray:
