@@ -37,7 +37,8 @@ def test_the_rounding_of_the_laws_is_far_below_the_margin_of_the_proofs(stage: s
     matrices = [step_matrix(law) for law in (k_fsm, k_pma)]
     sums = [np.zeros(len(matrix)) for matrix in matrices]
     command = np.array(parts.start.command)
-    measured, los, estimate, held = np.zeros(MEASUREMENTS), np.zeros(TRUTH), np.zeros(ESTIMATES), np.zeros(MEASUREMENTS)
+    measured, los, estimate = np.zeros(MEASUREMENTS), np.zeros(TRUTH), np.zeros(ESTIMATES)
+    held: FloatArray = np.zeros(MEASUREMENTS)
     for _ in range(TICKS):
         states = k_fsm.state, k_pma.state
         plant.step(command, measured, los)
