@@ -102,7 +102,7 @@ def run(
     program: Path, *arguments: str, folder: Path, variables: dict[str, str] | None = None, timeout: float = 240.0
 ) -> subprocess.CompletedProcess[str]:
     """Run an installed program in a folder outside the tree, with no path of ours in the environment."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST_"))}
     return subprocess.run(
         [str(program), *arguments],
         cwd=folder,
