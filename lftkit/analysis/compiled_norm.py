@@ -299,10 +299,3 @@ def circle_norm(given: Matrices, rtol: float) -> Found:
                 return value, upper, turn if sign > 0.0 else np.pi - turn
         sign = -sign
     return REFUSED
-
-
-if __name__ == "__main__":  # fill the cache
-    from lftkit.analysis.norms import hinf_norm
-
-    for dt in (None, 1.0):
-        hinf_norm(-0.5 * np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), dt=dt)

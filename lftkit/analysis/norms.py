@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +25,7 @@ from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
 from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
 from lftkit.analysis.peak_search import climb
-from lftkit.analysis.small_norm import COMPILED_STATES, MAX_STATES, Origin, compiled, small_hinf_norm
+from lftkit.analysis.small_norm import COMPILED_STATES, MAX_STATES, Origin, small_hinf_norm
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.matrices import checked_matrices
 
@@ -184,6 +186,16 @@ def spectral_abscissa(A: ArrayLike) -> float:
     """Largest real part of the eigenvalues of `A` (n, n) [rad/s]; minus infinity for n = 0."""
     a = np.asarray(A, dtype=float)
     return float(linalg.eigvals(a).real.max(initial=-np.inf)) if a.size else float("-inf")
+
+
+@cache
+def compiled() -> ModuleType | None:
+    """The compiled steps, :mod:`lftkit.analysis.compiled_norm`; None without numba (extra ``fast``)."""
+    try:
+        from lftkit.analysis import compiled_norm
+    except ImportError:
+        return None
+    return compiled_norm
 
 
 def _by_compiled_code(given: Sequence[ArrayLike], dt: float | None, rtol: float) -> HInfNorm | None:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from math import hypot
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -36,16 +34,6 @@ LARGE = 1e70  # gains between this and its inverse have fourth powers that are n
 CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
 DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
 DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
-
-
-@cache
-def compiled() -> ModuleType | None:
-    """The compiled steps, :mod:`lftkit.analysis.compiled_norm`; None without numba (extra ``fast``)."""
-    try:
-        from lftkit.analysis import compiled_norm
-    except ImportError:
-        return None
-    return compiled_norm
 
 
 class Origin(NamedTuple):

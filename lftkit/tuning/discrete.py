@@ -25,7 +25,7 @@ from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.requirements import HinfGain, Requirement
 from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.status import TuningStatus
-from lftkit.tuning.structures.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure, Structure
 from lftkit.tuning.tuner import AGREEMENT, TuningOptions, TuningResult, tune
 
 AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
@@ -65,7 +65,7 @@ def sampled_from_image(model: System, dt: float) -> System:
 def tune_discrete(
     models: Sequence[System],
     requirements: Sequence[Requirement | Goal],
-    structure: AffineStructure,
+    structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
     met: float = -np.inf,
@@ -80,7 +80,7 @@ def tune_discrete(
     requirements : sequence
         :class:`HinfGain` over all frequencies, also of a sector, and goals that are made of such gains. Weights have
         the same period, or are in continuous time, as those of goals, and count at ``s = (2 / T) (z - 1) / (z + 1)``.
-    structure : AffineStructure
+    structure : Structure
         A static gain, also with fixed or bounded entries, or a state-space controller with all entries free.
     initial, met, options
         As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers.
@@ -110,9 +110,9 @@ def tune_discrete(
     """
     ready, needs = resolved(models, requirements)
     dt = _common_period(ready)
-    _check_structure(structure)
+    law = _affine(structure)
     images = [image_of_requirement(r, dt) for r in needs]
-    starts = [_parameters_of_image(structure, np.asarray(x, dtype=float), dt) for x in initial]
+    starts = [_parameters_of_image(law, np.asarray(x, dtype=float), dt) for x in initial]
     found = tune([image_of(m) for m in ready], images, structure, initial=starts, met=met, options=options)
     K = sampled_from_image(found.controller, dt)
     certificate = certified(ready, K, needs, dt)
@@ -126,7 +126,7 @@ def tune_discrete(
         status=status,
         advice=found.advice if status is found.status else status.advice,
         controller=K,
-        x=structure.parameters_of(K) if structure.order else found.x,
+        x=law.parameters_of(K) if law.order else found.x,
         values=certificate.values,
         soft=float(certificate.values[~hard].max(initial=-np.inf)),
         hard=float(certificate.values[hard].max(initial=-np.inf)),
@@ -158,12 +158,13 @@ def _common_period(models: Sequence[System]) -> float:
     return float(models[0].dt)
 
 
-def _check_structure(structure: AffineStructure) -> None:
+def _affine(structure: Structure) -> AffineStructure:
     if not isinstance(structure, AffineStructure):
         raise ValueError(f"structure must be a gain or a state-space controller, got {type(structure).__name__}")
     free = len(structure.parameters) == structure.base.size and structure.bounds is None
     if structure.order and not (free and structure.size == structure.base.size and not structure.base.any()):
         raise ValueError("a dynamic controller in discrete time must have all entries free, got fixed or bounded ones")
+    return structure
 
 
 def image_of_requirement(r: Requirement, dt: float) -> HinfGain:

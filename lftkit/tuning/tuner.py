@@ -171,8 +171,8 @@ def tune(
     Parameters
     ----------
     models : sequence of System
-        Active models, for instance one plant at several parameter values. Those in discrete time are tuned by
-        :func:`lftkit.tuning.discrete.tune_discrete`, which says what it takes.
+        Active models, for instance one plant at several parameter values. For discrete time there is
+        :func:`lftkit.tuning.discrete.tune_discrete`.
     requirements : sequence
         :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles` and the goals of
         :mod:`lftkit.tuning.goals`, soft or hard.
@@ -214,11 +214,7 @@ def tune(
     """
     options = options or TuningOptions()
     if any(model.dt for model in models):
-        from lftkit.tuning.discrete import tune_discrete
-
-        if loop_delay or min_decay != MIN_DECAY:
-            raise ValueError("loop_delay and min_decay are for models in continuous time, got discrete ones")
-        return tune_discrete(models, requirements, structure, initial=initial, met=met, options=options)
+        raise ValueError("models must be in continuous time, got discrete ones: tune_discrete takes them")
     # a little below, so that the upper side of the certificate is not above
     options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()

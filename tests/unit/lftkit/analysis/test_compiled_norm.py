@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lftkit.analysis.norms
-from lftkit.analysis.norms import HInfNorm, hinf_norm
-from lftkit.analysis.small_norm import COMPILED_STATES, compiled
+from lftkit.analysis.norms import HInfNorm, compiled, hinf_norm
+from lftkit.analysis.small_norm import COMPILED_STATES
 
 pytest.importorskip("numba")
 SHAPES = [(1, 1), (2, 2), (3, 1), (2, 4), (3, 3)]

@@ -92,7 +92,7 @@ def test_hard_gains_and_discrete_weights_hold_on_the_discrete_loop() -> None:
         HinfGain("w", "z", weight_in=lag, weight_out=double, name="weighted"),
         HinfGain("w", "z", bound=4.0, hard=True, name="bound"),
     ]
-    result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    result = tune_discrete([plant], needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
     assert result.feasible and result.certificate is not None and result.certificate.stable
     loop = close_loop(plant, result.controller, ["w"], ["z"])
     theta = np.linspace(0.0, np.pi, 2001)
@@ -177,8 +177,7 @@ def test_weights_of_goals_count_at_the_image_of_the_circle() -> None:
 
 
 def test_what_only_continuous_time_has_is_refused_by_name() -> None:
-    for arguments in ({"loop_delay": 0.1}, {"min_decay": 0.5}):
-        with pytest.raises(ValueError, match=r"are for models in continuous time, got discrete ones$"):
-            tune([lag_on_samples()], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]), **arguments)
+    with pytest.raises(ValueError, match=r"got discrete ones: tune_discrete takes them$"):
+        tune([lag_on_samples()], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]))
     with pytest.raises(ValueError, match=r"^StepTracking w -> z: .* got a period of 0\.1 s$"):
         held(-0.5, StepTracking("w", "z"))
