@@ -46,9 +46,8 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise
 from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
-from los_design.verification.error_sum import ErrorSum
+from los_design.verification.error_sum import PARTS, ErrorSum
 from los_design.verification.error_sums import error_sums
-from los_design.verification.fast_parts import PARTS
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
 from los_design.verification.loop_models import provable

@@ -21,8 +21,7 @@ import numpy as np
 from scipy import optimize
 
 from lftkit.proofs.sampled_loop.noise import NoiseBound
-from los_design.verification.error_sum import WITH_NOISE, ErrorSum
-from los_design.verification.fast_parts import FAST, NEAR_EDGE, PARTS
+from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE, ErrorSum
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import LEAST_ON_AXIS, combined_level, two_tone_level
@@ -46,7 +45,7 @@ def error_sums(
     stage : str
     tones : mapping of str to float
         Bounds of the figures APE, slow and fast [rad], and of parts of the fast tones' band
-        (:data:`los_design.verification.fast_parts.PARTS`).
+        (:data:`los_design.verification.error_sum.PARTS`).
     noise : (NoiseBound, NoiseBound) or None
         Of the absolute and the relative error [rad].
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from los_design.verification.fast_parts import PARTS
+from los_design.verification.error_sum import PARTS
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES

@@ -15,7 +15,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.trusted.proof import Interval
-from los_design.verification.fast_parts import FAST, PARTS
+from los_design.verification.error_sum import FAST, PARTS
 from los_design.verification.frames import IMAGES, SEEN
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from los_design.verification.error_sum import WITH_NOISE, ErrorSum
-from los_design.verification.fast_parts import PARTS
+from los_design.verification.error_sum import PARTS, WITH_NOISE, ErrorSum
 from los_design.verification.subject import BUNDLE, Subject
 
 SHIPPED = Path(__file__).with_name("statements.json")

@@ -32,7 +32,7 @@ from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
 from los_design.verification.certify import nominal_stable
-from los_design.verification.fast_parts import PARTS
+from los_design.verification.error_sum import PARTS
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED

@@ -9,8 +9,8 @@ import pytest
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.noise import NoiseBound
+from los_design.verification.error_sum import PARTS
 from los_design.verification.error_sums import error_sums, fast_pieces
-from los_design.verification.fast_parts import PARTS
 from los_design.verification.figure_texts import bound_text, margin_text
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import combined_level
