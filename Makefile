@@ -15,11 +15,12 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test tests test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-further test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
-	@echo "make test       style, types, all tests of ordinary length; at the end what was skipped and how to get it"
+	@echo "make test       style, types, tests of ten minutes; at the end what was skipped and how to get it"
+	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
 	@echo "make attacks MINUTES=10  runs beside random strangers on their domain; CASES=200: so many instead"
@@ -75,9 +76,12 @@ test: $(READY)
 
 tests: $(READY)
 	@rm -f $(SKIPPED)
-	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow" --doctest-modules tests $(PACKAGES)
+	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow and not further" --doctest-modules tests $(PACKAGES)
 	@if [ -s $(SKIPPED) ]; then echo "Skipped tests and what was not judged, and how to run them:"; cat $(SKIPPED); \
 	    else echo "No test was skipped."; fi
+
+test-further: $(READY)
+	$(BIN)/pytest $(LANES) -m "further and not slow" tests
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow tests

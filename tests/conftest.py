@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.further import is_further
 from support.skip_remedies import summary
 from support.unjudged import UnjudgedWarning, unjudged_lines
 
@@ -40,13 +41,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Lanes(config, log) if config.getoption("dist") == "loadfile" else None
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The limit of slow tests; in a process of several, the tests of the nodes first."""
+    """The limit of slow tests, the mark of further ones; in a process of several, the tests of the nodes first."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         from support.lanes import nodes_first
 
         items[:] = nodes_first(items)
     for item in items:
+        if is_further(item.nodeid):
+            item.add_marker(pytest.mark.further)
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
 

@@ -1,0 +1,48 @@
+"""Tests of ordinary length that `make test` leaves to `make test-further`, so that it ends within ten minutes.
+
+Each file looks at a part that quicker tests look at, too: whole programs, pages that are followed, strangers and damage
+in many forms. `.ci/run` has them all.
+"""
+
+from __future__ import annotations
+
+FURTHER = {
+    "fuzz/test_end_of_fuzzing.py": "the fuzzing itself",
+    "fuzz/test_fuzz_bags.py": "damaged bags: unit/pointing_analysis/test_foreign_bags.py",
+    "fuzz/test_fuzz_records.py": "damaged records: unit/los_testbed/test_bag_repair_records.py",
+    "fuzz/test_repair_keeps_analysis.py": "repair: unit/los_testbed/test_bag_repair.py",
+    "integration/test_campaign_commands.py": "campaigns: unit/los_testbed/test_campaign_*.py",
+    "integration/test_campaign_leaves_nothing.py": "the cluster: integration/test_campaign_cluster.py",
+    "integration/test_campaign_tls_files.py": "the cluster: integration/test_campaign_cluster.py",
+    "integration/test_campaign_trust.py": "the cluster: integration/test_campaign_cluster.py",
+    "integration/test_contributing_pages.py": "the pages of CONTRIBUTING.md, step by step",
+    "integration/test_distribution.py": "wheels in environments of their own",
+    "integration/test_documentation_code.py": "code on pages: architecture/test_documented_commands.py has commands",
+    "integration/test_example_designs.py": "the examples' designs: unit/los_design",
+    "integration/test_shipped_proofs.py": "stored proofs: unit/los_design/test_bundle.py",
+    "integration/test_stage_comparison.py": "four stages: integration/test_predicted_against_measured.py",
+    "integration/test_three_paths.py": "three tutorials",
+    "ros/test_attacks.py": "strangers: ros/test_second_publishers.py",
+    "ros/test_bad_link.py": "lost packets: ros/test_two_hosts.py",
+    "ros/test_clock_step.py": "the clock: ros/test_fixed_grid.py",
+    "ros/test_closed_to_strangers.py": "packets that leave: ros/test_isolated_runs.py",
+    "ros/test_device_runs.py": "rigs: unit/los_testbed/test_device_faults.py",
+    "ros/test_ends_by_signals.py": "signals: ros/test_runs_with_processes.py",
+    "ros/test_replay_to_nodes.py": "replay: unit/los_testbed",
+    "ros/test_report_watch.py": "reports of nodes: ros/test_reports.py",
+    "ros/test_rough_requests.py": "requests: ros/test_control.py",
+    "unit/los_design/test_synthesis.py": "a design from end to end: unit/los_design",
+    "unit/titop_plant/test_structures_nastran.py": "the optional reader of NASTRAN files",
+}
+"""Files below `tests`, and what else looks at the same, or what they are."""
+
+
+def is_further(nodeid: str) -> bool:
+    """Whether a test is of one of these files.
+
+    Examples
+    --------
+    >>> is_further("tests/ros/test_attacks.py::test_a[1]"), is_further("tests/ros/test_faults.py::test_a")
+    (True, False)
+    """
+    return nodeid.split("::", 1)[0].removeprefix("tests/") in FURTHER
