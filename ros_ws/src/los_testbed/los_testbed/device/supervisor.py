@@ -68,6 +68,8 @@ class Supervisor:
         self._config = config
         self._limit_ticks = config.hold_ticks + config.fade_ticks + PATIENCE_TICKS
         self._silent = dict.fromkeys(EVERY_TICK, 0)
+        self._odd_before = dict.fromkeys(EVERY_TICK, 0)
+        """Values that were not finite up to the last sample that was used."""
         self._written_ns = self.acquired_ns = 0
         self._equal = dict.fromkeys(MEASURED, 0)
         self._last: dict[str, bytes] = {}
@@ -126,6 +128,8 @@ class Supervisor:
                 self.age.add(max(0, now_ns - found.acquired_ns))
                 self.acquired_ns = min(self.acquired_ns, found.acquired_ns)
             self._silent[port] = 0 if port in fresh else self._silent[port] + 1
+            if port in fresh:
+                self._odd_before[port] = self.counts[f"not_finite_{port}"]
             if port not in fresh:
                 self.counts[f"absent_{port}"] += 1
         self._watch()
@@ -171,7 +175,7 @@ class Supervisor:
         if len(silent) == len(self._silent):
             raise self.failed(f"no sample for {self._limit_ticks} ms")
         if silent:
-            odd = any(self.counts[f"not_finite_{port}"] >= self._limit_ticks for port in silent)
+            odd = any(self.counts[f"not_finite_{port}"] > self._odd_before[port] for port in silent)
             what = "not finite" if odd else "silent"
             raise self.failed(f"{', '.join(silent)} {what} for {self._limit_ticks} ms")
         frozen = [port for port in EVERY_TICK if self._equal[port] > FROZEN_TICKS]
