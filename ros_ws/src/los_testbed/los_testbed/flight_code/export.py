@@ -115,19 +115,24 @@ def _rows(ports: tuple[Port, ...]) -> list[str]:
     ]
 
 
-def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
-    """Text of each file of these names, of :data:`FILES`; the same laws give the same bytes."""
-    tables = laws.tables()
-    hashes = {unit: tables[unit].sha256 for unit in UNITS}
+def template(name: str) -> jinja2.Template:
+    """Template of the file of this name, in which ``hex`` writes a number with all of its bits."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # of HTML; this is C
+        autoescape=False,  # of C; texts of XML are escaped in their template
     )
     environment.filters["hex"] = hex_float
+    return environment.get_template(f"{name}.j2")
+
+
+def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
+    """Text of each file of these names, of :data:`FILES`; the same laws give the same bytes."""
+    tables = laws.tables()
+    hashes = {unit: tables[unit].sha256 for unit in UNITS}
     common = {
         "version": __version__,
         "tick_ns": TICK_NS,
@@ -141,7 +146,7 @@ def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
         **{f"{unit}.c": partial(_unit, laws, unit, tables[unit]) for unit in UNITS},
         "self_test.c": partial(_self_test, laws),
     }
-    return {name: environment.get_template(f"{name}.j2").render(**common, **fill.get(name, dict)()) for name in names}
+    return {name: template(name).render(**common, **fill.get(name, dict)()) for name in names}
 
 
 def _header(laws: FlightLaws) -> dict[str, Any]:

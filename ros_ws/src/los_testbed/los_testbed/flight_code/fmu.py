@@ -18,13 +18,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from lftkit.systems.ports import Port
 from los_testbed import __version__
-from los_testbed.flight_code.export import FLAGS, TEMPLATES, TIME_LIMIT_S, compiler, render
+from los_testbed.flight_code.export import FLAGS, TIME_LIMIT_S, compiler, render, template
 from los_testbed.flight_code.laws import FlightLaws
-from los_testbed.flight_code.tables import HEADER, Tables, common_hash, hex_float
+from los_testbed.flight_code.tables import HEADER, Tables, common_hash
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import (
     COLUMNS,
@@ -72,12 +70,12 @@ class Model:
     def sources(self) -> dict[str, str]:
         """All sources, with those of FMI."""
         given = self._given()
-        return {**self.files, **{name: _template(name).render(**given) for name in ("fmu_model.h", "fmi2.c")}}
+        return {**self.files, **{name: template(name).render(**given) for name in ("fmu_model.h", "fmi2.c")}}
 
     def xml(self) -> str:
         """The description of the model."""
         names = sorted(name for name in self.sources() if name.endswith(".c"))
-        return _template("modelDescription.xml").render(sources=names, **self._given())
+        return template("modelDescription.xml").render(sources=names, **self._given())
 
     def _given(self) -> dict[str, Any]:
         return {
@@ -89,19 +87,6 @@ class Model:
             "tick": repr(DT),
             "version": __version__,
         }
-
-
-def _template(name: str) -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # of C; the texts of the XML are escaped there
-    )
-    environment.filters["hex"] = hex_float
-    return environment.get_template(f"{name}.j2")
 
 
 def variables(ports: Sequence[Port]) -> tuple[tuple[str, str], ...]:
@@ -120,7 +105,7 @@ def law_model(laws: FlightLaws) -> Model:
     inputs, outputs = variables(MEASURED_PORTS), variables((*COMMAND_PORTS, *K_FSM_OUTPUTS))
     names = (HEADER, "k_fsm.c", "k_pma.c", "controller.c")
     files = render(laws, names)
-    files[f"{LAW}.c"] = _template(f"{LAW}.c").render(inputs=inputs, outputs=outputs)
+    files[f"{LAW}.c"] = template(f"{LAW}.c").render(inputs=inputs, outputs=outputs)
     digest = common_hash({unit: tables.sha256 for unit, tables in laws.tables().items()})
     text = f"Observer {laws.k_fsm.name}, mirror law, proof-mass law {laws.k_pma.name}; camera inputs: NaN where absent"
     return Model(LAW, text, inputs, outputs, files, digest)
@@ -164,7 +149,7 @@ def plant_model(plant: object) -> Model:
     for name, ticks in sample_ticks(plant.frame_ticks).items():
         every[COLUMNS[name]] = [ticks] * (COLUMNS[name].stop - COLUMNS[name].start)
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
-    text = _template(f"{PLANT}.c").render(
+    text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
         order=step.order,
         plain=len(step.own),
