@@ -7,11 +7,7 @@ compiled code is in this file, since its cache follows the changes of one file o
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
-
 import numpy as np
-from numba import njit
 
 from lftkit.analysis.circle.half_plane import MAX_CONDITION
 from lftkit.analysis.eigenvectors import EPS
@@ -29,22 +25,13 @@ from lftkit.analysis.small_norm import (
     TRUSTED,
 )
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.support.compiled import compiled
 
-F = TypeVar("F", bound=Callable[..., Any])
 Found = tuple[float, float, float]
 REFUSED = (-1.0, -1.0, 0.0)
 
 
-def _compiled(function: F) -> F:
-    """Compiled at its first call, or read from the cache; without a cache where none can be written."""
-    try:
-        made = njit(cache=True, fastmath=False)(function)
-    except RuntimeError:  # no folder for a cache
-        made = njit(fastmath=False)(function)
-    return made  # type: ignore[no-any-return]
-
-
-@_compiled
+@compiled
 def _gram(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
     """``X Y^H`` for wide or square matrices, else ``(Y^H X)^T``: of the smaller of the two sizes."""
     p, m = X.shape
@@ -58,7 +45,7 @@ def _gram(X: ComplexArray, Y: ComplexArray) -> ComplexArray:
     return out
 
 
-@_compiled
+@compiled
 def _gain(G: ComplexArray) -> float:
     """Largest singular value."""
     gram = _gram(G, G)
@@ -70,7 +57,7 @@ def _gain(G: ComplexArray) -> float:
     return float(np.sqrt(max(np.linalg.eigh(gram)[0][-1], 0.0)))
 
 
-@_compiled
+@compiled
 def _modal(weights: ComplexArray, residues: ComplexArray) -> ComplexArray:
     """Sum of the residues (n, p, m) with `weights` (n,)."""
     n, p, m = residues.shape
@@ -82,7 +69,7 @@ def _modal(weights: ComplexArray, residues: ComplexArray) -> ComplexArray:
     return out
 
 
-@_compiled
+@compiled
 def _squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> Found:
     """As :func:`lftkit.analysis.peak_search.squared_gain`."""
     gram, first, second, own = _gram(G, G), _gram(G1, G), _gram(G2, G), _gram(G1, G1)
@@ -108,7 +95,7 @@ def _squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> Found:
     return values[k - 1], slope, curvature
 
 
-@_compiled
+@compiled
 def _distance(poles: ComplexArray, omega: float) -> float:
     """Distance from j omega to the nearest pole [rad/s]."""
     best = np.inf
@@ -117,7 +104,7 @@ def _distance(poles: ComplexArray, omega: float) -> float:
     return best
 
 
-@_compiled
+@compiled
 def _climbed(
     poles: ComplexArray, residues: ComplexArray, D: FloatArray, omega: float, gain: float, rtol: float
 ) -> tuple[float, float]:
@@ -148,7 +135,7 @@ def _climbed(
     return best, gain
 
 
-@_compiled
+@compiled
 def _best(poles: ComplexArray, residues: ComplexArray, D: FloatArray, seeds: FloatArray) -> tuple[float, float]:
     """Frequency of the largest gain at the `seeds` and at infinity, and that gain."""
     omega, gain = np.inf, _gain(D.astype(np.complex128))
@@ -159,7 +146,7 @@ def _best(poles: ComplexArray, residues: ComplexArray, D: FloatArray, seeds: Flo
     return omega, gain
 
 
-@_compiled
+@compiled
 def _seeds(poles: ComplexArray) -> FloatArray:
     """Zero, resonances, magnitudes of the poles."""
     seeds = np.zeros(1 + 2 * len(poles))
@@ -175,7 +162,7 @@ def _seeds(poles: ComplexArray) -> FloatArray:
     return seeds[:count]
 
 
-@_compiled
+@compiled
 def _direct(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, point: complex) -> float:
     """Gain of ``D + C (point I - A)^-1 B``."""
     shifted = -A.astype(np.complex128)
@@ -184,7 +171,7 @@ def _direct(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, point: c
     return _gain(C.astype(np.complex128) @ np.linalg.solve(shifted, B.astype(np.complex128)) + D.astype(np.complex128))
 
 
-@_compiled
+@compiled
 def _hamiltonian(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> ComplexArray:
     """Eigenvalues of the Hamiltonian matrix, imaginary where the gain equals `level`."""
     n = len(A)
@@ -201,7 +188,7 @@ def _hamiltonian(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lev
     return np.linalg.eigvals(H)  # type: ignore[return-value]
 
 
-@_compiled
+@compiled
 def _crossings(values: ComplexArray, poles: ComplexArray, rounding: float) -> FloatArray:
     """Frequencies of the eigenvalues that may be imaginary, ascending, and the middles between them."""
     found = np.empty(len(values))
@@ -216,7 +203,7 @@ def _crossings(values: ComplexArray, poles: ComplexArray, rounding: float) -> Fl
     return places if count < 2 else np.concatenate((places, 0.5 * (places[1:] + places[:-1])))
 
 
-@_compiled
+@compiled
 def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: float) -> Found:
     """Gain reached, level not exceeded and frequency [rad/s]; `REFUSED` where this way is not sound.
 
@@ -273,7 +260,7 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
     return REFUSED
 
 
-@_compiled
+@compiled
 def circle_norm(given: Matrices, rtol: float) -> Found:
     """As :func:`norm`, for a balanced system in discrete time, by the maps of `HalfPlane`: the angle [rad] is the last.
 

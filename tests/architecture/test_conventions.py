@@ -108,7 +108,7 @@ def test_the_library_imports_its_dependencies_only() -> None:
     """Every import of lftkit, also inside functions: standard library, dependencies, optional ones in one module."""
     allowed = {"lftkit", "numpy", "scipy", "control", "threadpoolctl", *sys.stdlib_module_names}
     optional = {
-        "lftkit/analysis/compiled_norm.py": {"numba"},
+        "lftkit/support/compiled.py": {"numba"},
         "lftkit/analysis/plots.py": {"matplotlib"},
         "lftkit/support/progress.py": {"rich"},
     }

@@ -11,27 +11,13 @@ a run is long enough. All compiled code is in this file, since its cache follows
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
-
 import numpy as np
-from numba import njit
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _compiled(function: F) -> F:
-    """Compiled at its first call, or read from the cache; without a cache where none can be written."""
-    try:
-        made = njit(cache=True, fastmath=False)(function)
-    except RuntimeError:  # no folder for a cache
-        made = njit(fastmath=False)(function)
-    return made  # type: ignore[no-any-return]
+from lftkit.support.compiled import compiled
 
 
-@_compiled
+@compiled
 def _add(columns: FloatArray, first: int, values: FloatArray, sums: FloatArray) -> None:
     """Add columns `first`, `first` + 1, ... times their values to the sums, one after the other."""
     count, rows = columns.shape
@@ -51,7 +37,7 @@ def _add(columns: FloatArray, first: int, values: FloatArray, sums: FloatArray) 
         j += 1
 
 
-@_compiled
+@compiled
 def _product(columns: FloatArray, values: FloatArray, sums: FloatArray) -> None:
     """`columns` times `values`, added up from left to right."""
     if not len(values):
@@ -63,7 +49,7 @@ def _product(columns: FloatArray, values: FloatArray, sums: FloatArray) -> None:
     _add(columns, 1, values, sums)
 
 
-@_compiled
+@compiled
 def advance(
     pairs: int,
     own: FloatArray,
@@ -93,7 +79,7 @@ def advance(
     values[:n] = later
 
 
-@_compiled
+@compiled
 def _turn(turn: FloatArray, phasors: FloatArray) -> None:
     """Phasors, real and imaginary parts in turn, of the next tick."""
     for k in range(turn.shape[1]):
@@ -102,7 +88,7 @@ def _turn(turn: FloatArray, phasors: FloatArray) -> None:
         phasors[2 * k + 1] = re * turn[1, k] + im * turn[0, k]
 
 
-@_compiled
+@compiled
 def between(
     nodes: FloatArray, place: float, values: FloatArray, later: FloatArray, other: FloatArray, sums: FloatArray
 ) -> None:
@@ -129,7 +115,7 @@ def between(
     values[:n] = later[:n]
 
 
-@_compiled
+@compiled
 def loop(
     pairs: int,
     own: FloatArray,
