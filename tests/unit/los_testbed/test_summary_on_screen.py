@@ -75,6 +75,7 @@ def test_what_a_plant_could_not_send_is_told_with_the_windows_that_it_cost(
 ) -> None:
     found = screen._lost_periods(recorded(plant), replace(summary, windows_skipped=skipped))
     assert told in found and bool(found) == bool(told) and ("windows" in found) == bool(told and skipped)
+    assert ("--mode lockstep" in found) == ("lost_periods" in plant)
 
 
 def test_statistics_are_the_numbers_that_a_count_can_be() -> None:

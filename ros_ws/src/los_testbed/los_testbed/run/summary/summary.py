@@ -206,6 +206,8 @@ def _lost_periods(run: Recording, summary: Summary) -> str:
     told += [f"in {unsent} ticks the device gave not all samples, and none was sent"] * (unsent > 0)
     if told and summary.windows_skipped:
         told.append(f"{summary.windows_skipped} windows of 20 ms with one are left out")
+    if lost:
+        told.append("--mode lockstep loses none on any machine")
     return "; ".join(told)
 
 
