@@ -9,15 +9,19 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray, IntArray
 
 GAP_LIMIT = 50
-"""Longest gap, in ticks, that is stepped over on held samples; a longer one is left out."""
+"""Longest gap, in ticks, that is stepped over; a longer one is left out."""
+
+FILLS = LINE, HOLD = ("line", "hold")
+"""What stands for the samples of a gap: the straight line from the sample before it to the one after, or the former."""
 
 
 class GapStepper:
     """Step function of an observer or controller that first makes up for missing ticks.
 
-    The state of a controller must advance with time. For every missing tick it is stepped on the last complete sample,
-    held; values that come only now and then (camera) are NaN there. After a gap longer than :data:`GAP_LIMIT` the held
-    sample says nothing, and the missing ticks are left out.
+    The state of a controller must advance with time. When the sample after a gap has come, it is first stepped once for
+    every missing tick, on samples of the straight line between the two complete ones, or on the first of them; values
+    that come only now and then (camera) are NaN there. After a gap longer than :data:`GAP_LIMIT` neither says anything
+    about the time between, and the missing ticks are left out.
 
     Parameters
     ----------
@@ -26,7 +30,9 @@ class GapStepper:
     size : int
         Length of a sample.
     intermittent : slice or ndarray of int
-        Columns that are NaN in a held sample.
+        Columns that are NaN at a missing tick.
+    fill : str
+        One of :data:`FILLS`. Where a value of the line is not finite, the one before the gap is held.
 
     Examples
     --------
@@ -35,21 +41,37 @@ class GapStepper:
     >>> for value, gap in ((1.0, 0), (4.0, 2)):
     ...     stepper(np.array([value, value]), gap, np.zeros(1))
     >>> seen
-    [[1.0, 1.0], [1.0, nan], [1.0, nan], [4.0, 4.0]]
+    [[1.0, 1.0], [2.0, nan], [3.0, nan], [4.0, 4.0]]
     """
 
     def __init__(
-        self, step: Callable[[FloatArray, FloatArray], None], size: int, intermittent: slice | IntArray = slice(0)
+        self,
+        step: Callable[[FloatArray, FloatArray], None],
+        size: int,
+        intermittent: slice | IntArray = slice(0),
+        fill: str = LINE,
     ) -> None:
+        if fill not in FILLS:
+            raise ValueError(f"fill must be one of {', '.join(FILLS)}, got {fill!r}")
         self._step = step
-        self._held = np.zeros(size)
+        self._before = np.zeros(size)
         self._intermittent = intermittent
+        self._line = fill == LINE
 
     def __call__(self, sample: FloatArray, gap: int, out: FloatArray) -> None:
         """Step over `gap` missing ticks, then on `sample` (size,); the result is written into `out`."""
         if 0 < gap <= GAP_LIMIT:
-            self._held[self._intermittent] = np.nan
-            for _ in range(gap):
-                self._step(self._held, out)
+            for between in self._samples(sample, gap):
+                self._step(between, out)
         self._step(sample, out)
-        self._held[:] = sample
+        self._before[:] = sample
+
+    def _samples(self, sample: FloatArray, gap: int) -> FloatArray:
+        """Samples of the missing ticks, shape (gap, size)."""
+        rows = np.tile(self._before, (gap, 1))
+        if self._line:
+            with np.errstate(invalid="ignore", over="ignore"):
+                rows += np.arange(1, gap + 1)[:, None] / (gap + 1) * (sample - self._before)
+            rows = np.where(np.isfinite(rows), rows, self._before)
+        rows[:, self._intermittent] = np.nan
+        return rows

@@ -20,7 +20,7 @@ from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.topic import NANO, read_only
-from pointing_analysis.replay.gap_stepping import GapStepper
+from pointing_analysis.replay.gap_stepping import HOLD, GapStepper
 
 Stamps = IntArray
 #: topic -> columns of the measurement vector (22) of the reference telescope
@@ -228,7 +228,7 @@ def replay(
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
     Both are stepped on the ticks for which the bag holds an estimate (a command): over a tick that a node missed they
-    step on held samples, as the node did.
+    step as the node did, on samples as the bag's setting ``lost_samples`` says (``hold`` in a bag without it).
 
     Parameters
     ----------
@@ -243,7 +243,8 @@ def replay(
     stamp = _rows_of(given.stamp, rows)
     total = 2 * len(stamp)
     estimator.reset()
-    step = GapStepper(estimator.step, layout.size, layout.held_columns)
+    fill = str(run.parameters.get("lost_samples", HOLD))
+    step = GapStepper(estimator.step, layout.size, layout.held_columns, fill)
     estimate = _stepped(
         lambda part: given.measurement[rows[part]], step, stamp, given.period, 2, lambda i: progress(i, total)
     )
@@ -251,7 +252,9 @@ def replay(
     command_stamp = _rows_of(stamp, acted)
     controller.reset()
     step = GapStepper(
-        lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + platform.stop - platform.start
+        lambda sample, out: controller.step(sample[:2], sample[2:], out),
+        2 + platform.stop - platform.start,
+        fill=fill,
     )
     command = _stepped(
         lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], platform]]),

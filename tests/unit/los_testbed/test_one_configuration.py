@@ -80,6 +80,7 @@ OTHER = {
     "hold_ticks": 5,
     "fade_ticks": 7,
     "old_frames": "drop",
+    "lost_samples": "hold",
     "camera_latency": 7.0,
     "output": "folder",
     "namespace": "/foo",

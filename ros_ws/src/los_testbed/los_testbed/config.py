@@ -15,6 +15,7 @@ from typing import Any
 from pydantic.dataclasses import dataclass
 
 from pointing_analysis.files.structured_text import load_yaml, read_text
+from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import RATE, STAGES
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class, unknown
@@ -90,6 +91,7 @@ class RunConfig(PhysicalSettings):
     hold_ticks: int = setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000)
     fade_ticks: int = setting(20, "ticks of the fade to zero and back", "ms", 1, 10000)
     old_frames: str = setting(OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES)
+    lost_samples: str = setting(FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS)
     camera_latency: float = setting(0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0)
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
     namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")

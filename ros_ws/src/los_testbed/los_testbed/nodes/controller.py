@@ -60,7 +60,8 @@ def main(
         topics = (*actuator_topics(devices.actuators), *COMMANDS)  # the last ones close the tick
         outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in topics]
         command, nothing = (np.zeros(COMMAND_SIZE + len(devices.actuators)) for _ in range(2))
-        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), size)
+        fill = context.config.lost_samples
+        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), size, fill=fill)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(run.basis))
         slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
         los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
         fade = Fade(context.config.fade_ticks)
         changes = context.allow_changes({ACTIVE: fade.turn})
-        step = GapStepper(estimate, size, HELD)
+        step = GapStepper(estimate, size, HELD, context.config.lost_samples)
 
         def tick(stamp: int, measurement: FloatArray, gap: int) -> None:
             if stamp == HOLD_STAMP:
