@@ -237,10 +237,11 @@ def table(result: dict[str, Any]) -> str:
 def bare_lines(result: dict[str, Any]) -> list[str]:
     """What the machine allowed before and after the runs with real-time scheduling."""
     found = [
-        f"{LABELS[name]}: bare loops, one per processor, before and after: late by more than 0.3 ms in "
-        f"{100 * run['bare']['late_300_us']:.3g} % of the ticks (summed over the processors), by more than 1 ms in "
-        f"{100 * run['bare']['late_1000_us']:.3g} %, {run['bare']['largest_us'] / 1000:.1f} ms at most; missed ticks "
-        f"are {run['miss_rate_to_bare']:.2g} times the first share."
+        f"{LABELS[name]}: bare loops, one per processor, were run before and after. Summed over the processors, "
+        f"{100 * run['bare']['late_300_us']:.3g} % of their ticks were late by more than 0.3 ms, and "
+        f"{100 * run['bare']['late_1000_us']:.3g} % by more than 1 ms. The largest lateness was "
+        f"{run['bare']['largest_us'] / 1000:.1f} ms. Missed ticks are {run['miss_rate_to_bare']:.2g} times the first "
+        "share."
         for name in LABELS
         if (run := result.get(name, {})).get("bare")
     ]
