@@ -58,9 +58,9 @@ def contributions(verdict: BudgetVerdict, unit: str) -> Picture:
         axis.set_xscale("log")
         axis.set_xlim(lowest, 3.0 * highest)
         for k, value in enumerate(values):
-            axis.annotate(
-                digits(float(value)), (max(value, lowest), k), xytext=(3, 0), textcoords="offset points", va="center"
-            )
+            number, place = digits(float(value)), (max(value, lowest), k)
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+            axis.annotate(number, place, xytext=(4, 0), textcoords="offset points", va="center", bbox=box)
         axis.axvline(verdict.limit, color=LIMIT, ls="--", label=f"limit {digits(verdict.limit)}")
         axis.set_yticks(y, [*names, "total"])
         axis.invert_yaxis()

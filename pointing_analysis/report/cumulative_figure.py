@@ -25,6 +25,9 @@ from pointing_analysis.report.figures import (
 CLOSE = 3.0
 """Ratio of frequencies below which the names of two lines would cover each other."""
 
+NEAR = 1.4
+"""Ratio of heights below which the names of two lines of different runs would cover each other."""
+
 SMALL = 0.1
 """Part of the largest line below which a line makes no visible step and is not named."""
 
@@ -73,8 +76,10 @@ def cumulative(views: Sequence[RunView]) -> Picture:
 def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, FloatArray, FloatArray]]) -> None:
     """Frequencies of the largest lines of each run, at the height of its curve behind them.
 
-    A name that would cover that of a line close below it stands under the curve.
+    A name that would cover that of a line close below it stands under the curve; one that would cover a name of
+    another run is left out.
     """
+    named: list[tuple[float, float]] = []
     for i, view, frequency, curve in curves:
         strongest = sorted(view.tones, key=lambda line: -line.rms)[: 3 if len(curves) == 1 else 1]
         strongest = [line for line in strongest if line.rms >= SMALL * strongest[0].rms]
@@ -83,6 +88,10 @@ def _name_steps(axis: Axes, curves: Sequence[tuple[int, RunView, FloatArray, Flo
             hertz = line.omega / (2 * np.pi)
             level, before = (level + 1 if hertz < CLOSE * before else 0), hertz
             height = float(np.interp(1.05 * hertz, frequency, curve))
+            others = [(x, y) for x, y in named if 1 / CLOSE < hertz / x < CLOSE and 1 / NEAR < height / y < NEAR]
+            if others and len(curves) > 1:
+                continue
+            named.append((hertz, height))
             axis.annotate(
                 f"{hertz:.3g} Hz",
                 (hertz, height),

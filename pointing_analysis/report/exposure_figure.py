@@ -42,14 +42,16 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
         axis = _panels(figure, 1)[0]
         for i, view, length, rms, most in curves:
             style = stroke(i, len(views))
-            axis.loglog(1e3 * length, most, label=f"{view.label}, 99.7 % of the windows", **style)
-            axis.loglog(1e3 * length, rms, ls=":", label=f"{view.label}, rms", **style)
+            axis.loglog(1e3 * length, most, label=view.label, **style)
+            axis.loglog(1e3 * length, rms, ls=":", **style)
+        axis.plot([], [], color="#555555", label="99.7 % of the windows")
+        axis.plot([], [], color="#555555", ls=":", label="rms of all")
         for k, (window, limit) in enumerate(sorted(asked)):
             name = "limit" if k == 0 else "_nolegend_"
             axis.plot(1e3 * window, limit / RAD_PER_MAS, "v", color=LIMIT, ms=7, label=name)
         axis.set_xlabel("exposure [ms]")
         axis.set_ylabel("rms RPE of a window [mas]")
-        legend_above(figure, axis, columns=2)
+        legend_above(figure, axis)
 
     alt = "Relative error in windows of each length, rms and 99.7 % of the windows; marks: limits at their windows"
     return picture("rpe-over-exposure", "Relative error over exposure time", alt, 3.8, draw)

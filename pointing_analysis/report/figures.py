@@ -124,11 +124,11 @@ def _largest(view: RunView) -> float:
     return _greatest(metrics.radial(view.series.values))
 
 
-def legend_above(figure: Figure, axis: Axes, columns: int = 3) -> None:
+def legend_above(figure: Figure, axis: Axes) -> None:
     """Legend above the picture: it never covers a curve."""
     handles, names = axis.get_legend_handles_labels()
     if handles:
-        figure.legend(handles, names, loc="outside upper left", ncols=columns, handlelength=1.6, columnspacing=1.2)
+        figure.legend(handles, names, loc="outside upper left", ncols=3, handlelength=1.6, columnspacing=1.2)
 
 
 def stroke(i: int, runs: int) -> dict[str, Any]:

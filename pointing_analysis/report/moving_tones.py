@@ -103,23 +103,31 @@ def waterfall(view: RunView, motion: Motion, k: int) -> Picture:
 
 
 def campbell(view: RunView, motion: Motion, k: int) -> Picture:
-    """Spectrum over the speed of the wheel that changes most, rays of its harmonics, modes of the structure."""
+    """Spectrum over the speed of the wheel that changes most, rays of its harmonics, modes of the structure.
+
+    Modes are marked at the speeds that were recorded: a ramp may go on after the end of the record.
+    """
     omega, time, values = _spectra(view)
     speed = np.interp(time, motion.time, motion.speed[:, motion.wheel])
     keep = np.concatenate([[True], np.diff(speed) != 0.0])
     order = np.argsort(speed[keep], kind="stable")
     x, shown = speed[keep][order], values[:, keep][:, order]
     x, first = np.unique(x, return_index=True)
+    end = view.series.start + len(view.series.values) * view.series.dt
+    during = np.clip(motion.time, view.series.start, end)
+    recorded = np.interp(during, motion.time, motion.speed[:, motion.wheel])
+    low, high = float(recorded.min()), float(recorded.max())
     top = min(float(omega[-1]), max(RAYS_SHOWN * float(np.abs(motion.speed).max()), LOWEST_TOP))
 
     def draw(figure: Figure) -> None:
         axis = _image(figure, x, omega, shown[:, first])
         for i, harmonic in enumerate(np.sort(motion.harmonics)[:HARMONICS]):
             axis.plot(x, harmonic * np.abs(x), **GUIDE, label=None if i else "harmonics of the speed")
-        for i, (at, modes) in enumerate(motion.modes):
+        marks = [(np.interp(at, motion.time, motion.speed[:, motion.wheel]), modes) for at, modes in motion.modes]
+        for i, (where, modes) in enumerate((where, modes) for where, modes in marks if low <= where <= high):
             below = modes[modes < top]
             axis.plot(
-                np.full(below.size, np.interp(at, motion.time, motion.speed[:, motion.wheel])),
+                np.full(below.size, where),
                 below,
                 "_",
                 color=MODES,
@@ -130,7 +138,7 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
             )
         legend_above(figure, axis)
         axis.set_xlabel(f"speed of wheel {motion.wheel + 1} [rad/s]")
-        axis.set_xlim(x[0], x[-1])
+        axis.set_xlim(low, high)
         axis.set_ylim(0.0, top)
 
     alt = (

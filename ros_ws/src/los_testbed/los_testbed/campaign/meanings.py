@@ -42,8 +42,8 @@ RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
 """Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
 
 SCENARIOS = {
-    "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst; their "
-    "shares are random and add up to norm 1, which is what the controllers are designed and proven for",
+    "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst. Their "
+    "shares are random and add up to norm 1. The controllers are designed and proven for this norm",
     "design": "several tones act at once, each of norm 1: more than the controllers are designed for",
     "imbalance": "the harmonics of the wheels act, as measured on wheels, at the speeds of the member",
     "worst_case": "one tone of norm 1 acts, the worst one of the member",
@@ -52,7 +52,7 @@ SCENARIOS = {
 
 
 def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str:
-    """What the members of a campaign are exposed to, in one sentence; one more on the sources of the parameter file.
+    """What the members of a campaign are exposed to, with the sources of the parameter file.
 
     Examples
     --------
@@ -60,9 +60,7 @@ def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str
     'In each member one tone of norm 1 acts, the worst one of the member. Sensor noise is on.'
     """
     if depth == "model":
-        return (
-            "Each member has its worst tone of norm 1 and the noise of its sensors, from its matrices; nothing is run."
-        )
+        return "Each member has its worst tone of norm 1 and the noise of its sensors. Both come from its matrices."
     text = f"In each member {SCENARIOS.get(scenario, scenario)}. Sensor noise is on."
     return f"{text} Sources of the parameter file act, too: {', '.join(sources)}." if sources else text
 
