@@ -22,7 +22,7 @@ from scipy import linalg
 from lftkit import SampledSystem, System
 from lftkit.analysis.real_schur import RealSchur
 from lftkit.arrays import ComplexArray, FloatArray
-from los_loop.spec import laws, state_parts
+from los_loop.spec import NO_DEVICES, Placed, laws, state_parts
 from titop_plant.interface import (
     CAMERA,
     COLUMNS,
@@ -86,7 +86,7 @@ class SampledLoop:
     frame, hold : ndarray, shape (n, n)
         Next state from state at a tick at which all sensors have a sample, and at which those that are held have none.
     noise_frame, noise_hold : ndarray, shape (n, 22)
-        Next state from the measurement noise of the tick.
+        Next state from the measurement noise of the tick; more columns with readings of sensors of a file.
     truth : ndarray, shape (2, n)
         Controlled line of sight [rad] from the state.
     frame_ticks : int
@@ -248,6 +248,7 @@ def sampled_loop(
     los_sensitivity: float | None = None,
     step: FloatArray | None = None,
     delays: Delays = NONE,
+    placed: Placed = NO_DEVICES,
 ) -> SampledLoop:
     """Close the sampled loop around a plant at given parameter values.
 
@@ -268,6 +269,9 @@ def sampled_loop(
         Of the plant, as :func:`titop_plant.simulation.plant_step.step_matrix` makes it without tones, if it is known.
     delays : Delays
         Of a rig. With late frames the sensitivity must be given.
+    placed : Placed
+        Sensors and actuators of the telescope's file that the controllers may use. `step` must be given then: it has
+        the readings behind the line of sight, and the forces behind the commands.
 
     Raises
     ------
@@ -282,21 +286,23 @@ def sampled_loop(
             step = held_step(plant)
         else:
             step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
-    n = step.shape[1] - COMMANDS
-    both = laws(k_fsm, k_pma, loop, los_sensitivity)
-    X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order)
-    sent = [slice(H.start + k * COMMANDS, H.start + (k + 1) * COMMANDS) for k in range(delays.commands)]
-    Q = slice(H.start + COMMANDS * len(sent), H.start + COMMANDS * len(sent) + (2 if delays.frames else 0))
+    commands, sensed_size = COMMANDS + placed.forces, MEASUREMENTS + placed.readings
+    n = step.shape[1] - commands
+    both = laws(k_fsm, k_pma, loop, los_sensitivity, placed)
+    X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order, commands)
+    sent = [slice(H.start + k * commands, H.start + (k + 1) * commands) for k in range(delays.commands)]
+    Q = slice(H.start + commands * len(sent), H.start + commands * len(sent) + (2 if delays.frames else 0))
     H = slice(Q.stop, Q.stop + HELD.size)
     size = H.stop
     mirror = los_sensitivity or 0.0
-    Y = np.zeros((MEASUREMENTS, size))
-    Y[:, X], Y[:, V] = step[n : n + MEASUREMENTS, :n], step[n : n + MEASUREMENTS, n : n + COMMANDS]
+    rows = np.r_[n : n + MEASUREMENTS, n + MEASUREMENTS + TRUTH : n + sensed_size + TRUTH]
+    Y = np.zeros((sensed_size, size))
+    Y[:, X], Y[:, V] = step[rows, :n], step[rows, n : n + commands]
 
-    seen = np.hstack([Y, np.eye(MEASUREMENTS)])
+    seen = np.hstack([Y, np.eye(sensed_size)])
 
     def tick(sampled: frozenset[str]) -> tuple[FloatArray, FloatArray]:
-        measured, noise = Y.copy(), np.eye(MEASUREMENTS)
+        measured, noise = Y.copy(), np.eye(sensed_size)
         for name, part in HELD_PARTS.items():
             if name not in sampled:
                 measured[COLUMNS[name]], noise[COLUMNS[name]] = 0.0, 0.0
@@ -305,15 +311,15 @@ def sampled_loop(
                 measured[CAMERA], noise[CAMERA] = mirror * Y[FSM_ANGLE], mirror * noise[FSM_ANGLE]
                 measured[CAMERA, Q] = np.eye(2)
         sensed = np.hstack([measured, noise])
-        out = np.zeros((size, size + MEASUREMENTS))
-        out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + COMMANDS]
+        out = np.zeros((size, size + sensed_size))
+        out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + commands]
         out[H] = sensed[HELD]
         if ACQUIRED in sampled:
             out[Q] = seen[CAMERA] - mirror * seen[FSM_ANGLE]
         else:
             out[Q, Q] = np.eye(Q.stop - Q.start)
         for earlier, later in itertools.pairwise([V, *sent]):
-            out[earlier, later] = np.eye(COMMANDS)
+            out[earlier, later] = np.eye(commands)
         command = out[[V, *sent][-1]]
         for law, states in zip(both, own):
             K = law.system
@@ -330,7 +336,8 @@ def sampled_loop(
     some = {names: tick(names) for names in set(due.values()) - {due[0], frozenset()}}
     between = {k: some[names] for k, names in due.items() if names in some}
     truth = np.zeros((TRUTH, size))
-    truth[:, X], truth[:, V] = step[n + MEASUREMENTS :, :n], step[n + MEASUREMENTS :, n : n + COMMANDS]
+    los = slice(n + MEASUREMENTS, n + MEASUREMENTS + TRUTH)
+    truth[:, X], truth[:, V] = step[los, :n], step[los, n : n + commands]
     return SampledLoop(frame, hold, noise_frame, noise_hold, truth, period, n, between, every)
 
 

@@ -25,8 +25,8 @@ from types import MappingProxyType
 import numpy as np
 
 from lftkit import SampledSystem
-from lftkit.arrays import ComplexArray
-from lftkit.systems.ports import Port, port_slices
+from lftkit.arrays import ComplexArray, IntArray
+from lftkit.systems.ports import Port, port_slices, total_size
 from titop_plant.interface import (
     COLUMNS,
     COMMAND_PORTS,
@@ -37,6 +37,7 @@ from titop_plant.interface import (
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     K_PMA_OUTPUTS,
+    MEASUREMENTS,
     MIRROR_STAGES,
     TRUTH_PORTS,
     DesignBasis,
@@ -64,6 +65,42 @@ APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].sto
 
 
 @dataclass(frozen=True)
+class Placed:
+    """Sensors and actuators of a telescope's file: readings behind the measurement, forces behind the command.
+
+    Parameters
+    ----------
+    sensors, actuators : tuple of Port
+    """
+
+    sensors: tuple[Port, ...] = ()
+    actuators: tuple[Port, ...] = ()
+
+    @property
+    def readings(self) -> int:
+        """Values of all sensors."""
+        return total_size(self.sensors)
+
+    @property
+    def forces(self) -> int:
+        """Values of all actuators."""
+        return total_size(self.actuators)
+
+    def columns(self, base: slice, named: Sequence[Port], placed: Sequence[Port], first: int) -> slice | IntArray:
+        """Columns of a controller: `base`, then those of the `placed` ports that it has, which begin at `first`."""
+        names = {port.name for port in named}
+        at = port_slices(placed)
+        further = [np.arange(at[port.name].start, at[port.name].stop) for port in placed if port.name in names]
+        if not further:
+            return base
+        own: IntArray = np.arange(base.start, base.stop)
+        return np.concatenate([own, first + np.concatenate(further)], dtype=int)
+
+
+NO_DEVICES = Placed()
+
+
+@dataclass(frozen=True)
 class Law:
     """A controller in the loop: from columns of the measurement to columns of the command.
 
@@ -72,17 +109,21 @@ class Law:
     system : SampledSystem
     gain : float
         From its output to the command; 0 where its loop is open.
-    measured, command : slice
+    measured, command : slice or ndarray of int
     """
 
     system: SampledSystem
     gain: float
-    measured: slice
-    command: slice
+    measured: slice | IntArray
+    command: slice | IntArray
 
 
 def laws(
-    k_fsm: SampledSystem, k_pma: SampledSystem, stage: str, los_sensitivity: float | None = None
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    stage: str,
+    los_sensitivity: float | None = None,
+    placed: Placed = NO_DEVICES,
 ) -> tuple[Law, Law]:
     """Both controllers in a stage. **The mirror turns against the estimate, by its inverse sensitivity**.
 
@@ -94,6 +135,9 @@ def laws(
     los_sensitivity : float, optional
         Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
         one it was made.
+    placed : Placed
+        Of the telescope. A controller has the sensors that it uses behind its other inputs, in this order, and K_PMA
+        the actuators behind its other outputs.
 
     Raises
     ------
@@ -105,9 +149,14 @@ def laws(
         basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
         mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
     angle, force = COMMANDED[0], K_PMA_OUTPUTS[0].name
+    seen = [placed.columns(columns(K_FSM_INPUTS), k_fsm.inputs, placed.sensors, MEASUREMENTS)]
+    seen.append(placed.columns(columns(K_PMA_INPUTS), k_pma.inputs, placed.sensors, MEASUREMENTS))
+    driven = placed.columns(COLUMNS[force], k_pma.outputs, placed.actuators, COMMANDS)
+    names = {port.name for port in k_fsm.inputs}
+    k_fsm = k_fsm.with_inputs((*K_FSM_INPUTS, *(port for port in placed.sensors if port.name in names)))
     return (
-        Law(k_fsm.with_inputs(K_FSM_INPUTS), mirror, columns(K_FSM_INPUTS), COLUMNS[angle]),
-        Law(k_pma, 1.0 if stage in FORCE_STAGES else 0.0, columns(K_PMA_INPUTS), COLUMNS[force]),
+        Law(k_fsm, mirror, seen[0], COLUMNS[angle]),
+        Law(k_pma, 1.0 if stage in FORCE_STAGES else 0.0, seen[1], driven),
     )
 
 
@@ -136,12 +185,14 @@ def held_response(z: ComplexArray, frame_ticks: int) -> ComplexArray:
     return np.asarray(np.mean(z[:, None] ** -np.arange(frame_ticks), axis=1), dtype=np.complex128)
 
 
-def state_parts(plant: int, k_fsm: int, k_pma: int) -> tuple[slice, slice, slice, slice, slice]:
-    """Parts of the state of the sampled loop for orders of plant and controllers.
+def state_parts(
+    plant: int, k_fsm: int, k_pma: int, commands: int = COMMANDS
+) -> tuple[slice, slice, slice, slice, slice]:
+    """Parts of the state of the sampled loop for orders of plant and controllers and the number of commands.
 
     In this order: plant, command in force, K_FSM, K_PMA, values that are held.
     """
-    ends = np.cumsum([0, plant, COMMANDS, k_fsm, k_pma, HELD.size]).tolist()
+    ends = np.cumsum([0, plant, commands, k_fsm, k_pma, HELD.size]).tolist()
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     return parts[0], parts[1], parts[2], parts[3], parts[4]
 
@@ -152,8 +203,10 @@ __all__ = [
     "DISTURBANCE",
     "INPUTS",
     "LINE_OF_SIGHT",
+    "NO_DEVICES",
     "OUTPUTS",
     "Law",
+    "Placed",
     "columns",
     "held_response",
     "laws",

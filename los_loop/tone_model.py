@@ -20,7 +20,7 @@ after a start at rest, where a record of seconds shows the slow decay of lightly
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,15 +30,18 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_loop.sampled_loop import NONE, Delays, SampledLoop, sampled_loop
+from los_loop.spec import Placed
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
-from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.simulation.plant_step import tone_step
+from titop_plant.simulation.plant_step import held_step, tone_step
+from titop_plant.telescope.placed.devices import PlacedActuator, placed_sensors
 
 WINDOW = 0.02
 
@@ -90,7 +93,7 @@ class ToneModel:
     amplitude : ndarray, shape (22, K), complex
         Phasors on the disturbance inputs [N, Nm].
     limits : ndarray, shape (8,)
-        Largest commands: mirror [rad], actuators [N].
+        Largest commands: mirror [rad], actuators [N]; behind them those of actuators of a file that a law commands.
     steady : bool
         Whether a run starts in the steady state of the loop, or at rest.
     """
@@ -113,13 +116,14 @@ class ToneModel:
         authority: tuple[float, float],
         steady: bool = True,
         delays: Delays = NONE,
+        actuators: Sequence[PlacedActuator] = (),
     ) -> ToneModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
         Parameters
         ----------
         family : PlantFamily
-            Of the telescope.
+            Of the telescope, with its further sensors where a controller uses them.
         physical : PlantConfig
             Member of the family and disturbance of the run.
         controllers : mapping
@@ -132,6 +136,8 @@ class ToneModel:
             As the attribute.
         delays : Delays
             Of a rig.
+        actuators : sequence of PlacedActuator
+            Of the telescope's file, that K_PMA commands.
 
         Raises
         ------
@@ -140,6 +146,12 @@ class ToneModel:
         """
         data, tones = family.plant_and_tones(physical)
         plant = ModalPlant.of(data)
+        step = held_step(plant)
+        if actuators:
+            held = held_forces(family, physical, actuators, DT)
+            moved = plant.form.excited(held[: plant.order])
+            step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
+        sensors = placed_sensors(family.parameters) if len(plant.observed) > MEASUREMENTS + TRUTH else ()
         closed = sampled_loop(
             plant,
             controllers["k_fsm"],
@@ -147,11 +159,14 @@ class ToneModel:
             loop=loop,
             frame_ticks=frame_ticks(physical.camera_rate),
             los_sensitivity=float(family.parameters["fsm"]["los_sensitivity"]),
+            step=step,
             delays=delays,
+            placed=Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators)),
         )
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
+        limits = np.concatenate([limits, [one.authority for one in actuators]])
         return cls(closed, plant, *_together(tones), limits, steady)
 
     def with_tones(self, tones: Tones) -> ToneModel:
@@ -166,14 +181,15 @@ class ToneModel:
         return np.asarray(frame, complex), np.asarray(hold, complex), through
 
     def _entries(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """What unit phasors add to the plant's part of the next state (n, K), to measurement and line of sight."""
+        """What unit phasors add to the next state of the plant (n, K), to what is sensed, to the line of sight."""
         n, size = self.plant.order, self.loop.hold.shape[0]
         zeros = np.zeros(self.omega.size)
         tones = Tones(self.omega, self.amplitude, zeros, zeros.astype(np.int64))
         moved, seen = tone_step(self.plant, tones)
         drive = np.zeros((size, self.omega.size), complex)
         drive[:n] = moved
-        return drive, seen[:MEASUREMENTS], seen[MEASUREMENTS:]
+        los = slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
+        return drive, np.delete(seen, los, axis=0), seen[los]
 
     def _ticks(self) -> tuple[list[tuple[FloatArray, ComplexArray]], ComplexArray]:
         """Matrix and forcing of each tick of a period, and forcing of the line of sight."""
@@ -215,14 +231,14 @@ class ToneModel:
         each, through = self._ticks()
         los = np.empty((ticks, 2))
         state = self.phasors().imag.sum(axis=1) if self.steady else np.zeros(loop.hold.shape[0])
-        np.clip(state[n : n + COMMANDS], -self.limits, self.limits, out=state[n : n + COMMANDS])
+        force = slice(n, n + self.limits.size)
+        np.clip(state[force], -self.limits, self.limits, out=state[force])
         for k in range(ticks):
             phasor = np.exp(1j * self.omega * DT * k)
             los[k] = loop.truth @ state + (through @ phasor).imag
             A, forcing = each[k % loop.frame_ticks]
             state = A @ state + (forcing @ phasor).imag
-            command = state[n : n + COMMANDS]
-            np.clip(command, -self.limits, self.limits, out=command)
+            np.clip(state[force], -self.limits, self.limits, out=state[force])
         return los
 
 

@@ -28,6 +28,7 @@ PACKAGES = {
 LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^)]*)?)\)")
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
+FIGURE = re.compile(r'(<img [^>]*src="([^"]*figures/[^"]*)"[^>]*>)')
 CELL = re.compile(r"<td((?: [^>]*)?)>((?:(?!</td>).)*)</td>", re.DOTALL)
 NOT_FOUND = """<!doctype html>
 <html lang="en">
@@ -139,7 +140,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     """Empty heads of tables are cells: a head without text has no name for assistive technology.
 
-    Cells of four or more words are of the class ``prose``: on a phone their column is not as narrow as one word.
+    Cells of four or more words are of the class ``prose``: on a phone their column is not as narrow as one word. A
+    figure is a link to itself: on a phone it opens at its own size.
 
     Examples
     --------
@@ -147,8 +149,11 @@ def on_page_content(html: str, **_: Any) -> str:
     '<tr><td></td><td align="left"></td><th>stage</th></tr>'
     >>> on_page_content("<tr><td>12.5 of 40</td><td>what the run has recorded</td></tr>")
     '<tr><td>12.5 of 40</td><td class="prose">what the run has recorded</td></tr>'
+    >>> on_page_content('<p><img alt="Star" src="figures/star.png" /></p>')
+    '<p><a href="figures/star.png"><img alt="Star" src="figures/star.png" /></a></p>'
     """
-    return CELL.sub(_cell, EMPTY_HEAD.sub(r"<td\1></td>", html))
+    linked_figures = FIGURE.sub(r'<a href="\2">\1</a>', html)
+    return CELL.sub(_cell, EMPTY_HEAD.sub(r"<td\1></td>", linked_figures))
 
 
 def _cell(match: re.Match[str]) -> str:

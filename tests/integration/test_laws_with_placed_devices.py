@@ -11,8 +11,10 @@ from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.replay import controller_of
 
 import fsm_pma_controller
+import los_estimator
 from lftkit import sampled
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -145,7 +147,7 @@ def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path
     config = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, start="steady")
     parts = RunParts(config)
     assert set(parts.code) == {"k_fsm", "k_pma"}
-    assert parts.start.states is None and "starts at rest" in parts.start.note
+    assert parts.start.states is None and "start at rest" in parts.start.note
     with pytest.raises(ValueError, match=r"must have the loop's ports only, .* got k_fsm.json"):
         _ = parts.model_files
     bags = {name: tmp_path / name for name in ("k_fsm", "plain")}
@@ -159,6 +161,38 @@ def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path
         assert np.array_equal(np.clip(out, -31.6, 31.6), command)
     assert commands[:, 6].any()
     assert np.array_equal(run["truth/los"].values, other["truth/los"].values)
+
+
+@pytest.mark.parametrize("seeing", [False, True])
+def test_the_model_of_the_loop_has_them(base: RunConfig, tmp_path: Path, seeing: bool) -> None:
+    """Line of sight of a run, tick by tick, against the sampled loop of the controllers in its bag."""
+    law = law_with_devices()
+    law.to_file(tmp_path / "k_pma.json")
+    stored = SampledSystem.from_file(Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json")
+    B, D = (np.c_[matrix, np.full((len(matrix), 3), 1e-7)] for matrix in (stored.B, stored.D))
+    replace(stored, B=B, D=D, inputs=(*stored.inputs, ON_M1)).to_file(tmp_path / "k_fsm.json")
+    config = replace(base, k_pma="k_pma.json", disturbance=True, k_fsm="k_fsm.json" if seeing else None)
+    run_in_process(config, tmp_path / "bag")
+    run = Run.open(tmp_path / "bag")
+    recorded = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
+    parts = RunParts(config, recorded)
+    assert parts.start.states is None
+    los = run["truth/los"].values[:, :2]
+    expected = parts.tone_model().record(len(los))
+    assert np.abs(run["actuator/shaker/command"].values).max() > 1e-3
+    np.testing.assert_allclose(los, expected, rtol=0.0, atol=1e-9 * np.abs(los).max())
+    without = RunParts(replace(config, k_fsm=None, k_pma=None)).tone_model().record(len(los))
+    assert np.abs(los - without).max() > 1e-4 * np.abs(los).max()
+
+
+def test_devices_without_use_are_named(base: RunConfig) -> None:
+    said = (
+        "controllers and predictions do not use sensor on_m1, at_root and actuator shaker, idle of the telescope's file"
+    )
+    assert RunParts(base).idle_devices == said
+    own = replace(base, k_fsm="laws_with_devices:Seeing", k_pma="laws_with_devices:Shaking")
+    assert RunParts(own).idle_devices == "controllers and predictions do not use actuator idle of the telescope's file"
+    assert not RunParts(replace(base, parameters=None)).idle_devices
 
 
 @pytest.mark.parametrize(

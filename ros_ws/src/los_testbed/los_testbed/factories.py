@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from titop_plant.telescope.placed.readings import PlantWithReadings
 
 
-UNMODELLED = "no model of the loop has further sensors and actuators: the run starts at rest"
+FROM_REST = "controllers that use sensors or actuators of the telescope's file start at rest"
 
 
 class Plant(Protocol):
@@ -243,10 +243,10 @@ class RunParts:
             return AT_REST
         if not self.recorded and self.known_family is None and (start := from_runner(config)) is not None:
             return start
-        if self.code:  # no model of the code is known: the tone that is worst without fine control
+        if self.code or any(self.devices_of_models):  # of code no model is known: the tone that is worst without it
             opened = "isolator" if config.loop != "none" else "none"
             alone = RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened, start="rest"))
-            return alone.start if config.start == "rest" else replace(alone.start, note=UNMODELLED)
+            return alone.start if config.start == "rest" else replace(alone.start, note=FROM_REST)
         return find_run_start(config, self.family, self.settings, self.models, self.basis.authority)
 
     @cached_property
@@ -282,6 +282,13 @@ class RunParts:
     def compare(self) -> tuple[str, ...]:
         """Differences between controllers and telescope, see :func:`compare_with_telescope`."""
         return compare_with_telescope(self.controllers, self.basis, self.config.loop)
+
+    @property
+    def idle_devices(self) -> str:
+        """A line on further sensors that no controller reads and further actuators that nothing drives, if any."""
+        used = [one.name for name in LAWS for one in (*self._used(name).sensors, *self._used(name).actuators)]
+        sources = [source.place for source in self.sources] if self.placed.actuators else []
+        return self.placed.idle([*used, *sources])
 
     @property
     def states(self) -> LoopStart | None:
@@ -354,6 +361,11 @@ class RunParts:
     def used(self) -> dict[str, Devices]:
         """Further devices that ``k_fsm`` and ``k_pma`` use."""
         return {name: self._used(name) for name in LAWS}
+
+    @property
+    def devices_of_models(self) -> list[Devices]:
+        """Further devices that the models of the controllers use; ValueError as :attr:`model_files`."""
+        return [self.placed.among(law.inputs, law.outputs) for law in self.models.values()]
 
     @cached_property
     def wiring(self) -> Wiring:
@@ -488,15 +500,17 @@ class RunParts:
         from los_loop.tone_model import ToneModel
 
         loop, steady = self.config.loop, self.start.states is not None
+        used = self.devices_of_models
         with one_thread():
             return ToneModel.of(
-                self.family,
+                self.sensed_family if any(one.sensors for one in used) else self.family,
                 self.physical,
                 self.models,
                 loop=loop,
                 authority=self.basis.authority,
                 steady=steady,
                 delays=delays or NONE,
+                actuators=[actuator for one in used for actuator in one.actuators],
             )
 
 

@@ -74,6 +74,19 @@ class Devices:
             [port.name for port in outputs if port.name in commanded],
         )
 
+    def idle(self, used: Sequence[str] = ()) -> str:
+        """One line on those that are not `used`, by their names; empty where all are.
+
+        Examples
+        --------
+        >>> Devices().idle()
+        ''
+        """
+        groups = (("sensor", self.sensors), ("actuator", self.actuators))
+        left = [(what, [one.name for one in group if one.name not in used]) for what, group in groups]
+        named = " and ".join(f"{what} {', '.join(names)}" for what, names in left if names)
+        return f"controllers and predictions do not use {named} of the telescope's file" if named else ""
+
     def __bool__(self) -> bool:
         return bool(self.sensors or self.actuators)
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -63,9 +61,9 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **_sources(parts),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
+        **({"idle_devices": parts.idle_devices} if parts.idle_devices else {}),
         **proof_of(parts),
         **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
-        **_file_hashes(parts),
         **tables_of(parts),
         "plant_hash": physical_hash(config),
         "software_version": _version(),
@@ -78,12 +76,6 @@ def tables_of(parts: RunParts) -> dict[str, str]:
     """SHA-256 of the tables of each law that a flight library has, as ``los-testbed export check`` prints it."""
     blocks = {name: law.block for name, law in parts.controllers.items() if isinstance(law, UserBlock)}
     return {f"{name}_tables_sha256": law.tables_sha256 for name, law in blocks.items() if isinstance(law, LibraryLaw)}
-
-
-def _file_hashes(parts: RunParts) -> dict[str, str]:
-    """SHA-256 of files of controllers that use further sensors or actuators: no attachment has them."""
-    files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)}
-    return {f"{name}_source_sha256": hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
 
 
 def optics_of(parts: RunParts) -> dict[str, str]:
@@ -186,20 +178,23 @@ def final_metadata(
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Files of the controllers, as JSON, the configuration as YAML, tone and states of the start."""
-    laws: dict[str, Any] = parts.controllers
-    content = {
-        f"{name}.json": (
-            "application/json",
-            path.read_bytes() if path.suffix == ".json" else laws[name].to_json().encode(),
-        )
-        for name, path in parts.files.items()
-    }
+    files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)} | parts.files
+    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in files.items()}
     text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())
     if parts.pupil_file:
         content[PUPIL] = ("application/fits", parts.pupil_file)
     return content
+
+
+def _json_of(path: Path) -> bytes:
+    """A controller's file as JSON."""
+    if path.suffix == ".json":  # as all stored ones are; nothing else is loaded for them
+        return path.read_bytes()
+    from lftkit.systems.exchange import read_sampled
+
+    return read_sampled(path).to_json().encode()
 
 
 def _version() -> str:

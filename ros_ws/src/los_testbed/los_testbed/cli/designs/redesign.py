@@ -101,6 +101,7 @@ def design_all(
 ) -> None:
     """See ALL_EXAMPLES."""
     from los_design import redesign
+    from los_testbed.law_devices import placed_devices
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
     from titop_plant.telescope.tables.uncertain import with_uncertain
 
@@ -109,9 +110,12 @@ def design_all(
     check_output(output, parameters, uncertain or ())
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
+    own = load_parameters(parameters)
+    if idle := placed_devices(own).idle():
+        sys.stderr.write(f"note: {idle}\n")
     with cluster.workers() as pool, Progress("design") as bar:
         summary = redesign.design_all(
-            with_uncertain(load_parameters(parameters), uncertain or ()),
+            with_uncertain(own, uncertain or ()),
             output,
             seed=seed,
             effort=effort,

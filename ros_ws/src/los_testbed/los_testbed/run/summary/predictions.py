@@ -101,7 +101,7 @@ def _emulated(run: Run) -> str:
 def _check_controllers(run: Run) -> None:
     gone = [f"{name}.json" for name in CONTROLLERS if f"{name}.json" not in run.attachments]
     if gone:
-        raise ValueError(f"the bag does not hold {' and '.join(gone)}")
+        raise ValueError(f"of code of the user no model is known, and the bag does not hold {' and '.join(gone)}")
 
 
 def _check(run: Run, config: RunConfig, start: float, stop: float) -> None:

@@ -189,7 +189,7 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
     from los_testbed.run.summary.control_effect import control_effect
 
     effect = control_effect(run, summary)
-    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "proof", "proof_noise"))
+    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "idle_devices", "proof", "proof_noise"))
     proven, star = run.parameters.get(PROOF_RPE), summary.star
     image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
     camera = ON_CAMERA if on_camera(run) else ""
