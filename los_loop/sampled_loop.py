@@ -295,10 +295,8 @@ def sampled_loop(
     H = slice(Q.stop, Q.stop + HELD.size)
     size = H.stop
     mirror = los_sensitivity or 0.0
-    rows = np.r_[n : n + MEASUREMENTS, n + MEASUREMENTS + TRUTH : n + sensed_size + TRUTH]
-    Y = np.zeros((sensed_size, size))
-    Y[:, X], Y[:, V] = step[rows, :n], step[rows, n : n + commands]
-
+    truth = slice(n + MEASUREMENTS, n + MEASUREMENTS + TRUTH)
+    Y = _of_plant(np.delete(step, truth, axis=0)[n:], X, V, size)
     seen = np.hstack([Y, np.eye(sensed_size)])
 
     def tick(sampled: frozenset[str]) -> tuple[FloatArray, FloatArray]:
@@ -312,7 +310,7 @@ def sampled_loop(
                 measured[CAMERA, Q] = np.eye(2)
         sensed = np.hstack([measured, noise])
         out = np.zeros((size, size + sensed_size))
-        out[X, X], out[X, V] = step[:n, :n], step[:n, n : n + commands]
+        out[X, :size] = _of_plant(step[:n], X, V, size)
         out[H] = sensed[HELD]
         if ACQUIRED in sampled:
             out[Q] = seen[CAMERA] - mirror * seen[FSM_ANGLE]
@@ -335,10 +333,15 @@ def sampled_loop(
     hold, noise_hold = tick(frozenset())
     some = {names: tick(names) for names in set(due.values()) - {due[0], frozenset()}}
     between = {k: some[names] for k, names in due.items() if names in some}
-    truth = np.zeros((TRUTH, size))
-    los = slice(n + MEASUREMENTS, n + MEASUREMENTS + TRUTH)
-    truth[:, X], truth[:, V] = step[los, :n], step[los, n : n + commands]
-    return SampledLoop(frame, hold, noise_frame, noise_hold, truth, period, n, between, every)
+    los = _of_plant(step[truth], X, V, size)
+    return SampledLoop(frame, hold, noise_frame, noise_hold, los, period, n, between, every)
+
+
+def _of_plant(rows: FloatArray, states: slice, commands: slice, size: int) -> FloatArray:
+    """Rows of the plant's step as rows over the whole state of the loop."""
+    out = np.zeros((len(rows), size))
+    out[:, states], out[:, commands] = rows[:, : states.stop], rows[:, states.stop :]
+    return out
 
 
 def _due(every: Mapping[str, int], period: int, delays: Delays) -> dict[int, frozenset[str]]:

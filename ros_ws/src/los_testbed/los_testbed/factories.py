@@ -286,7 +286,7 @@ class RunParts:
     @property
     def idle_devices(self) -> str:
         """A line on further sensors that no controller reads and further actuators that nothing drives, if any."""
-        used = [one.name for name in LAWS for one in (*self._used(name).sensors, *self._used(name).actuators)]
+        used = [port.name for name in LAWS for port in (*self._used(name).inputs, *self._used(name).outputs)]
         sources = [source.place for source in self.sources] if self.placed.actuators else []
         return self.placed.idle([*used, *sources])
 
