@@ -38,6 +38,7 @@ REMEDIES = {
     "real-time scheduling is not permitted": "run as root or allow SCHED_FIFO (CAP_SYS_NICE, or rtprio in limits.conf)",
     "mounting a small file system is not permitted": "run as root (CAP_SYS_ADMIN)",
     "only root can start a process of another user": "run as root",
+    "no package index": "run where pip reaches a package index that has colcon",
     "no openssl": "install the program: apt-get install openssl",
     "no cross compiler and emulator of AArch64": "install them: apt-get install gcc-aarch64-linux-gnu "
     "libc6-dev-arm64-cross qemu-user",
