@@ -17,6 +17,7 @@ import typer
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.environment import SUPERVISED
+from los_testbed.cli.finished_run import check_trace, sign, write_ticks
 from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
@@ -51,6 +52,8 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
     los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it computes
 
     los-testbed run --isolated                         # no other program of this machine is on its ROS domain
+
+    los-testbed run --trace trace.json                 # the ticks, for ui.perfetto.dev or chrome://tracing
 
     los-testbed run --only plant                       # this host runs the plant, others the rest
 
@@ -115,6 +118,10 @@ def run(
     sign_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
     ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the ticks of a run in real time as a trace, as bag trace does."),
+    ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
     json_: Json = False,
 ) -> None:
@@ -128,11 +135,13 @@ def run(
         chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
         if only is not None:
             _watch_code_of_user(chosen.code_of_user, chosen.bag)
-            _run_alone(only, chosen, sign_key is not None, isolated)
+            _run_alone(only, chosen, sign_key is not None, isolated, trace)
         if isolated and chosen.mode == "inprocess":
             raise ValueError("mode must be realtime or lockstep with --isolated, got inprocess")
         if isolated and chosen.device:
             raise ValueError(f"--isolated must be absent with a device, on another network, got {chosen.device}")
+        if trace is not None:
+            check_trace(trace, chosen)
         viewers = server_for_viewers(live, live_host, live_origin or (), live_topic or (), live_tls_cert, live_tls_key)
         key = None
         if sign_key is not None:
@@ -141,7 +150,7 @@ def run(
             key = private_key("--sign-key", sign_key)
         _watch_code_of_user(chosen.code_of_user, chosen.bag)
         parts = RunParts(chosen)
-        _run_and_tell(parts, Nodes(viewers, isolated, not free), max_missed, report, json_, key)
+        _run_and_tell(parts, Nodes(viewers, isolated, not free), max_missed, report, json_, key, trace)
 
 
 def _watch_code_of_user(code: Sequence[str], bag: Path) -> None:
@@ -167,27 +176,17 @@ class Nodes:
     lock_domain: bool = True
 
 
-def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool) -> NoReturn:
+def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace: Path | None) -> NoReturn:
     """Run one node in this process."""
     if signed:
         raise ValueError("--sign-key must be given without --only: los-testbed bag sign signs the bag")
     if isolated:
         raise ValueError("--isolated must be given without --only: a node alone is for a loop over several hosts")
+    if trace is not None:
+        raise ValueError("--trace must be given without --only: los-testbed bag trace reads the recorder's bag")
     from los_testbed.run.processes.node_launch import run_alone
 
     raise typer.Exit(run_alone(name, config))
-
-
-def _sign(console: Screen, bag: Path, key: Ed25519PrivateKey) -> bool:
-    """Sign the bag of a run; a bag that is not whole is not signed."""
-    from los_testbed.bags.check import sign_bag
-
-    try:
-        say(console, f"signature {sign_bag(bag, key)}")
-    except ValueError as error:
-        say(console, f"not signed: {error}", "warning")
-        return False
-    return True
 
 
 def _run_and_tell(
@@ -197,6 +196,7 @@ def _run_and_tell(
     report: bool,
     json_: bool,
     key: Ed25519PrivateKey | None = None,
+    trace: Path | None = None,
 ) -> None:
     """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
     from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
@@ -208,7 +208,8 @@ def _run_and_tell(
         raise KeyboardInterrupt
     for warning in [*results.warnings, *results.failures]:
         say(console, warning, "warning")
-    signed = key is None or _sign(console, bag, key)
+    whole = key is None or sign(console, bag, key)
+    whole = (trace is None or write_ticks(console, bag, trace)) and whole
     ended = ExitCode.INTERRUPTED if results.interrupted else ExitCode.RESTARTED if results.failures else None
     try:
         with Progress("report" if report else "analysis"):
@@ -219,7 +220,7 @@ def _run_and_tell(
         say(console, f"not evaluated: {error}; the bag is whole", "warning")
         if json_:
             print_json({"bag": str(bag), "not_evaluated": str(error)})
-        raise typer.Exit(ExitCode.FINISHED if signed else ExitCode.FAILED) from None
+        raise typer.Exit(ExitCode.FINISHED if whole else ExitCode.FAILED) from None
     except ValueError as error:  # no mistake of the user that shows before the work
         code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
         raise RunError(f"not evaluated: {error}", code) from None
@@ -228,7 +229,7 @@ def _run_and_tell(
         print_json(summaries.runs[0])
     if ended is not None:
         raise typer.Exit(ended)
-    if not signed:
+    if not whole:
         raise typer.Exit(ExitCode.FAILED)
     if (share := missed_share(summaries.runs[0])) > max_missed:
         message = (
