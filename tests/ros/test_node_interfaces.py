@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy")
 from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
+from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.diagnostics import read_diagnostics
 from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES as CHANGING
@@ -34,6 +37,10 @@ from pointing_analysis.read.run import Run
 pytestmark = pytest.mark.ros
 
 
+OF_ROS = ["use_sim_time", "start_type_description_service"]
+"""Parameters that rclpy gives every node."""
+REFUSED = {"seed": 9, "use_sim_time": True, "noise": False}
+"""None of them changes at the controller during a run."""
 NODES = ("plant", "estimator", "controller", "recorder")
 
 
@@ -105,7 +112,10 @@ def seen(tmp_path_factory):
             found["values"] = user.call(
                 GetParameters, "/telescope/estimator/get_parameters", GetParameters.Request(names=["loop", "duration"])
             ).values
-            change = [Parameter("seed", value=9).to_parameter_msg()]
+            found["of ROS"] = user.call(
+                DescribeParameters, "/telescope/plant/describe_parameters", DescribeParameters.Request(names=OF_ROS)
+            ).descriptors
+            change = [Parameter(name, value=value).to_parameter_msg() for name, value in REFUSED.items()]
             found["set"] = user.call(
                 SetParameters, "/telescope/controller/set_parameters", SetParameters.Request(parameters=change)
             ).results
@@ -140,7 +150,29 @@ def test_every_parameter_is_described_with_unit_and_range(seen):
 def test_parameters_are_answered_during_the_run_and_most_cannot_be_changed(seen):
     assert seen[0]["values"][0].string_value == "fsm+pma"
     assert seen[0]["values"][1].double_value == 60.0
-    assert not seen[0]["set"][0].successful
+    for name, result in zip(REFUSED, seen[0]["set"], strict=True):
+        assert not result.successful and name in result.reason and "read-only" in result.reason
+
+
+def test_parameters_of_ros_are_described_and_fixed_and_others_name_the_node_that_changes_them(seen):
+    assert [d.name for d in seen[0]["of ROS"]] == OF_ROS
+    assert all(d.description and d.read_only for d in seen[0]["of ROS"])
+    texts = {d.name: d.description for d in seen[0]["described"]}
+    assert texts["loop"].endswith("the controller changes it during a run")
+    assert texts["noise"].endswith("the plant changes it during a run") and "changes it" not in texts["seed"]
+
+
+@pytest.mark.parametrize(("mode", "stamp"), [("realtime", None), ("lockstep", 0)])
+def test_a_report_before_the_first_tick_has_the_time_of_the_wall_in_real_time(mode, stamp):
+    context = object.__new__(node_context.NodeContext)
+    context.config, context._label, context._work = RunConfig(mode=mode), "telescope: plant", deque()
+    sent: list[bytes] = []
+    context._diagnostics = [SimpleNamespace(publish=sent.append)]
+    before = time.time_ns()
+    context.diagnose(3, "nothing done since the last report", dict, 0)
+    context.finish_work()
+    (found,) = map(stamp_of, sent)
+    assert before <= found <= time.time_ns() if stamp is None else found == stamp
 
 
 def test_topics_and_nodes_are_those_of_the_table(seen):

@@ -31,7 +31,7 @@ from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 DEPTH = 1000
 PERIOD_S = 0.02
-SERVICE_S = 0.5
+SERVICE_S = 0.05
 LOOK_NS = 20_000_000
 LIFE_CYCLE = ("activate", "deactivate")
 TRIGGERS = ("start", "stop", "reset")

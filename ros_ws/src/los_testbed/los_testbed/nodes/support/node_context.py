@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -183,8 +184,11 @@ class NodeContext:
     def diagnose(self, level: int, message: str, values: Callable[[], Mapping[str, str]], stamp_ns: int) -> None:
         """Publish the state of this node on /diagnostics and on its own topic, which the recorder reads.
 
-        The next calls of :meth:`work` do it: values as text, message, and one call for each topic.
+        The next calls of :meth:`work` do it: values as text, message, and one call for each topic. Before the first
+        tick, where `stamp_ns` is not positive, a report in real time has the time of the wall.
         """
+        if stamp_ns <= 0 and self.config.mode == "realtime":
+            stamp_ns = time.time_ns()
 
         def make() -> None:
             status = Status(level, self._label, message, dict(values()))

@@ -16,11 +16,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from los_testbed.config import RunConfig
-from los_testbed.loop.changes import Changes, parse_change
+from los_testbed.loop.changes import NAMES, Changes, parse_change
 from titop_plant.settings import Setting, unknown
 
 FAULT = "fault"
-_OWN = ("use_sim_time", "start_type_description_service", FAULT)
+SIMULATED_TIME = "use_sim_time"
+_OWN = (SIMULATED_TIME, "start_type_description_service", FAULT)
 
 
 def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
@@ -51,6 +52,11 @@ def declare_config(node: Node, changing: Sequence[str] = ()) -> RunConfig:
             f"namespace must be that of the node, {node.get_namespace()} (set it by -r __ns:=NAMESPACE), "
             f"got {values['namespace']}"
         )
+    text = "whether time is that of /clock, which the plant sends in lockstep; set at the start, with the mode"
+    kind = Parameter.Type.BOOL.value
+    node.set_descriptor(
+        SIMULATED_TIME, ParameterDescriptor(name=SIMULATED_TIME, type=kind, description=text, read_only=True)
+    )
     return RunConfig.from_mapping(values)
 
 
@@ -127,6 +133,8 @@ class ChangingParameters:
 def _descriptor(own: Setting, read_only: bool = True) -> ParameterDescriptor:
     absent = own.plain(None) if own.optional else None
     text = own.text + (f"; {json.dumps(absent)} for {own.absent}" if own.optional else "")
+    if owner := next((node for node, names in NAMES.items() if own.name in names), None):
+        text += f"; the {owner} changes it during a run"
     descriptor = ParameterDescriptor(name=own.name, description=text, read_only=read_only)
     if own.low is None or own.high is None:
         descriptor.additional_constraints = own.range
