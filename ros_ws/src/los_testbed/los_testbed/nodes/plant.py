@@ -358,6 +358,11 @@ class PlantLoop:
             if k % 100 == 0:
                 context.event("progress", tick=self.ticks)
                 context.service()
+            if k == 0:
+                self.health.assess(self.ticks, time.monotonic_ns(), self.execution)
+            elif k % RATE == 0:
+                self._report(now)
+            context.work()
         if self.ticks:
             pacer.wait_for_recorder(start + (self.ticks - 1) * TICK_NS)
         context.event("progress", tick=self.ticks)
