@@ -1,7 +1,10 @@
 """A run for Foxglove: a client of its protocol, by the schemas that the server sends, against the bag."""
 
+import asyncio
+import json
 import os
 import signal
+import threading
 from typing import Any
 
 import numpy as np
@@ -9,8 +12,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("foxglove")
-from foxglove_client import FoxgloveClient
+from foxglove_client import FoxgloveClient, FoxgloveSession
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.live.foxglove_controls import NO_TOKEN
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
 from mcap.reader import make_reader
@@ -22,6 +26,7 @@ from titop_plant.interface import TICK_NS
 
 pytestmark = pytest.mark.ros
 TICKS = 700
+WAIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +80,56 @@ def test_nine_of_the_channels_have_a_kilohertz_but_for_what_the_server_did_not_g
         span = (stamps.max() - stamps.min()) // TICK_NS + 1
         assert len(stamps) == len(set(stamps.tolist())) and np.all(stamps % TICK_NS == 0), topic
         assert abs(len(stamps) + int(lost[f"lost_{topic}"]) - span) <= 0.01 * span, topic
+
+
+def test_a_viewer_with_the_token_changes_a_run_and_ends_it(tmp_path):
+    """The bag names the changes; the values that are told are those of the reports."""
+    found, threads, errors, running = {}, [], [], threading.Event()
+    noise, stage = "/telescope/plant.noise", "/telescope/controller.loop"
+
+    async def act(address, token):
+        async with FoxgloveSession(address) as viewer:
+            await viewer.subscribe(noise, stage)
+            assert running.wait(WAIT_S)
+            found["refused"] = await viewer.call("/telescope/plant/stop")
+            await viewer.set({"token": token})
+            found["off"] = await viewer.call("/telescope/controller/deactivate")
+            found["again"] = await viewer.call("/telescope/controller/deactivate")
+            found["set"] = await viewer.set({noise: False, stage: "fsm"})
+            found["out of range"] = await viewer.set({"/telescope/plant.camera_dropout": 2.0})
+            found["told"] = viewer.told
+            while await viewer.parameters(noise, stage) != found["set"]:  # reports come once a second
+                await asyncio.sleep(0.1)
+            found["stop"] = await viewer.call("/telescope/plant/stop")
+
+    def use(address, token):
+        try:
+            asyncio.run(asyncio.wait_for(act(address, token), WAIT_S))
+        except BaseException as error:
+            errors.append(error)
+
+    def tell(foxglove, page):
+        threads.append(threading.Thread(target=use, args=(foxglove, page.partition("#token=")[2])))
+        threads[0].start()
+
+    def progress(ticks):
+        running.set() if ticks >= 100 else None
+        if errors:
+            raise KeyboardInterrupt from errors[0]
+
+    config = config_for(tmp_path, mode="lockstep", duration=3600.0)
+    results = Runner(config, progress, commands={"plant": PLANT}, live=Live(port=0, tell=tell)).run()
+    threads[0].join()
+    assert not errors, errors
+    assert found["refused"] == {"success": False, "message": NO_TOKEN}
+    assert found["off"]["success"] and found["stop"] == {"success": True, "message": ""}
+    assert not found["again"]["success"]
+    assert found["set"] == {noise: False, stage: "fsm"}
+    assert found["out of range"] == {"/telescope/plant.camera_dropout": 0.0}
+    assert any("camera_dropout must be" in text for text in found["told"])
+    changes = {node: json.loads(results.statistics[node]["changes"]) for node in ("plant", "controller")}
+    assert {"noise", "stop"} == {change["name"] for change in changes["plant"]}
+    assert {("loop", "fsm"), ("active", False)} == {(c["name"], c["value"]) for c in changes["controller"]}
 
 
 def test_a_run_goes_on_when_its_server_for_viewers_dies(tmp_path):

@@ -7,15 +7,20 @@ import ssl
 from collections.abc import Mapping, Sequence
 
 import foxglove
-from foxglove import Channel, Context, Schema
+from foxglove import Channel, Context, Schema, StatusLevel
+from foxglove.websocket import Capability
 
 from los_testbed.bags.schemas import DEFINITIONS
 from los_testbed.live.access import FOXGLOVE_SITE, Access
+from los_testbed.live.foxglove_controls import ENCODING, FoxgloveControls
 from los_testbed.live.gate import Gate
 from los_testbed.run.processes.viewers import listening_sockets
 
 BACKLOG = 16_384
 """Messages that are kept for a viewer that is slow, about 2 s or 3 MB; of older ones it gets none."""
+
+REFUSED = "refused"
+"""Name of the status that says why a parameter was not set; the next one takes its place."""
 
 
 class FoxgloveServer:
@@ -37,6 +42,8 @@ class FoxgloveServer:
         The certificate; then the address begins with wss.
     inherited : sequence of int
         Descriptors of sockets that listen already; empty: it opens its own.
+    controls : FoxgloveControls, optional
+        Parameters and services; without them viewers can look only.
 
     Raises
     ------
@@ -52,14 +59,26 @@ class FoxgloveServer:
         origins: tuple[str, ...] = (),
         tls: ssl.SSLContext | None = None,
         inherited: Sequence[int] = (),
+        controls: FoxgloveControls | None = None,
     ) -> None:
         sockets = listening_sockets(host, port, inherited)
         self.port = int(sockets[0].getsockname()[1])
         self._context = Context()  # nothing else keeps it alive
         inside = hidden_address()
+        self._controls = controls
         self._server = foxglove.start_server(
-            name="los-testbed", host=inside, port=0, context=self._context, message_backlog_size=BACKLOG
+            name="los-testbed",
+            host=inside,
+            port=0,
+            context=self._context,
+            message_backlog_size=BACKLOG,
+            capabilities=[Capability.Parameters, Capability.Services] if controls else None,
+            server_listener=controls,
+            supported_encodings=[ENCODING] if controls else None,
+            services=controls.services() if controls else None,
         )
+        if controls is not None:
+            controls.tell = lambda text: self._server.publish_status(text, StatusLevel.Error, REFUSED)
         self._gate = Gate(Access(host, (FOXGLOVE_SITE, *origins)), (inside, int(self._server.port)), tls)
         self._gate.add_sockets(sockets)
         self._channels = {
@@ -75,6 +94,11 @@ class FoxgloveServer:
     def send(self, topic: str, data: bytes, time_ns: int) -> None:
         """Give a serialised message to those who have subscribed."""
         self._channels[topic].log(data, log_time=time_ns)
+
+    def tell_changes(self) -> None:
+        """Publish the parameters that have changed."""
+        if self._controls is not None and (news := self._controls.changed()):
+            self._server.publish_parameter_values(news)
 
     def stop(self) -> None:
         """Close all connections."""

@@ -20,6 +20,7 @@ from rclpy.node import Node
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.factories import RunParts
 from los_testbed.live.access import certificate
+from los_testbed.live.foxglove_controls import FoxgloveControls
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import Frames
 from los_testbed.live.page_server import PageServer
@@ -97,8 +98,9 @@ class LiveNode:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         window = parts.star_camera.camera.window if parts.star_camera is not None else 0
         self.frames = Frames(config, parts.basis.authority, parts.requirements, window)
-        self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets)
         self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
+        controls = FoxgloveControls(config.namespace, self.frames.settings, self._act_and_wait, self.page.token)
+        self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets, controls)
         # one request at a time, by a node of its own: this one's executor answers requests to it
         self._user = Node(f"live_control_{os.getpid()}", context=node.context)
         self._remote = RemoteControl(self._user, config.namespace)
@@ -164,6 +166,15 @@ class LiveNode:
         for name, status in statuses.items():
             if status is not None:
                 self.frames.note(name, status)
+        if statuses:
+            self.foxglove.tell_changes()
+
+    def _act_and_wait(self, name: str, value: Any) -> None:
+        """An action of Foxglove's protocol, whose server has threads of its own; one action at a time."""
+        try:
+            self._worker.submit(self._act, name, value).result()
+        except concurrent.futures.CancelledError:
+            raise RuntimeError("the run is over") from None
 
     def _act(self, name: str, value: Any) -> None:
         """An action of the page; in the worker's thread."""
