@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -10,8 +11,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO
 
-FIRST_S = 2.0
-"""Time until the first line, where there is no terminal: what is over sooner says nothing."""
+FIRST_S = 1.5
+"""Time until the first line, where there is no terminal: what is over sooner says nothing. Of a program that has chosen
+its output it counts from there, so that its imports are in it."""
 
 
 @dataclass
@@ -26,11 +28,14 @@ class ProgressOutput:
         Time between two lines [s].
     log : Path, optional
         File that gets the lines, with the time of day, at its end; also when quiet.
+    due : float
+        When the next line is due at the latest, by the monotonic clock [s], whichever context is shown then.
     """
 
     quiet: bool = False
     interval: float = 10.0
     log: Path | None = None
+    due: float = math.inf
 
 
 _output = ProgressOutput()
@@ -49,6 +54,7 @@ def choose_output(*, quiet: bool = False, interval: float = 10.0, log: Path | No
         with log.open("a"):
             pass
     _output.quiet, _output.interval, _output.log = quiet, interval, log
+    _output.due = time.monotonic() + FIRST_S
 
 
 def write_log(line: str) -> None:
@@ -62,7 +68,8 @@ class Progress:
     """Context that shows done, total, elapsed and remaining time of a computation on the error output.
 
     On a terminal it is a bar (without the package rich, which is optional, lines as elsewhere); elsewhere a line after
-    two seconds and then one every ten (:func:`choose_output`). A context inside another one is shown in its place.
+    :data:`FIRST_S` and then one every ten seconds (:func:`choose_output`), also where contexts follow each other sooner
+    than that. A context inside another one is shown in its place.
 
     Parameters
     ----------
@@ -82,12 +89,13 @@ class Progress:
         self._done, self._total = 0.0, 0.0
         self._first = (0.0, 0.0)  # time and amount from which the rate is counted
         self._bar: Any = None
+        self._said = False  # whether it has written a line
         self._ended = threading.Event()
         self._lines: threading.Thread | None = None
         self._start = time.monotonic()
 
     def __enter__(self) -> Progress:
-        self._start = time.monotonic()
+        self._start, self._said = time.monotonic(), False
         if self._shown:
             if _active:
                 _active[-1]._hide()
@@ -101,6 +109,8 @@ class Progress:
             _active.remove(self)
             if _active:
                 _active[-1]._show()
+            else:
+                _output.due = math.inf  # until another computation begins nothing is due
 
     def report(self, done: float, total: float, *, what: str = "", best: float | None = None) -> None:
         """Show `done` of `total`, with a part's name `what` and the best value so far where they are given."""
@@ -143,14 +153,15 @@ class Progress:
             self._lines = None
 
     def _write_lines(self, ended: threading.Event) -> None:
-        wait = max(FIRST_S - (time.monotonic() - self._start), 0.0) or _output.interval
-        while not ended.wait(wait):
+        first = math.inf if self._said else self._start + FIRST_S
+        while not ended.wait(max(min(first, _output.due) - time.monotonic(), 0.0)):
+            first, self._said = math.inf, True
+            _output.due = time.monotonic() + _output.interval
             line = self._line(time.monotonic() - self._start)
             write_log(line)
             if self._bar is None and not _output.quiet:
                 sys.stderr.write(line + "\n")
                 sys.stderr.flush()
-            wait = _output.interval
 
     def _line(self, elapsed: float) -> str:
         """The numbers in words."""

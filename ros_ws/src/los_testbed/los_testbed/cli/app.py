@@ -18,6 +18,7 @@ from lftkit.support.progress import choose_output, write_log
 from los_testbed import __version__
 from los_testbed.cli.command_group import CommandGroup
 from los_testbed.cli.environment import QUIET, SUPERVISED, TRACEBACK
+from los_testbed.cli.interrupts import remember_command
 from los_testbed.exit_codes import ExitCode
 from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY
 from los_testbed.run.summary.screen import printable
@@ -123,7 +124,9 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _not_raised
     try:
-        given = with_common_options_first(_with_lone_options(sys.argv[1:] if arguments is None else arguments))
+        words = sys.argv[1:] if arguments is None else arguments
+        remember_command(words)
+        given = with_common_options_first(_with_lone_options(words))
         result = command_line()(args=given, prog_name="los-testbed", standalone_mode=False)
     except typer.Exit as stop:
         return _leave(int(stop.exit_code))

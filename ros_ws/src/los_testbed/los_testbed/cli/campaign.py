@@ -15,6 +15,7 @@ from rich.console import Console
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import (
     Cluster,
     SchedulerOption,
@@ -130,8 +131,9 @@ def campaign(
         done = folder.open(asked, resume)
         if client.dashboard_link:
             console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
-        _evaluate(asked, folder, client, done)
-    with Progress("summary and report"):
+        with told_how_to_go_on("the rows so far", folder.path, further=("--resume",)):
+            _evaluate(asked, folder, client, done)
+    with told_how_to_go_on("all rows", folder.path, further=("--resume",)), Progress("summary and report"):
         summary = campaign_summary(asked, folder, max(keep, 5))
         summary["bags"] = _keep(asked, folder, summary["worst"][:keep])
         summary["report"] = str(write_page(asked, folder, summary, folder.path / "report.html"))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import (
     Designs,
@@ -86,7 +87,8 @@ def trade(
     RunParts(base).check()
     redesign = not (keep or base.k_fsm or base.k_pma)
     found = star_trade.Trade.begin(base, folder, stars, each, redesign)
-    rows, finished = _rows(found, cluster, time_limit)
+    with told_how_to_go_on("stars and rounds so far", folder):
+        rows, finished = _rows(found, cluster, time_limit)
     console = Screen(stderr=json_)
     if rows:
         table = star_trade.markdown(rows)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +16,7 @@ from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import designs_in
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
@@ -117,7 +117,7 @@ def certify(
     with ExitStack() as stack:
         pool = stack.enter_context(cluster.workers())
         prove = prover_of(pool)
-        stack.enter_context(_said_how_to_go_on())
+        stack.enter_context(told_how_to_go_on("parts that are proven", output))
         for s, name in chosen:
             with Progress(f"{s}, {name}") as bar:
                 if name == NOISE:
@@ -135,18 +135,6 @@ def certify(
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
         raise typer.Exit(1)
-
-
-@contextmanager
-def _said_how_to_go_on() -> Iterator[None]:
-    """After an interrupt: the command that goes on with the parts that are kept."""
-    try:
-        yield
-    except BaseException as error:
-        if not isinstance(error, Exception):
-            command = shlex.join(["los-testbed", *sys.argv[1:]])
-            sys.stderr.write(f"parts that are proven are kept; this goes on with them: {command}\n")
-        raise
 
 
 def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:

@@ -14,6 +14,7 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json, warn
@@ -113,7 +114,8 @@ def design_all(
     own = load_parameters(parameters)
     if idle := placed_devices(own).idle():
         sys.stderr.write(f"note: {idle}\n")
-    with cluster.workers() as pool, Progress("design") as bar:
+    kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
+    with cluster.workers() as pool, kept, Progress("design") as bar:
         summary = redesign.design_all(
             with_uncertain(own, uncertain or ()),
             output,

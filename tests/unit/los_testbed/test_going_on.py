@@ -1,0 +1,39 @@
+"""The line of an interrupted command is a command line that goes on."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+from los_testbed.cli.interrupts import remember_command, told_how_to_go_on
+
+
+def told(
+    capsys: pytest.CaptureFixture[str], words: list[str], error: type[BaseException], **options: tuple[str]
+) -> str:
+    remember_command(words)
+    with pytest.raises(error), told_how_to_go_on("rows", Path("bags/a b"), **options):
+        raise error
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--samples", "3"], ["--samples", "3", "--output", "bags/a b", "--resume"]),
+        (["--output", "mine", "--resume"], ["--output", "mine", "--resume"]),
+        (["--output=mine", "--anew"], ["--output=mine", "--resume"]),
+    ],
+)
+def test_it_names_the_folder_and_the_options_that_go_on(
+    given: list[str], expected: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = told(capsys, ["campaign", *given], KeyboardInterrupt, further=("--resume",), without=("--anew",))
+    said, command = line.split(": ", 1)
+    assert said == "rows are kept; this goes on with them"
+    assert shlex.split(command) == ["los-testbed", "campaign", *expected]
+
+
+def test_a_failure_says_nothing_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert told(capsys, ["campaign"], ValueError) == ""
