@@ -34,7 +34,7 @@ class OpenLoop:
     Parameters
     ----------
     system : System
-        As :func:`titop_plant.simulation.build.control_loop_plant` makes it.
+        As :func:`titop_plant.simulation.build.control_loop_plant` makes it, or that at values of its parameters.
     parameters : mapping
         Telescope parameters.
     real : bool
@@ -46,8 +46,9 @@ class OpenLoop:
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)
         self.channels = len(kept)
-        self.channel = np.array([self.names.index(system.channels[k]) for k in kept])
-        self.angle = np.array([system.channels[k] == ANGLE for k in kept]) & (len(kept) < len(system.channels))
+        self.channel = np.array([self.names.index(system.channels[k]) for k in kept], dtype=int)
+        at_angle = np.array([system.channels[k] == ANGLE for k in kept], dtype=bool)
+        self.angle = at_angle & (len(kept) < len(system.channels))
         self.nominal = np.array([p.nominal for p in system.parameters])
         self.low = np.array([p.lower for p in system.parameters])
         self.width = np.array([p.upper for p in system.parameters]) - self.low

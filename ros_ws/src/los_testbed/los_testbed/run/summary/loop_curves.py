@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg
 
-from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.batched_linalg import eigenvalues, largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
@@ -69,9 +68,10 @@ def _curves(run: Run) -> tuple[LoopCurves, ...]:
             return ()
         values = parameter_values(parts.settings, parts.parameters)
         with one_thread():
-            open_loop = OpenLoop(parts.family.control_loop, parts.parameters)
+            # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
+            open_loop = OpenLoop(parts.family.control_loop.at(values), parts.parameters)
             loop = ImplementedLoop(open_loop, parts.models["k_fsm"], parts.models["k_pma"], config.loop)
-            return broken_loops(loop, loop.point(values))
+            return broken_loops(loop, loop.point({}))
     except (ValueError, TypeError, OSError, OverflowError):
         return ()
 
@@ -89,16 +89,28 @@ def broken_loops(loop: ImplementedLoop, point: FloatArray) -> tuple[LoopCurves, 
 
 
 def _broken(place: str, omega: FloatArray, S: ComplexArray) -> LoopCurves:
-    open_loops = [linalg.inv(at) - np.eye(len(at)) for at in S]
-    loci = np.array([linalg.eigvals(L) for L in open_loops], dtype=complex)
-    for k in range(1, len(loci)):  # each column is one curve: the nearest eigenvalue of the frequency before
-        loci[k] = _ordered(loci[k], loci[k - 1])
-    return LoopCurves(place, omega, loci, largest_gains(S), MAX_SENSITIVITY)
+    unit = np.eye(S.shape[1], dtype=complex)
+    loci = eigenvalues(solve(S, np.broadcast_to(unit, S.shape)) - unit)
+    return LoopCurves(place, omega, _as_curves(loci), largest_gains(S), MAX_SENSITIVITY)
 
 
-def _ordered(values: ComplexArray, before: ComplexArray) -> ComplexArray:
-    """Eigenvalues in the order of those nearest to them at the frequency before."""
+def _as_curves(loci: ComplexArray) -> ComplexArray:
+    """Eigenvalues (N, k) in an order in which each column is one curve: by the nearest one of the frequency before.
+
+    Examples
+    --------
+    >>> _as_curves(np.array([[1.0, 5.0j], [4.0j, 1.1], [1.2, 3.0j]])).tolist()
+    [[(1+0j), 5j], [(1.1+0j), 4j], [(1.2+0j), 3j]]
+    """
     from scipy.optimize import linear_sum_assignment
 
-    _, order = linear_sum_assignment(np.abs(before[:, None] - values))
-    return np.asarray(values[order])
+    distances = np.abs(loci[:-1, :, None] - loci[1:, None, :])
+    following = np.argmin(distances, axis=2)
+    # where two are nearest to one, the least sum of distances
+    for k in np.flatnonzero((np.sort(following, axis=1) != np.arange(loci.shape[1])).any(axis=1)):
+        following[k] = linear_sum_assignment(distances[k])[1]
+    order, found = np.arange(loci.shape[1]), loci.copy()
+    for k, step in enumerate(following):
+        order = step[order]
+        found[k + 1] = loci[k + 1, order]
+    return found
