@@ -2,33 +2,39 @@
 
 The bilinear map ``s = (2 / T) (z - 1) / (z + 1)`` takes the unit circle to the imaginary axis and keeps every gain at
 corresponding frequencies, hence stability and H-infinity norms without any error. The descent works on the image; what
-comes back, and its certificate, is of the discrete loop itself.
+comes back, and its certificate, is of the discrete loop itself. An H2 norm of the loop is that of the image behind the
+lag ``1 / (1 + s T / 2)``, whose gain is the root of the ratio of the frequencies' densities; a pole z counts as
+``log(z) / T``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from lftkit.analysis.norms import hinf_norm
-from lftkit.arrays import FloatArray
-from lftkit.systems.connection.feedback import close_loop
+from lftkit.analysis.band_gain import band_gain
+from lftkit.analysis.norms import h2_norm, hinf_norm
+from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.systems.connection.feedback import cascade, close_loop
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, weighted_loop
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
-from lftkit.tuning.requirements import HinfGain, Requirement
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 from lftkit.tuning.tuner import AGREEMENT, TuningOptions, TuningResult, tune
 
 AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
+DEADBEAT = 1e-12  # magnitude of z below which a pole counts as this fast
+RTOL = 1e-5  # of the gains of a certificate
 
 
 def image_of(model: System) -> System:
@@ -78,8 +84,9 @@ def tune_discrete(
     models : sequence of System
         All with the same sampling period.
     requirements : sequence
-        :class:`HinfGain` over all frequencies, also of a sector, and goals that are made of such gains. Weights have
-        the same period, or are in continuous time, as those of goals, and count at ``s = (2 / T) (z - 1) / (z + 1)``.
+        As in :func:`lftkit.tuning.tune`. Weights have the same period, or are in continuous time, as those of goals,
+        and count at ``s = (2 / T) (z - 1) / (z + 1)``. White noise of unit density (:class:`H2Gain`) has samples of
+        variance 1 / T; poles z count as ``log(z) / T``, and bands end at pi / T.
     structure : Structure
         A static gain, also with fixed or bounded entries, or a state-space controller with all entries free.
     initial, met, options
@@ -111,7 +118,7 @@ def tune_discrete(
     ready, needs = resolved(models, requirements)
     dt = _common_period(ready)
     law = _affine(structure)
-    images = [image_of_requirement(r, dt) for r in needs]
+    images = [image_of_requirement(r, ready[0]) for r in needs]
     starts = [_parameters_of_image(law, np.asarray(x, dtype=float), dt) for x in initial]
     found = tune([image_of(m) for m in ready], images, structure, initial=starts, met=met, options=options)
     K = sampled_from_image(found.controller, dt)
@@ -136,16 +143,41 @@ def tune_discrete(
     )
 
 
-def _gain(loop: System, r: HinfGain, dt: float) -> tuple[float, float, float]:
+def _gain(loop: System, r: HinfGain | H2Gain, dt: float) -> tuple[float, float, float]:
     """Value, upper bound and frequency of a gain of the weighted discrete loop."""
+    if isinstance(r, H2Gain):
+        value = h2_norm(*loop.matrices, dt=dt) / float(np.sqrt(dt)) / r.bound
+        return value, value, 0.0
+    bound, sector = r.bound, isinstance(r, SectorGain)
     if isinstance(r, SectorGain):
         index = r.realised(loop)
         if index is None:
             return np.inf, np.inf, np.inf
-        norm = hinf_norm(*index.matrices, dt=dt, rtol=1e-5)
-        return norm.value, norm.upper, norm.omega
-    norm = hinf_norm(*loop.matrices, dt=dt, rtol=1e-5)
-    return norm.value / r.bound, norm.upper / r.bound, norm.omega
+        loop, bound = System(*index.matrices, index.inputs, index.outputs, index.name, dt=dt), 1.0
+    if r.banded:
+        value, upper, omega = _gain_in_band(loop, r.band, stable=not sector)
+    else:
+        norm = hinf_norm(*loop.matrices, dt=dt, rtol=RTOL)
+        value, upper, omega = norm.value, norm.upper, norm.omega
+    return value / bound, upper / bound, omega
+
+
+def _gain_in_band(loop: System, band: tuple[float, float], stable: bool) -> tuple[float, float, float]:
+    """Gain in a band [rad/s], by the image; its value is that of the loop itself."""
+    dt = float(loop.dt)
+    if loop.order and np.abs(linalg.eigvals(loop.A) + 1.0).min() < AT_MINUS_ONE:
+        return np.inf, np.inf, np.inf
+    found = band_gain(*image_of(loop).matrices, _band_of_image(band, dt), rtol=RTOL, stable=stable)
+    omega = 2.0 / dt * float(np.arctan(0.5 * dt * found.omega))
+    if not np.isfinite(found.value):
+        return found.value, found.upper, omega
+    value = float(linalg.svdvals(loop.response([omega])[0])[0])
+    return value, max(found.upper, value), omega
+
+
+def _band_of_image(band: tuple[float, float], dt: float) -> tuple[float, float]:
+    low, high = (2.0 / dt * float(np.tan(0.5 * dt * w)) if w < np.pi / dt else np.inf for w in band)
+    return low, high
 
 
 def _common_period(models: Sequence[System]) -> float:
@@ -167,12 +199,43 @@ def _affine(structure: Structure) -> AffineStructure:
     return structure
 
 
-def image_of_requirement(r: Requirement, dt: float) -> HinfGain:
-    """The gain on the image of a discrete model; a ValueError names what has none."""
-    if not isinstance(r, HinfGain) or r.banded:
-        what = "one in a band" if isinstance(r, HinfGain) else type(r).__name__
-        raise ValueError(f"{r.name}: requirement must be a gain over all frequencies in discrete time, got {what}")
-    weights: dict[str, Any] = {}
+@dataclass(frozen=True)
+class _OnImage:
+    """Poles of the image, which count as ``log(z) / period``."""
+
+    period: float = 1.0
+
+    def pieces(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray, IntArray]:
+        """As those of the requirement in continuous time."""
+        half = 0.5 * self.period * poles
+        half = np.where(np.abs(1.0 + half) < DEADBEAT, DEADBEAT - 1.0, half)
+        z = np.asarray((1.0 + half) / (1.0 - half), dtype=complex)
+        values, slopes, number = super().pieces(_rates(z, self.period))  # type: ignore[misc]
+        return values, slopes * np.conj(1.0 / (1.0 - half**2))[number], number
+
+
+@dataclass(frozen=True)
+class _ClosedLoopOnImage(_OnImage, ClosedLoopPoles):
+    pass
+
+
+@dataclass(frozen=True)
+class _ControllerOnImage(_OnImage, ControllerPoles):
+    pass
+
+
+def _rates(z: ComplexArray, dt: float) -> ComplexArray:
+    """``log(z) / dt`` [rad/s]."""
+    return np.asarray(np.log(np.where(np.abs(z) < DEADBEAT, DEADBEAT, z.astype(complex))) / dt)
+
+
+def image_of_requirement(r: Requirement, model: System) -> Requirement:
+    """The requirement on the image of the discrete `model`."""
+    dt = float(model.dt)
+    if isinstance(r, ClosedLoopPoles | ControllerPoles):
+        kind = _ClosedLoopOnImage if isinstance(r, ClosedLoopPoles) else _ControllerOnImage
+        return kind(**{field.name: getattr(r, field.name) for field in fields(r)}, period=dt)
+    changes: dict[str, Any] = {}
     for name in ("weight_in", "weight_out"):
         weight: System | None = getattr(r, name)
         if weight is not None and weight.order and weight.dt:
@@ -181,11 +244,18 @@ def image_of_requirement(r: Requirement, dt: float) -> HinfGain:
             weight = image_of(weight)
         elif weight is not None:
             weight = System(*weight.matrices, weight.inputs, weight.outputs, weight.name)
-        weights[name] = weight
-    return replace(r, **weights)
+        changes[name] = weight
+    if isinstance(r, H2Gain):
+        lag = transfer([1.0], [0.5 * dt, 1.0], len(model.input_indices(r.inputs)))
+        changes["weight_in"] = lag if changes["weight_in"] is None else cascade(changes["weight_in"], lag)
+    elif r.banded:
+        if not r.band[0] < np.pi / dt:
+            raise ValueError(f"{r.name}: band must begin below pi / T = {np.pi / dt:.6g} rad/s, got {r.band[0]:g}")
+        changes["band"] = _band_of_image(r.band, dt)
+    return replace(r, **changes)
 
 
-def _sampled_weights(r: HinfGain, dt: float) -> HinfGain:
+def _sampled_weights(r: HinfGain | H2Gain, dt: float) -> HinfGain | H2Gain:
     """The requirement with weights in continuous time as discrete ones."""
     weights = {name: getattr(r, name) for name in ("weight_in", "weight_out")}
     moved = {name: sampled_from_image(w, dt) for name, w in weights.items() if w is not None and w.order and not w.dt}
@@ -208,6 +278,9 @@ def certified(models: Sequence[System], K: System, requirements: Sequence[Requir
         poles = linalg.eigvals(close_loop(model, K, (), ()).A)
         decays[k] = np.log(max(float(np.abs(poles).max(initial=0.0)), 1e-300)) / dt
         for i, r in enumerate(requirements):
-            assert isinstance(r, HinfGain)
-            values[i, k], upper[i, k], omega[i, k] = _gain(weighted_loop(model, K, _sampled_weights(r, dt)), r, dt)
+            if isinstance(r, HinfGain | H2Gain):
+                values[i, k], upper[i, k], omega[i, k] = _gain(weighted_loop(model, K, _sampled_weights(r, dt)), r, dt)
+            else:
+                spectrum = poles if isinstance(r, ClosedLoopPoles) else linalg.eigvals(K.A)
+                values[i, k] = upper[i, k] = r.pieces(_rates(spectrum, dt))[0].max(initial=-np.inf)
     return Certificate(values, upper, omega, decays)

@@ -116,36 +116,36 @@ class StepTracking(_FromReference):
         return f"{self._error}.mismatch {self.time_constant:g} s"
 
     def prepared(self, model: System) -> System:
-        """The model with the difference of the output and the reference model's.
-
-        Raises
-        ------
-        ValueError
-            A model in discrete time: an H2 norm has no image there.
-        """
-        if model.dt:
-            raise ValueError(
-                f"{self._name(self.name)}: goal must be asked in continuous time, got a period of {model.dt} s"
-            )
+        """The model with the difference of the output and the reference model's (held between samples)."""
         model = super().prepared(model)
         if any(p.name == self._mismatch for p in model.outputs):
             return model
         columns, rows = model.input_indices([self.reference]), model.output_indices([self.output])
         size, n, tau = len(rows), model.order, self.time_constant
-        A = linalg.block_diag(model.A, -np.eye(size) / tau)
+        pole, gain = (-1.0 / tau, 1.0 / tau) if not model.dt else (self._decay(model.dt), 1.0 - self._decay(model.dt))
+        A = linalg.block_diag(model.A, pole * np.eye(size))
         B = np.vstack([model.B, np.zeros((size, model.B.shape[1]))])
-        B[n:, columns] = np.eye(size) / tau
+        B[n:, columns] = gain * np.eye(size)
         C = np.hstack([model.C, np.zeros((len(model.C), size))])
-        wide = System(A, B, C, model.D, model.inputs, model.outputs, model.name)
+        wide = System(A, B, C, model.D, model.inputs, model.outputs, model.name, dt=model.dt)
         difference = np.hstack([model.C[rows], -np.eye(size)])
         return with_output(wide, self._mismatch, difference, model.D[rows])
 
+    def _decay(self, time: float) -> float:
+        """Of the reference model in this time [s]."""
+        return float(np.exp(-time / self.time_constant))
+
     def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One H2 norm."""
-        size, leak = len(model.input_indices([self.reference])), GAP_LEAK / self.time_constant
-        # (1 - M) / s = tau / (tau s + 1): its norm is the root of tau / 2 for each reference
-        bound = self.relative_gap * float(np.sqrt(0.5 * self.time_constant * size))
-        common = {"weight_in": transfer([1.0], [1.0, leak], size), "hard": self.hard, "name": self._name(self.name)}
+        size, leak, dt = len(model.input_indices([self.reference])), GAP_LEAK / self.time_constant, model.dt
+        # (1 - M) / s = tau / (tau s + 1): its norm is the root of tau / 2 for each reference; of samples a sum
+        square, weight = 0.5 * self.time_constant, transfer([1.0], [1.0, leak], size)
+        if dt:
+            square, left = dt / (1.0 - self._decay(dt) ** 2), float(np.exp(-leak * dt))
+            one = np.eye(size)
+            weight = System(left * one, one, dt * left * one, dt * one, weight.inputs, weight.outputs, "step", dt=dt)
+        bound = self.relative_gap * float(np.sqrt(square * size))
+        common = {"weight_in": weight, "hard": self.hard, "name": self._name(self.name)}
         return (H2Gain((self.reference,), (self._mismatch,), bound, **common),)  # type: ignore[arg-type]
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from lftkit import hinf_norm
 from lftkit.systems.connection.feedback import close_loop
@@ -21,6 +22,7 @@ from lftkit.tuning import (
     MaxLoopGain,
     MinLoopGain,
     Overshoot,
+    Requirement,
     Sensitivity,
     StepTracking,
     TuningOptions,
@@ -125,14 +127,12 @@ def test_an_image_has_the_response_of_its_system_and_leads_back() -> None:
 
 def test_what_has_no_discrete_form_is_refused_in_one_line() -> None:
     plant, static = delayed_lag(), gain([("y", 1)], [("u", 1)])
-    with pytest.raises(ValueError, match=r"in discrete time, got H2Gain$"):
-        tune_discrete([plant], [H2Gain("w", "z")], static)
-    with pytest.raises(ValueError, match=r"in discrete time, got ClosedLoopPoles$"):
-        tune_discrete([plant], [HinfGain("w", "z"), ClosedLoopPoles(min_decay=1.0)], static)
     with pytest.raises(ValueError, match="must have all entries free"):
         tune_discrete([plant], [HinfGain("w", "z")], pid("y", "u", derivative_filter=0.1))
     with pytest.raises(ValueError, match=r"sampling period must be 0\.1 s, got 0\.2 s$"):
         tune_discrete([plant, delayed_lag(0.2)], [HinfGain("w", "z")], static)
+    with pytest.raises(ValueError, match=r"band must begin below pi / T = 31\.4159 rad/s, got 40$"):
+        tune_discrete([plant], [HinfGain("w", "z", band=(40.0, 50.0))], static)
 
 
 def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
@@ -140,13 +140,13 @@ def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
     return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
 
 
-def held(k: float, goal: Goal, plant: System | None = None) -> float:
+def held(k: float, goal: Requirement | Goal, plant: System | None = None) -> float:
     """Value of a goal for u = k y on the discrete loop, which is that of the image that is tuned."""
     models, needs = resolved([plant or lag_on_samples()], [goal])
     dt = models[0].dt
     K = System.static([[k]], [("y", 1)], [("u", 1)])
     found = certified(models, replace(K, dt=dt), needs, dt)
-    image = certify([image_of(models[0])], K, [image_of_requirement(r, dt) for r in needs])
+    image = certify([image_of(models[0])], K, [image_of_requirement(r, models[0]) for r in needs])
     assert found.stable and found.values == pytest.approx(image.values, rel=2e-5)
     return float(found.values[0, 0])
 
@@ -176,8 +176,96 @@ def test_weights_of_goals_count_at_the_image_of_the_circle() -> None:
     assert held(-1.0, MaxLoopGain("u", 0.5 * crossover), plant) == pytest.approx(2.0, rel=1e-3)
 
 
-def test_what_only_continuous_time_has_is_refused_by_name() -> None:
+def test_discrete_models_are_refused_by_the_continuous_tuner() -> None:
     with pytest.raises(ValueError, match=r"got discrete ones: tune_discrete takes them$"):
         tune([lag_on_samples()], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]))
-    with pytest.raises(ValueError, match=r"^StepTracking w -> z: .* got a period of 0\.1 s$"):
-        held(-0.5, StepTracking("w", "z"))
+
+
+@pytest.mark.parametrize("k", [-0.2, -0.5, -0.9])
+def test_variances_poles_and_bands_of_a_lag_on_samples_are_those_of_closed_forms(k: float) -> None:
+    """x+ = (0.5 + k) x + w: noise of unit density has samples of variance 1 / T."""
+    dt, pole = 0.1, 0.5 + k
+    assert held(k, H2Gain("w", "z")) == pytest.approx(np.sqrt(1.0 / (1.0 - pole**2) / dt), rel=1e-9)
+    rate = np.log(complex(pole) if pole else 1e-12) / dt
+    poles = ClosedLoopPoles(min_decay=4.0, min_damping=0.3)
+    wanted = max(2.0 + rate.real / 4.0, 2.0 - (-rate.real / abs(rate)) / 0.3)
+    assert held(k, poles) == pytest.approx(wanted, rel=1e-9)
+    z = np.exp(1j * dt * np.linspace(5.0, 20.0, 2001))
+    band = HinfGain("w", "z", band=(5.0, 20.0))
+    assert held(k, band) == pytest.approx(np.abs(1.0 / (z - pole)).max(), rel=1e-5)
+
+
+def test_a_step_response_on_samples_is_compared_sample_by_sample() -> None:
+    dt, tau, k = 0.1, 0.4, -0.3
+    error, x = [], 0.0
+    for number in range(400):
+        error.append(x - (1.0 - np.exp(-number * dt / tau)))
+        x = (0.5 + k) * x + 0.8  # the gain of the loop at rest is 1
+    plant = System([[0.5]], [[0.8, 1]], [[1], [1]], np.zeros((2, 2)), [("r", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
+    least = sum(np.exp(-2.0 * number * dt / tau) for number in range(400))
+    wanted = np.sqrt(np.sum(np.square(error)) / least) / 0.1
+    assert held(k, StepTracking("r", "z", time_constant=tau), plant) == pytest.approx(wanted, rel=5e-3)  # leak of 1e-3
+
+
+def test_slopes_of_the_poles_of_an_image_are_differences() -> None:
+    asked = image_of_requirement(ClosedLoopPoles(min_decay=1.0, min_damping=0.4, max_frequency=9.0), lag_on_samples())
+    assert isinstance(asked, ClosedLoopPoles)
+    poles = np.array([-3.0 + 4.0j, -30.0 + 1.0j, -2.0 + 0j])
+    values, slopes, number = asked.pieces(poles)
+    for step in (1e-6, 1e-6j):
+        change = (asked.pieces(poles + step)[0] - asked.pieces(poles - step)[0]) / 2.0
+        assert change == pytest.approx((np.conj(slopes) * step).real, rel=1e-5, abs=1e-12)
+    assert number.tolist() == [0, 1, 2] * 3 and len(values) == 9
+
+
+def test_the_optimal_regulator_of_samples_is_found() -> None:
+    """A measured state: the static gain of the discrete Riccati equation has the least variance."""
+    A, B, dt, effort = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), 0.1, 0.3
+    plant = System(
+        A,
+        np.hstack([np.eye(2), B]),
+        np.vstack([np.eye(2), np.zeros((1, 2)), np.eye(2)]),
+        np.vstack([np.zeros((2, 3)), [[0, 0, effort]], np.zeros((2, 3))]),
+        [("w", 2), ("u", 1)],
+        [("z", 3), ("y", 2)],
+        dt=dt,
+    )
+    P = linalg.solve_discrete_are(A, B, np.eye(2), [[effort**2]])
+    K = -np.linalg.solve(B.T @ P @ B + effort**2, B.T @ P @ A)
+    result = tune_discrete([plant], [H2Gain("w", "z")], gain([("y", 2)], [("u", 1)]), options=OPTIONS)
+    assert str(result.status) == "converged"
+    assert result.soft == pytest.approx(np.sqrt(np.trace(P) / dt), rel=1e-6)
+    assert pytest.approx(K, rel=1e-2) == result.controller.D
+
+
+def test_poles_are_held_where_they_are_asked_to_be() -> None:
+    """The fastest lag with a decay of at most exp(-8 T) a sample: the hard requirement is active."""
+    plant = lag_on_samples(0.9)
+    needs = [HinfGain("u.added", "u.returned"), ClosedLoopPoles(min_decay=8.0)]
+    model = resolved([plant], [Sensitivity("u")])[0]
+    result = tune_discrete(model, needs, gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    pole = np.exp(-8.0 * plant.dt)
+    assert result.feasible and 0.9 + result.controller.D.item() == pytest.approx(pole, rel=1e-3)
+
+
+def test_a_short_period_has_the_values_of_continuous_time() -> None:
+    """The same law on 1 / (s + 1): variance, step, poles and a band come to those of the continuous loop."""
+    goals = [
+        H2Gain("w", "z"),
+        StepTracking("w", "z", time_constant=0.3),
+        ClosedLoopPoles(min_decay=1.5, min_damping=0.5),
+        HinfGain("w", "z", band=(1.0, 30.0), name="band"),
+    ]
+    K = System.static([[-1.0]], [("y", 1)], [("u", 1)])
+    B, C, D = np.array([[2.0, 1.0]]), np.array([[1.0], [1.0]]), np.zeros((2, 2))  # a gain of 1 at rest
+    slow = System([[-1.0]], B, C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    models, needs = resolved([slow], goals)
+    continuous = certify(models, K, needs).values[:, 0]
+    differences = []
+    for dt in (2e-3, 1e-3):
+        a = np.exp(-dt)
+        fast = System([[a]], (1 - a) * B, C, D, slow.inputs, slow.outputs, dt=dt)
+        models, needs = resolved([fast], goals)
+        differences.append(certified(models, replace(K, dt=dt), needs, dt).values[:, 0] - continuous)
+    assert np.abs(differences[1]).max() < 2e-2
+    assert np.abs(differences[1]).max() < 0.6 * np.abs(differences[0]).max()
