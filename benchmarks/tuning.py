@@ -1,13 +1,17 @@
-"""The tuner beside two nonsmooth optimisers on the published plants, same wall time, one core each.
+"""The tuner beside three nonsmooth optimisers on the published plants, same wall time, one core each.
 
-    python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json] [--cpu] [--rows FILE]
-                                [--methods ours]
+    python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json] [--table] [--cpu]
+                                [--rows FILE] [--methods ours]
 
 - ``bfgs``: written here, apart from the tuner: BFGS with a weak Wolfe line search and random restarts on the
   H-infinity norm itself (Lewis and Overton 2013), stabilised by the same method on the spectral abscissa. The norm is
   SLICOT's AB13DD where Slycot is installed, else a level iteration (Bruinsma and Steinbuch 1990).
+- ``sampling``: gradient sampling (:mod:`gradient_sampling`) on the same function, from the same random starts.
 - ``other``: PyGRANSO (Curtis, Mitchell and Overton 2017; ``pip install pygranso torch osqp gurobipy slycot``; AGPL, so
   no dependency of the project) on the same function, from the same random starts; null where it is not installed.
+
+Beside the plants of the library stand those of COMPleib that the package gym-lqr has whole (``pip install --no-deps
+gym-lqr``; Apache-2.0), where it is installed; published values of those are not known here.
 
 The tuner runs with its default options and the wall limit `--seconds`. The others get the wall time that it took or,
 with ``--rival-time limit``, the whole limit. All values are certified upper bounds at the controllers that were found:
@@ -23,10 +27,12 @@ again; ``--methods`` says which methods to measure in this run, so that the tune
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -35,11 +41,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import scipy.linalg as sl
+from gradient_sampling import by_sampling
 from threadpoolctl import threadpool_limits
 
 from lftkit import System, hinf_norm
 from lftkit.tuning import HinfGain, TuningOptions, state_space, tune
-from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
+from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS, plant_of
 
 try:
     from slycot import ab13dd
@@ -59,7 +66,26 @@ SYSTEM = "CISD"  # AB13DD: continuous, E = I, scaled, with D
 Function = Callable[[np.ndarray], tuple[float, np.ndarray]]
 Minimiser = Callable[[Function, np.ndarray, float], np.ndarray]
 Row = dict[str, Any]
-METHODS = ("ours", "bfgs", "other")
+METHODS = ("ours", "bfgs", "sampling", "other")
+
+
+@cache
+def plants() -> dict[str, Callable[[], System]]:
+    """Plants of the library, and those that gym-lqr has whole, by name."""
+    spec = importlib.util.find_spec("gym_lqr")  # its module of plants alone: the package wants gymnasium
+    folders = spec.submodule_search_locations if spec else None
+    if not folders:
+        return dict(PLANTS)
+    inner = importlib.util.spec_from_file_location("gym_lqr_compleib", Path(folders[0]) / "compleib.py")
+    assert inner is not None and inner.loader is not None
+    module = importlib.util.module_from_spec(inner)
+    inner.loader.exec_module(module)
+    found: dict[str, Callable[[], System]] = dict(PLANTS)
+    for name in sorted(module.SUPPORTED_COMPLEIB_SYSTEMS - set(PLANTS)):
+        data = module.COMPleib(name)
+        if all(size is not None and size > 0 for size in data[8:]):
+            found[name] = partial(plant_of, name, *data[:8])
+    return found
 
 
 class Loop:
@@ -236,11 +262,12 @@ def restarted(plant: System, order: int, seconds: float, minimise: Minimiser) ->
 
 def measured(row: Row, seconds: float, whole_limit: bool, methods: Collection[str]) -> Row:
     """The row of a plant and order with these methods measured, too, where they were not."""
-    plant, order, row = PLANTS[row["name"]](), row["order"], dict(row)
+    plant, order, row = plants()[row["name"]](), row["order"], dict(row)
     if "ours" in methods and "ours" not in row:
         row |= tuned(plant, order, seconds)
     rival_seconds = seconds if whole_limit else row["seconds"]
-    for name, minimise in (("bfgs", by_bfgs), ("other", by_pygranso if pygranso else None)):
+    rivals = (("bfgs", by_bfgs), ("sampling", by_sampling), ("other", by_pygranso if pygranso else None))
+    for name, minimise in rivals:
         if name in methods and name not in row and minimise:
             row[name] = finite(restarted(plant, order, rival_seconds, minimise))
             row["rival_seconds"] = rival_seconds
@@ -283,7 +310,7 @@ def min_of(values: Any) -> float | None:
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Counts over the rows: within 0.1 % of the best known value; wins, ties and losses against the other methods."""
     known = [r for r in rows if r["best_known"] is not None]
-    against = {"": ("bfgs", "other"), "_bfgs": ("bfgs",), "_other": ("other",)}
+    against = {"": METHODS[1:], **{f"_{name}": (name,) for name in METHODS[1:]}}
     counts = {
         f"{key}{suffix}": sum(compared(row, rivals) == sign for row in rows)
         for suffix, rivals in against.items()
@@ -325,9 +352,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--cpu", action="store_true", help="all limits and times in processor seconds")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="rows measured so far, and those to come")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--table", action="store_true", help="Markdown, as in docs/rank.md")
     found = parser.parse_args()
-    if unknown := sorted(set(found.plants.split(",")) - set(PLANTS)):
-        parser.error(f"--plants must be among {', '.join(PLANTS)}, got {', '.join(unknown)}")
+    if unknown := sorted(set(found.plants.split(",")) - set(plants())):
+        parser.error(f"--plants must be among {', '.join(plants())}, got {', '.join(unknown)}")
     if unknown := sorted(set(found.methods.split(",")) - set(METHODS)):
         parser.error(f"--methods must be among {', '.join(METHODS)}, got {', '.join(unknown)}")
     if any(not order.isdigit() for order in found.orders.split(",")):
@@ -340,11 +368,33 @@ def arguments() -> argparse.Namespace:
 def line(row: dict[str, Any]) -> str:
     """One row as text."""
     numbers = {k: "none" if row.get(k) is None else f"{row[k]:.7g}" for k in ("best_known", *METHODS)}
-    word = {1: "win", 0: "tie", -1: "LOSS", None: "no rival measured"}[compared(row, ("bfgs", "other"))]
+    word = {1: "win", 0: "tie", -1: "LOSS", None: "no rival measured"}[compared(row, METHODS[1:])]
     return (
         f"{row['name']:6s} order {row['order']}: best known {numbers['best_known']}, ours {numbers['ours']} "
-        f"({row['status']}), BFGS {numbers['bfgs']}, other {numbers['other']}, {row['seconds']:.1f} s: {word}"
+        f"({row['status']}), BFGS {numbers['bfgs']}, sampling {numbers['sampling']}, other {numbers['other']}, "
+        f"{row['seconds']:.1f} s: {word}"
     )
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Markdown with one line a plant and order; the smallest value, and what is within 0.1 % of it, is bold."""
+    methods = [m for m in METHODS if any(row[m] is not None for row in rows)]
+    heads = {"ours": "lftkit", "bfgs": "BFGS", "sampling": "gradient sampling", "other": "PyGRANSO"}
+    names = ["plant", "states", "order", "published", *(heads[m] for m in methods), "status", "CPU time"]
+    lines = [names, ["---"] * len(names)]
+    for row in rows:
+        least = min_of(row[m] for m in methods)
+        values = []
+        for m in methods:
+            text = "none" if row[m] is None else f"{row[m]:.5g}"
+            best = row[m] is not None and row[m] <= least * (1.0 + AGREEMENT) + FLOOR
+            values.append(f"**{text}**" if best else text)
+        published = "" if row["best_known"] is None else f"{row['best_known']:g}"
+        states, order = str(plants()[row["name"]]().order), str(row["order"])
+        lines.append(
+            [row["name"], states, order, published, *values, f"`{row['status']}`", f"{row['cpu_seconds']:.0f} s"]
+        )
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def known_rows(file: Path | None) -> dict[tuple[str, int], Row]:
@@ -365,16 +415,18 @@ def main() -> None:
         if pygranso:
             torch.set_num_threads(1)
         for name, order in product(options.plants.split(","), map(int, options.orders.split(","))):
-            best = BEST_KNOWN[name] if order == 0 else None
+            best = BEST_KNOWN.get(name) if order == 0 else None
             row = known.get((name, order), {"name": name, "order": order, "best_known": best})
             rows.append(measured(row, options.seconds, options.rival_time == "limit", options.methods.split(",")))
             if options.rows and rows[-1] != row:
                 with options.rows.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(rows[-1]) + "\n")
-            if not options.json:
+            if not (options.json or options.table):
                 print(line(rows[-1]), flush=True)
     found = summary(rows)
-    if options.json:
+    if options.table:
+        print(table(found["plants"]))
+    elif options.json:
         print(json.dumps(found))
     else:
         print({key: value for key, value in found.items() if key != "plants"})

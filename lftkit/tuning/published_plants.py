@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
@@ -43,9 +44,22 @@ def published_plant(name: str) -> System:
     """
     if name not in _DATA:
         raise ValueError(f"name must be one of {', '.join(_DATA)}, got {name!r}")
-    A, B1, B, C1, C, D11, D12, D21 = (
-        np.array(_DATA[name][key], dtype=float) for key in ("A", "B1", "B", "C1", "C", "D11", "D12", "D21")
-    )
+    return plant_of(name, *(_DATA[name][key] for key in ("A", "B1", "B", "C1", "C", "D11", "D12", "D21")))
+
+
+def plant_of(
+    name: str,
+    A: ArrayLike,
+    B1: ArrayLike,
+    B: ArrayLike,
+    C1: ArrayLike,
+    C: ArrayLike,
+    D11: ArrayLike,
+    D12: ArrayLike,
+    D21: ArrayLike,
+) -> System:
+    """System of the matrices of COMPleib, in its order."""
+    A, B1, B, C1, C, D11, D12, D21 = (np.array(M, dtype=float) for M in (A, B1, B, C1, C, D11, D12, D21))
     D = np.block([[D11, D12], [D21, np.zeros((len(C), B.shape[1]))]])
     inputs = Port("w", B1.shape[1]), Port("u", B.shape[1])
     outputs = Port("z", len(C1)), Port("y", len(C))
