@@ -5,6 +5,9 @@ It works on :class:`lftkit.System` models with named ports and knows nothing of 
 compares it with systune.
 """
 
+from typing import TYPE_CHECKING
+
+from lftkit.support.on_demand import names_on_demand
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.minimax.minimax import Descent, DescentOptions, DescentState, descend
 from lftkit.tuning.discrete import tune_discrete
@@ -30,6 +33,9 @@ from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller, gain, pid, state_space
 from lftkit.tuning.tuner import TuningOptions, TuningResult, tune
+
+if TYPE_CHECKING:
+    from lftkit.tuning.pictures.plots import plot_goals
 
 __all__ = [
     "AffineStructure",
@@ -68,9 +74,12 @@ __all__ = [
     "descend",
     "gain",
     "pid",
+    "plot_goals",
     "state_space",
     "tune",
     "tune_discrete",
     "tune_robust",
     "worst_case",
 ]
+
+__getattr__ = names_on_demand(__name__, {"pictures.plots": ("plot_goals",)})

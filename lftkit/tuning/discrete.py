@@ -210,7 +210,7 @@ class _OnImage:
         half = 0.5 * self.period * poles
         half = np.where(np.abs(1.0 + half) < DEADBEAT, DEADBEAT - 1.0, half)
         z = np.asarray((1.0 + half) / (1.0 - half), dtype=complex)
-        values, slopes, number = super().pieces(_rates(z, self.period))  # type: ignore[misc]
+        values, slopes, number = super().pieces(rates(z, self.period))  # type: ignore[misc]
         return values, slopes * np.conj(1.0 / (1.0 - half**2))[number], number
 
 
@@ -224,7 +224,7 @@ class _ControllerOnImage(_OnImage, ControllerPoles):
     pass
 
 
-def _rates(z: ComplexArray, dt: float) -> ComplexArray:
+def rates(z: ComplexArray, dt: float) -> ComplexArray:
     """``log(z) / dt`` [rad/s]."""
     return np.asarray(np.log(np.where(np.abs(z) < DEADBEAT, DEADBEAT, z.astype(complex))) / dt)
 
@@ -255,7 +255,7 @@ def image_of_requirement(r: Requirement, model: System) -> Requirement:
     return replace(r, **changes)
 
 
-def _sampled_weights(r: HinfGain | H2Gain, dt: float) -> HinfGain | H2Gain:
+def sampled_weights(r: HinfGain | H2Gain, dt: float) -> HinfGain | H2Gain:
     """The requirement with weights in continuous time as discrete ones."""
     weights = {name: getattr(r, name) for name in ("weight_in", "weight_out")}
     moved = {name: sampled_from_image(w, dt) for name, w in weights.items() if w is not None and w.order and not w.dt}
@@ -279,8 +279,8 @@ def certified(models: Sequence[System], K: System, requirements: Sequence[Requir
         decays[k] = np.log(max(float(np.abs(poles).max(initial=0.0)), 1e-300)) / dt
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain | H2Gain):
-                values[i, k], upper[i, k], omega[i, k] = _gain(weighted_loop(model, K, _sampled_weights(r, dt)), r, dt)
+                values[i, k], upper[i, k], omega[i, k] = _gain(weighted_loop(model, K, sampled_weights(r, dt)), r, dt)
             else:
-                spectrum = poles if isinstance(r, ClosedLoopPoles) else linalg.eigvals(K.A)
-                values[i, k] = upper[i, k] = r.pieces(_rates(spectrum, dt))[0].max(initial=-np.inf)
+                spectrum = np.asarray(poles if isinstance(r, ClosedLoopPoles) else K.poles(), dtype=complex)
+                values[i, k] = upper[i, k] = r.pieces(rates(spectrum, dt))[0].max(initial=-np.inf)
     return Certificate(values, upper, omega, decays)

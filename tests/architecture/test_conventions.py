@@ -110,6 +110,7 @@ def test_the_library_imports_its_dependencies_only() -> None:
     optional = {
         "lftkit/support/compiled.py": {"numba"},
         "lftkit/analysis/plots.py": {"matplotlib"},
+        "lftkit/tuning/pictures/plots.py": {"matplotlib"},
         "lftkit/support/progress.py": {"rich"},
     }
     others = {}
