@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from lftkit import System, transfer
-from lftkit.tuning import ClosedLoopPoles, HinfGain, RobustResult, TuningOptions, WorstCaseOptions, pid, tune_robust
+from lftkit.tuning import ClosedLoopPoles, HinfGain, TuningOptions, TuningResult, WorstCaseOptions, pid, tune_robust
 
 BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
@@ -40,7 +40,7 @@ REQUIREMENTS = [
 ]
 
 
-def main() -> RobustResult:
+def main() -> TuningResult:
     """Design and report."""
     structure = pid("seen", "force", derivative_filter=0.05)
     result = tune_robust(
@@ -52,7 +52,7 @@ def main() -> RobustResult:
         options=TuningOptions(starts=0, wall_limit=600.0),
         search=WorstCaseOptions(samples=30, climbs=1),
     )
-    kp, ki, kd = result.tuning.x
+    kp, ki, kd = result.x
     print(f"{result.status}: Kp {kp:.3g}, Ki {ki:.3g}, Kd {kd:.3g}; {result.advice}")
     for r in result.rounds:
         print(f"  {r.models} models: tuned {r.soft:.3f}, worst found {r.worst_soft:.3f} (hard {r.worst_hard:.3f})")

@@ -25,14 +25,15 @@ from lftkit.tuning.goals import (
     Tracking,
 )
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-from lftkit.tuning.robust.robust import RobustResult, tune_robust
-from lftkit.tuning.robust.worst_case import WorstCase, WorstCaseOptions, worst_case
+from lftkit.tuning.result import Round, TuningResult, WorstCase
+from lftkit.tuning.robust.robust import tune_robust
+from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.bounds import Bounds
 from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller, gain, pid, state_space
-from lftkit.tuning.tuner import TuningOptions, TuningResult, tune
+from lftkit.tuning.tuner import TuningOptions, tune
 
 if TYPE_CHECKING:
     from lftkit.tuning.pictures.plots import plot_goals
@@ -58,7 +59,7 @@ __all__ = [
     "Overshoot",
     "Passivity",
     "Requirement",
-    "RobustResult",
+    "Round",
     "Sensitivity",
     "StableStateSpace",
     "StepTracking",

@@ -27,10 +27,11 @@ from lftkit.tuning.certificate import Certificate, weighted_loop
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.result import TuningResult
 from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import AffineStructure, Structure
-from lftkit.tuning.tuner import AGREEMENT, TuningOptions, TuningResult, tune
+from lftkit.tuning.tuner import AGREEMENT, TuningOptions, tune
 
 AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
 DEADBEAT = 1e-12  # magnitude of z below which a pole counts as this fast

@@ -30,6 +30,7 @@ from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.result import TuningResult
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
@@ -94,65 +95,6 @@ class TuningOptions:
             raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
         if not 0 < self.band < 1:
             raise ValueError(f"band must be between 0 and 1, got {self.band}")
-
-
-@dataclass(frozen=True)
-class TuningResult:
-    """A tuned controller with its certificate.
-
-    Parameters
-    ----------
-    status : TuningStatus
-    advice : str
-        What to do about it.
-    controller : System
-        Best point so far.
-    x : ndarray, shape (size,)
-        Its parameters.
-    soft, hard : float
-        Worst soft and hard values (normalised) over requirements and models; minus infinity where there are none.
-    values : ndarray, shape (requirements, models)
-        Those of the certificate where there is no delay (which it approximates): gains are reached, and at most
-        ``certificate.upper`` is.
-    peak_frequencies : ndarray, shape (requirements, models)
-        Frequencies of the values [rad/s].
-    abscissa : float
-        Largest real part of the closed-loop poles [rad/s].
-    stationarity : float
-        Norm of the smallest convex combination of the nearly active scaled gradients.
-    certificate : Certificate or None
-        Norms and eigenvalues recomputed on the assembled closed loops; None where the loop is unstable.
-    seconds : float
-    evaluations, iterations : int
-        Of all starts.
-    starts : tuple of float
-        Final worst soft value of every start (infinite: not stabilised or not feasible).
-    at_bounds : tuple of str
-        Parameters that ended at a bound of their own, or at the limit of all.
-    """
-
-    status: TuningStatus
-    advice: str
-    controller: System
-    x: FloatArray
-    soft: float
-    hard: float
-    values: FloatArray
-    peak_frequencies: FloatArray
-    abscissa: float
-    stationarity: float
-    certificate: Certificate | None
-    seconds: float
-    evaluations: int
-    iterations: int
-    starts: tuple[float, ...]
-    requirement_names: tuple[str, ...] = field(default=())
-    at_bounds: tuple[str, ...] = field(default=())
-
-    @property
-    def feasible(self) -> bool:
-        """All hard requirements met."""
-        return self.hard <= 1.0 + FEASIBLE
 
 
 def tune(

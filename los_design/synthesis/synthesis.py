@@ -20,7 +20,7 @@ from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure
 from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
-from lftkit.tuning import RobustResult, TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
+from lftkit.tuning import TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
@@ -298,7 +298,7 @@ def _run(
     active: Sequence[Mapping[str, float]],
     parameters: Parameters,
     options: DesignOptions,
-) -> RobustResult | TuningResult:
+) -> TuningResult:
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     tuning = _tuning(options, MAX_NOMINAL_ITERATIONS if options.nominal else MAX_ITERATIONS)
     if options.nominal:
@@ -329,22 +329,21 @@ def _command(kind: str, options: DesignOptions) -> str:
     return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
 
 
-def _provenance(kind: str, result: RobustResult | TuningResult, options: DesignOptions) -> dict[str, Any]:
+def _provenance(kind: str, result: TuningResult, options: DesignOptions) -> dict[str, Any]:
     """How a design of the paper's problem was made, for its file."""
-    tuning = result if isinstance(result, TuningResult) else result.tuning
     content: dict[str, Any] = {
         "command": _command(kind, options),
         "commit": commit(),
         "seed": options.seed,
         "loop_delay": options.loop_delay,
         "status": str(result.status),
-        "seconds": round(tuning.seconds, 1),
+        "seconds": round(result.seconds, 1),
         "tuned_values": {
-            name: float(f"{value:.6g}") for name, value in zip(tuning.requirement_names, tuning.values.max(axis=1))
+            name: float(f"{value:.6g}") for name, value in zip(result.requirement_names, result.values.max(axis=1))
         },
-        "continuous": {key: getattr(tuning.controller, key).tolist() for key in "ABCD"},
+        "continuous": {key: getattr(result.controller, key).tolist() for key in "ABCD"},
     }
-    if isinstance(result, RobustResult):
+    if result.active:
         content["active_models"] = [dict(values) for values in result.active]
         content["worst_cases"] = [
             {"requirement": w.requirement, "value": w.value, "omega": w.omega, "parameters": dict(w.parameters)}

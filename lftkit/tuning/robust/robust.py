@@ -17,71 +17,26 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
-from lftkit.systems.system import System
 from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
-from lftkit.tuning.robust.worst_case import Box, Build, WorstCase, WorstCaseOptions, worst_case
+from lftkit.tuning.result import Round, TuningResult, WorstCase
+from lftkit.tuning.robust.worst_case import Box, Build, WorstCaseOptions, worst_case
 from lftkit.tuning.rounds import CUT, Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import Structure
 from lftkit.tuning.tuner import (
     ALL_MET,
     TuningOptions,
-    TuningResult,
     all_met,
     limits_from,
     limits_of,
     result_of,
     tune,
 )
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round: value on the tuned set and worst value found (soft and hard), models and seconds so far."""
-
-    models: int
-    soft: float
-    hard: float
-    worst_soft: float
-    worst_hard: float
-    seconds: float
-
-
-@dataclass(frozen=True)
-class RobustResult:
-    """Outcome of :func:`tune_robust`.
-
-    Parameters
-    ----------
-    status : TuningStatus
-        ``converged``: nothing worse than `slack` was found, and the last tuning was ``converged`` or ``target``;
-        otherwise the status of the tuner, ``rounds`` or ``out_of_time``: see :func:`lftkit.tuning.rounds.in_rounds`.
-    advice : str
-    tuning : TuningResult
-        Controller, values and certificate on the active models.
-    worst : tuple of WorstCase
-        Worst value found of every requirement over the whole box, with the parameters.
-    active : tuple of mapping
-        Parameter values of the active models.
-    rounds : tuple of Round
-    """
-
-    status: TuningStatus
-    advice: str
-    tuning: TuningResult
-    worst: tuple[WorstCase, ...]
-    active: tuple[Mapping[str, float], ...]
-    rounds: tuple[Round, ...]
-
-    @property
-    def controller(self) -> System:
-        """The tuned controller."""
-        return self.tuning.controller
 
 
 def tune_robust(
@@ -99,7 +54,7 @@ def tune_robust(
     max_rounds: int = 12,
     options: TuningOptions | None = None,
     search: WorstCaseOptions | None = None,
-) -> RobustResult:
+) -> TuningResult:
     """Tune `structure` so that the requirements hold for all parameters in `box`.
 
     Parameters
@@ -125,7 +80,8 @@ def tune_robust(
 
     Returns
     -------
-    RobustResult
+    TuningResult
+        Values and certificate are those of the active models, evaluations and iterations those of all rounds.
     """
     options, search = options or TuningOptions(), search or WorstCaseOptions()
     start_time = time.monotonic()
@@ -138,7 +94,17 @@ def tune_robust(
         design = _Design(ready, box, needs, structure, *common)
         found = in_rounds(design, max_rounds, deadline=design.deadline)
     advice = _advice(found.status, found.tuned)
-    return RobustResult(found.status, advice, found.tuned, design.worst, tuple(chosen), tuple(design.rounds))
+    return replace(
+        found.tuned,
+        status=found.status,
+        advice=advice,
+        seconds=time.monotonic() - start_time,
+        evaluations=design.evaluations,
+        iterations=design.iterations,
+        worst=design.worst,
+        active=tuple(chosen),
+        rounds=tuple(design.rounds),
+    )
 
 
 @dataclass
@@ -161,6 +127,8 @@ class _Design:
     rounds: list[Round] = field(default_factory=list)
     worst: tuple[WorstCase, ...] = ()
     tuning: TuningResult | None = None
+    evaluations: int = 0
+    iterations: int = 0
 
     @property
     def deadline(self) -> float:
@@ -192,6 +160,7 @@ class _Design:
 
     def _judged(self, tuning: TuningResult) -> TuningResult:
         """``converged`` where the certificate says that nothing above `met` is left on the models."""
+        self.evaluations, self.iterations = self.evaluations + tuning.evaluations, self.iterations + tuning.iterations
         ended = tuning.status is TuningStatus.TARGET or tuning.status in CUT
         if ended or not all_met(self.requirements, tuning.certificate, self.met):
             return tuning

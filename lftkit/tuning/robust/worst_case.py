@@ -21,6 +21,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.goals import Goal, resolved_build
 from lftkit.tuning.requirements import HinfGain, Requirement
+from lftkit.tuning.result import WorstCase
 from lftkit.tuning.robust.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from lftkit.tuning.structures.structures import gain_matrix_of
 
@@ -66,36 +67,6 @@ class WorstCaseOptions:
             )
         if not 0 < self.step < 0.1:
             raise ValueError(f"step must be between 0 and 0.1 of the box, got {self.step}")
-
-
-@dataclass(frozen=True)
-class WorstCase:
-    """Worst value found for one requirement.
-
-    Parameters
-    ----------
-    requirement : str
-    value : float
-        Normalised; infinite where the loop is unstable.
-    parameters : mapping of str to float
-        Where it happens.
-    omega : float
-        Frequency of the peak [rad/s].
-    sampled : float
-        Best value before the local ascents.
-    evaluations : int
-        Closed loops evaluated, for all requirements together.
-    others : tuple of (value, parameters)
-        The worst samples that have their peak at another frequency, worst first: at most :data:`MAX_OTHERS`.
-    """
-
-    requirement: str
-    value: float
-    parameters: Mapping[str, float]
-    omega: float
-    sampled: float
-    evaluations: int
-    others: tuple[tuple[float, Mapping[str, float]], ...] = ()
 
 
 def worst_case(

@@ -97,6 +97,6 @@ def test_a_worst_case_below_the_target_is_not_worse() -> None:
     }
     met = tune_robust(**common, options=TuningOptions(starts=0, target=0.26))
     assert met.status is TuningStatus.CONVERGED and len(met.active) == 1
-    assert met.tuning.soft < met.worst[0].value < 0.26
+    assert met.soft < met.worst[0].value < 0.26
     exact = tune_robust(**common, options=TuningOptions(starts=0))
-    assert len(exact.active) > 1 and exact.tuning.soft == pytest.approx(0.2, rel=1e-3)
+    assert len(exact.active) > 1 and exact.soft == pytest.approx(0.2, rel=1e-3)

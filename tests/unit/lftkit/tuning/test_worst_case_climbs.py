@@ -299,12 +299,12 @@ def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
         gain([("y", 1)], [("u", 1)]),
         options=TuningOptions(starts=1),
     )
-    assert result.status == result.tuning.status == "converged"
+    assert result.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
-    assert result.tuning.soft == pytest.approx(0.2, rel=1e-3)
+    assert result.soft == pytest.approx(0.2, rel=1e-3)
     assert {round(a["pole"], 6) for a in result.active} >= {-0.75, -0.5}
     assert len(result.rounds) >= 2
-    assert all(w.value <= max(1.0, result.tuning.soft) * 1.01 for w in result.worst)
+    assert all(w.value <= max(1.0, result.soft) * 1.01 for w in result.worst)
 
 
 def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
@@ -318,8 +318,8 @@ def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
         options=TuningOptions(starts=1),
     )
     assert -result.controller.D.item() >= 5.0 * (1 - 1e-4), "the gain 1 / (k - 1) <= 1/4 asks for k >= 5"
-    assert 1.0 < result.tuning.soft < 1.25
-    assert result.status == result.tuning.status != "converged"
+    assert 1.0 < result.soft < 1.25
+    assert result.status != "converged"
 
 
 def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
@@ -339,4 +339,4 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
     assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
     assert result.status == "converged"
     assert all(np.isfinite(w.value) for w in result.worst)
-    assert result.worst[0].value <= result.tuning.soft * 1.01
+    assert result.worst[0].value <= result.soft * 1.01
