@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from lftkit.systems.connection.filters import transfer
+from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
 from lftkit.tuning.requirements import H2Gain, HinfGain, Requirement
@@ -111,42 +111,44 @@ class StepTracking(_FromReference):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
-    @property
-    def _mismatch(self) -> str:
-        return f"{self._error}.mismatch {self.time_constant:g} s"
-
     def prepared(self, model: System) -> System:
-        """The model with the difference of the output and the reference model's (held between samples)."""
-        model = super().prepared(model)
-        if any(p.name == self._mismatch for p in model.outputs):
+        """The model with an input for what the reference model says, and the output's difference from it."""
+        name, modelled = self._ports
+        if any(p.name == modelled for p in model.inputs):
             return model
-        columns, rows = model.input_indices([self.reference]), model.output_indices([self.output])
-        size, n, tau = len(rows), model.order, self.time_constant
-        pole, gain = (-1.0 / tau, 1.0 / tau) if not model.dt else (self._decay(model.dt), 1.0 - self._decay(model.dt))
-        A = linalg.block_diag(model.A, pole * np.eye(size))
-        B = np.vstack([model.B, np.zeros((size, model.B.shape[1]))])
-        B[n:, columns] = gain * np.eye(size)
-        C = np.hstack([model.C, np.zeros((len(model.C), size))])
-        wide = System(A, B, C, model.D, model.inputs, model.outputs, model.name, dt=model.dt)
-        difference = np.hstack([model.C[rows], -np.eye(size)])
-        return with_output(wide, self._mismatch, difference, model.D[rows])
+        model = super().prepared(model)
+        rows = model.output_indices([self.output])
+        size, nothing = len(rows), np.zeros((len(model.D), len(rows)))
+        B, D = np.hstack([model.B, np.zeros((model.order, size))]), np.hstack([model.D, nothing])
+        inputs = (*model.inputs, Port(modelled, size))
+        wide = System(model.A, B, model.C, D, inputs, model.outputs, model.name, dt=model.dt)
+        return with_output(wide, name, model.C[rows], np.hstack([model.D[rows], -np.eye(size)]))
 
-    def _decay(self, time: float) -> float:
-        """Of the reference model in this time [s]."""
-        return float(np.exp(-time / self.time_constant))
+    @property
+    def _ports(self) -> tuple[str, str]:
+        """Difference of the output and the reference model's, and the latter."""
+        return f"{self._error}.mismatch", f"{self._error}.modelled"
 
     def requirements_on(self, model: System) -> tuple[Requirement, ...]:
-        """One H2 norm."""
-        size, leak, dt = len(model.input_indices([self.reference])), GAP_LEAK / self.time_constant, model.dt
-        # (1 - M) / s = tau / (tau s + 1): its norm is the root of tau / 2 for each reference; of samples a sum
-        square, weight = 0.5 * self.time_constant, transfer([1.0], [1.0, leak], size)
-        if dt:
-            square, left = dt / (1.0 - self._decay(dt) ** 2), float(np.exp(-leak * dt))
-            one = np.eye(size)
-            weight = System(left * one, one, dt * left * one, dt * one, weight.inputs, weight.outputs, "step", dt=dt)
+        """One H2 norm, of the step through the plant and through the reference model."""
+        size, dt, tau = len(model.input_indices([self.reference])), model.dt, self.time_constant
+        one, leak = np.eye(size), GAP_LEAK / tau
+        # states: integral, reference model; outputs: integral, what the model makes of it
+        A, B = np.array([[-leak, 0.0], [1.0 / tau, -1.0 / tau]]), np.array([[1.0], [0.0]])
+        C, D = np.diag([1.0, 1.0]), np.array([[0.0], [0.0]])
+        square = 0.5 * tau  # of (1 - M) / s = tau / (tau s + 1)
+        if dt:  # the reference model is held between samples, integrals are sums
+            left, decay = float(np.exp(-leak * dt)), float(np.exp(-dt / tau))
+            A, B = np.array([[left, 0.0], [(1.0 - decay) * dt * left, decay]]), np.array([[1.0], [(1.0 - decay) * dt]])
+            C, D = np.diag([dt * left, 1.0]), np.array([[dt], [0.0]])
+            square = dt / (1.0 - decay**2)
+        outputs, direct = (np.vstack([np.kron(one, M[[row]]) for row in (0, 1)]) for M in (C, D))
+        ports = (Port("step", size),), (Port("both", 2 * size),)
+        weight = System(np.kron(one, A), np.kron(one, B), outputs, direct, *ports, "step", dt=dt)
         bound = self.relative_gap * float(np.sqrt(square * size))
+        mismatch, modelled = self._ports
         common = {"weight_in": weight, "hard": self.hard, "name": self._name(self.name)}
-        return (H2Gain((self.reference,), (self._mismatch,), bound, **common),)  # type: ignore[arg-type]
+        return (H2Gain((self.reference, modelled), (mismatch,), bound, **common),)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -116,6 +116,22 @@ def test_step_of_a_lag_against_that_of_another(model: float, own: float) -> None
     assert value(goal, INTEGRATOR, feedback(1.0 / own)) == pytest.approx(expected, rel=5e-3, abs=1e-6)
 
 
+def test_the_model_of_a_step_is_no_pole_of_the_loop() -> None:
+    """A decay that is faster than the reference model can be asked for beside it; two references have two steps."""
+    goals = [StepTracking("r", "z", time_constant=2.0), ClosedLoopPoles(min_decay=1.0)]
+    models, needs = resolved([INTEGRATOR], goals)
+    found = certify(models, feedback(1.5), needs)
+    assert found.abscissae[0] == pytest.approx(-1.5) and found.values[1, 0] == pytest.approx(0.5)
+    C, D = np.vstack([np.eye(2), -np.eye(2)]), np.zeros((4, 4))
+    D[2:, :2] = np.eye(2)
+    B = np.hstack([np.zeros((2, 2)), np.eye(2)])
+    two = System(np.zeros((2, 2)), B, C, D, [("r", 2), ("u", 2)], [("z", 2), ("e", 2)])
+    K = System.static(np.diag([3.0, 1.5]), [("e", 2)], [("u", 2)])
+    models, needs = resolved([two], goals[:1])
+    each = [value(goals[0], INTEGRATOR, feedback(k)) for k in (3.0, 1.5)]
+    assert certify(models, K, needs).values[0, 0] == pytest.approx(np.sqrt(0.5 * np.sum(np.square(each))), rel=1e-9)
+
+
 def test_overshoot_is_that_of_a_second_order_system() -> None:
     """1 / (s^2 + 2 z s + 1) with z = 0.4 overshoots by exp(-pi z / sqrt(1 - z^2)) = 25.38 %."""
     z = 0.4
