@@ -9,11 +9,21 @@ import pytest
 from los_testbed.cli.interrupts import remember_command, told_how_to_go_on
 
 
+@pytest.fixture(autouse=True)
+def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bags" / "a b").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+
+
 def told(
-    capsys: pytest.CaptureFixture[str], words: list[str], error: type[BaseException], **options: tuple[str]
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    error: type[BaseException],
+    folder: str = "bags/a b",
+    **options: tuple[str],
 ) -> str:
     remember_command(words)
-    with pytest.raises(error), told_how_to_go_on("rows", Path("bags/a b"), **options):
+    with pytest.raises(error), told_how_to_go_on("rows", Path(folder), **options):
         raise error
     return capsys.readouterr().err
 
@@ -35,5 +45,6 @@ def test_it_names_the_folder_and_the_options_that_go_on(
     assert shlex.split(command) == ["los-testbed", "campaign", *expected]
 
 
-def test_a_failure_says_nothing_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_says_nothing_of_it_and_nothing_is_kept_without_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert told(capsys, ["campaign"], ValueError) == ""
+    assert told(capsys, ["campaign"], KeyboardInterrupt, "none yet") == ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -126,9 +126,11 @@ def campaign(
     if resume:
         folder.compare(asked)
     console = Screen(stderr=json_)
-    with cluster(scheduler, workers, tls) as client:
-        check_workers(asked, client)
-        done = folder.open(asked, resume)
+    with ExitStack() as stack:
+        with Progress("workers"):
+            client = stack.enter_context(cluster(scheduler, workers, tls))
+            check_workers(asked, client)
+            done = folder.open(asked, resume)
         if client.dashboard_link:
             console.print(f"dashboard  {client.dashboard_link}", soft_wrap=True)
         with told_how_to_go_on("the rows so far", folder.path, further=("--resume",)):

@@ -27,14 +27,15 @@ def told_how_to_go_on(
     kept : str
         What is on disk, in the plural.
     output : Path
-        Folder that has it; the command line names it with ``--output`` even where the one that was given does not.
+        Folder that has it, if there is one yet; the command line names it with ``--output`` even where the one that
+        was given does not.
     further, without : sequence of str
         Options without a value that the command line must have, and must not have.
     """
     try:
         yield
     except BaseException as error:
-        if not isinstance(error, Exception):
+        if not isinstance(error, Exception) and output.exists():
             words = [word for word in _words if word not in without]
             if not any(word.split("=")[0] == "--output" for word in words):
                 words += ["--output", str(output)]

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import (
     Case,
     Cases,
@@ -35,7 +36,8 @@ STAGES_EXAMPLES = """Compare the four stages: none, isolator, fsm, fsm+pma.
 
 Same seed and disturbance for all, several telescopes of the family, the disturbance and the sensor noise also alone;
 the transmissibility of each stage beside that of the model. In the scenario worst_case each stage has its own worst
-parameters and tones. Writes stages.md, stages.json and one report per scenario.
+parameters and tones. Writes stages.md, stages.json and one report per scenario. Run the same command again to go on
+after an interrupt: runs in one process whose bags are there are not made again (with --keep all of them).
 
 **Examples**
 
@@ -81,7 +83,7 @@ def stages(
     from los_testbed.config import RunConfig
     from los_testbed.factories import RunParts
     from los_testbed.run.processes.node_launch import check_ros
-    from los_testbed.run.stages import COMPARED, PARTS, Plan
+    from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
     from los_testbed.variants import chosen_member, layered
     from titop_plant.interface import SCENARIOS
 
@@ -96,14 +98,17 @@ def stages(
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
     base = RunConfig.from_mapping({"mode": "inprocess", **settings})
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-stages"
-    check_new_bag(folder)
+    if not (folder / PLAN).exists():
+        check_new_bag(folder)
     warn(RunParts(base).check())
     if base.mode != "inprocess":
         check_ros()
     chosen = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
     plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs or "")
-    content = _write(Screen(stderr=json_), _perform(plan), plan)
+    with told_how_to_go_on("bags of finished runs", folder):
+        content = _write(Screen(stderr=json_), _perform(plan), plan)
+        finish(plan)
     if json_:
         print_json(content)
 
@@ -133,7 +138,8 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
             say(console, f"{result.run.name}: {result.note}", "note")
     content = stages_tables.as_json(results, plan)
     write_text(plan.folder / "stages.md", stages_tables.markdown(results, plan))
-    content["reports"] = [str(path) for path in _reports(results, plan)]
+    with Progress("reports"):
+        content["reports"] = [str(path) for path in _reports(results, plan)]
     write_text(plan.folder / "stages.json", json.dumps(content, indent=1) + "\n")
     for path in (plan.folder / "stages.md", plan.folder / "stages.json", *content["reports"]):
         say(console, str(path))

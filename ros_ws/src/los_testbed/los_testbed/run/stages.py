@@ -8,6 +8,7 @@ tone, one for each index (:mod:`los_testbed.run.summary.worst_case_rows`).
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +28,13 @@ from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, random_member, worst_member
+from pointing_analysis.files.atomic_output import write_text
+from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
 from titop_plant.telescope.layout import control_stages
+from titop_plant.telescope.parameters import parameters_hash
 
 WORST = SCENARIOS[0]
 
@@ -41,6 +45,9 @@ MOVING = "ramp"
 
 COMPARED = tuple(name for name in SCENARIOS if name not in ("unit_norm", "design", MOVING))
 """Scenarios of a comparison, where none is named."""
+
+PLAN = "plan.json"
+"""File in the folder of results that are not finished: what was asked for."""
 
 REPORTED = "fast"
 """Index of the worst-case runs that the report shows side by side."""
@@ -58,7 +65,7 @@ class Plan:
     base : RunConfig
         Duration, seed, mode, controllers and all that the stages share.
     folder : Path
-        New folder for bags and results.
+        New folder for bags and results, or that of the same plan, which then goes on.
     scenarios : tuple of str
     samples : int
         Telescopes: the one of `base`, then random members 1, 2, ... of its family.
@@ -221,8 +228,8 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     Raises
     ------
     ValueError
-        A folder that exists, a telescope outside its family, a file that is no controller, several telescopes or no
-        ramp in the scenario ramp.
+        A folder of something else, a telescope outside its family, a file that is no controller, several telescopes or
+        no ramp in the scenario ramp.
     """
     if MOVING in plan.scenarios and plan.samples > 1:
         raise ValueError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
@@ -230,18 +237,56 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
         check_ranges(config, RunParts(config).parameters)
         if MOVING in plan.scenarios:
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
-    plan.folder.mkdir(parents=True)
+    _begin(plan)
     results = []
     for run in plan.runs():
         bag = plan.folder / run.name
         try:
-            note = record(replace(run.config, output=str(bag)), bag, partial(progress, run))
+            note = "" if bag.exists() else _recorded(run, bag, partial(progress, run))
             results.append(replace(evaluate(plan, run, bag), note=note))
         except LoopDivergedError as error:
             results.append(StageResult(run, dict.fromkeys(METRICS, math.nan), 0.0, note=str(error)))
         if not (plan.keep or run.reported):
             shutil.rmtree(bag, ignore_errors=True)
     return tuple(results)
+
+
+def _begin(plan: Plan) -> None:
+    """Make the folder; or leave of one of the same plan, which was interrupted, the bags of its finished runs.
+
+    Runs that do not pass in one process are made again: what their processes had to say is not in the bags.
+
+    Raises
+    ------
+    ValueError
+        A folder of something else.
+    """
+    file, runs = plan.folder / PLAN, plan.runs()
+    origin = {**provenance(plan), "parameters": parameters_hash(RunParts(plan.base).parameters)}
+    asked = json.loads(json.dumps({"runs": {run.name: run.config.to_mapping() for run in runs}, "origin": origin}))
+    if not plan.folder.exists():
+        plan.folder.mkdir(parents=True)
+    elif not file.exists() or load_json(read_text(file), file) != asked:
+        raise ValueError(f"--output must be a new folder, or one of the same stages, got {plan.folder}")
+    write_text(file, json.dumps(asked, indent=1) + "\n")
+    for bag in (plan.folder / run.name for run in runs):
+        if plan.base.mode != "inprocess" or not (bag / "metadata.yaml").exists():
+            shutil.rmtree(bag, ignore_errors=True)
+
+
+def finish(plan: Plan) -> None:
+    """What is in the folder is whole: there is nothing to go on with."""
+    (plan.folder / PLAN).unlink()
+
+
+def _recorded(run: StageRun, bag: Path, progress: Callable[[int], None]) -> str:
+    """One run, whole or not at all; what went wrong and was mended."""
+    try:
+        return record(replace(run.config, output=str(bag)), bag, progress)
+    except BaseException as error:
+        if not isinstance(error, Exception):  # the bag of an interrupted run is one of a shorter run
+            shutil.rmtree(bag, ignore_errors=True)
+        raise
 
 
 def record(config: RunConfig, bag: Path, progress: Callable[[int], None]) -> str:

@@ -279,7 +279,8 @@ def _verified(samples: int, workers: Workers, uncertain: Sequence[str] = ()) -> 
     robust = load_designs("paper")
     for design in robust:
         paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
-    paper = check_paper(assembled, parameters, *robust, paper_points)
+    with Progress("continuous loops of the paper"):
+        paper = check_paper(assembled, parameters, *robust, paper_points)
     checks = {
         "robust design": implemented,
         "nominal design, nominal model": alone,

@@ -131,7 +131,8 @@ def certify(
             _keep(output / SUMMARY, found)
             sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     if any(bounds.status == "proven" for bounds in found):
-        _bundle(output, loops)
+        with Progress("bundle"):
+            _bundle(output, loops)
     _show(found, json_)
     if any(bounds.status != "proven" for bounds in found):
         raise typer.Exit(1)

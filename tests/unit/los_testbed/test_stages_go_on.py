@@ -1,0 +1,60 @@
+"""Stages that were interrupted: what is left is whole, and the same plan goes on with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.run import stages
+from los_testbed.run.stages import PLAN, Plan, StageRun, finish, perform
+
+PLANNED = Plan(RunConfig(duration=1.1, mode="inprocess"), Path(), ("imbalance",), 1, ("all",))
+
+
+def interrupted(plan: Plan, monkeypatch: pytest.MonkeyPatch, after: int) -> list[str]:
+    """Interrupt the plan in the run behind `after` finished ones; the runs that were started."""
+    started: list[str] = []
+
+    def progress(run: StageRun, ticks: int) -> None:
+        if run.name not in started:
+            started.append(run.name)
+        if len(started) > after and ticks:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        perform(plan, progress)
+    return started
+
+
+@pytest.mark.slow
+def test_finished_runs_are_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(PLANNED, folder=tmp_path / "s")
+    first, second = interrupted(plan, monkeypatch, 1)
+    assert {path.name for path in plan.folder.iterdir()} == {PLAN, first}
+    kept = (plan.folder / first / "metadata.yaml").stat().st_mtime_ns
+
+    killed = plan.folder / second  # as SIGKILL leaves it
+    killed.mkdir()
+    started = interrupted(plan, monkeypatch, 1)
+    assert started[0] == second and (plan.folder / first / "metadata.yaml").stat().st_mtime_ns == kept
+    results = [r.as_dict() for r in perform(plan)]
+
+    whole = replace(PLANNED, folder=tmp_path / "whole")
+    assert [r.as_dict() for r in perform(whole)] == results and len(results) == 4
+    finish(whole)
+    assert not (whole.folder / PLAN).exists()
+
+
+def test_another_plan_does_not_go_on_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stages, "record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    plan = replace(PLANNED, folder=tmp_path / "s")
+    with pytest.raises(KeyboardInterrupt):
+        perform(plan)
+    other = replace(plan, base=replace(plan.base, seed=plan.base.seed + 1))
+    with pytest.raises(ValueError, match="--output must be a new folder, or one of the same stages"):
+        perform(other)
+    finish(plan)
+    with pytest.raises(ValueError, match="--output must be a new folder"):
+        perform(plan)
