@@ -75,7 +75,18 @@ class Workers:
             context = get_context("spawn")
             stopped, self._stop = context.Pipe(duplex=False)
             self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(stopped,))
-        return self._pool.map(function, items)
+        with _interrupts_waiting():
+            return self._pool.map(function, items)
+
+
+@contextlib.contextmanager
+def _interrupts_waiting() -> Iterator[None]:
+    """Block SIGINT, which processes that start here inherit: a terminal sends it to them, too, while they import."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(stopped: connection.Connection) -> None:

@@ -36,11 +36,17 @@ def pages_taken(count: int) -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
+def interrupts_wait(item: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
 def test_the_results_are_those_of_one_process_in_order() -> None:
     with Workers(1) as one, Workers(2) as two:
         assert two.map(spectrum, range(5)) == one.map(spectrum, range(5))
         assert list(two.each(abs, [-3, 2, -1])) == [3, 2, 1]
         assert two.map(abs, []) == [] and two.map(abs, [-1]) == [1]
+        assert two.map(interrupts_wait, range(2)) == [True, True], "from their first instruction on"
+    assert not interrupts_wait(0)
 
 
 @pytest.mark.parametrize("variables", [{}, {"MALLOC_TRIM_THRESHOLD_": "65536"}])
