@@ -169,10 +169,15 @@ site: $(READY)
 
 lock:
 	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
-	# fmpy is content with the lark-parser of ROS, which has the same module as lark, and needs no cmake of its own
-	printf '%s\n' 'numpy>=2.2,<2.3' "lark; python_version < '3'" "cmake; python_version < '3'" > .venv-lock/override.txt
+	# fmpy is content with the lark-parser of ROS, which has the same module as lark, and needs no cmake of its own;
+	# of numpy-typing-compat the one for this numpy
+	printf '%s\n' 'numpy>=2.2,<2.3' "numpy-typing-compat==20251206.2.2; python_version >= '3.11'" "lark; python_version < '3'" "cmake; python_version < '3'" > .venv-lock/override.txt
 	.venv-lock/bin/uv pip compile --universal --python-version 3.10 --all-extras --no-header --no-annotate \
 	    --override .venv-lock/override.txt --no-emit-package lftkit pyproject.toml -o requirements.lock
+	printf '%s\n' '# Every package that the two README commands install, for CPython 3.10-3.13 on Linux x86_64.' \
+	    '# Made by `make lock`; installed with --no-deps. numpy is held at 2.2 because pyNastran 1.4.1 uses names that numpy 2.4 removed.' \
+	    | cat - requirements.lock > .venv-lock/requirements.lock
+	mv .venv-lock/requirements.lock requirements.lock
 
 clean:
 	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
