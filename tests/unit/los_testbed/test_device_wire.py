@@ -66,6 +66,21 @@ def test_a_clock_that_is_set_is_learned_anew():
     assert clocks.jumps == 1 and abs(clocks.to_host(6_000_000_000) - 5_000_000_000) < 2000
 
 
+@given(
+    st.lists(st.tuples(st.integers(0, 80), st.integers(0, 80)), min_size=2, max_size=30), st.integers(-(2**40), 2**40)
+)
+@settings(max_examples=50, deadline=None)
+def test_answers_that_were_held_up_on_their_way_are_of_no_clock_that_was_set(held, ahead):
+    """A host without a free processor holds a question or its answer for tens of milliseconds."""
+    clocks = ClockMap()
+    for k, (there, back) in enumerate(held):
+        sent, other = k * 50_000_000, ahead + k * 50_000_000 + there * 1_000_000
+        clocks.answer(sent, other, sent + (there + back) * 1_000_000)
+    assert clocks.jumps == 0
+    clocks.answer(10**10, ahead + 10**10 + 10**9, 10**10)
+    assert clocks.jumps == 1
+
+
 def test_a_rig_on_another_machine_needs_a_key(tmp_path):
     assert address_of("127.0.0.1:47800") == ("127.0.0.1", 47800)
     assert secret_of(RunConfig(), other_machine("127.0.0.1")) == bytes(8)

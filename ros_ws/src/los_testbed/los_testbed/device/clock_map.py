@@ -11,7 +11,7 @@ WINDOW = 200
 
 
 JUMP_NS = 5_000_000
-"""An answer this far from the line is of a clock that was set: what was known of it is forgotten."""
+"""An answer further from the line than this and what both may err is of a clock that was set: the rest is forgotten."""
 
 
 class ClockMap:
@@ -57,7 +57,8 @@ class ClockMap:
 
     def answer(self, sent_ns: int, other_ns: int, received_ns: int) -> None:
         """Take in an answer: sent and received by the clock of this host, the time between by the other one."""
-        if self._answers and abs(other_ns - self._offset_at(other_ns) - (sent_ns + received_ns) / 2) > JUMP_NS:
+        known_to = JUMP_NS + (max(0, received_ns - sent_ns) + 1e3 * max(0.0, self.way_us)) / 2
+        if self._answers and abs(other_ns - self._offset_at(other_ns) - (sent_ns + received_ns) / 2) > known_to:
             self._answers.clear()
             self.jumps += 1
         self._answers.append((received_ns - sent_ns, other_ns - (sent_ns + received_ns) // 2, other_ns))
