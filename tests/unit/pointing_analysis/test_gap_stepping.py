@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pointing_analysis.replay.gap_stepping import FILLS, GAP_LIMIT, HOLD, LINE, GapStepper
+from pointing_analysis.replay.gap_stepping import FILLS, GAP_LIMITS, HOLD, LINE, GapStepper
+
+GAP_LIMIT = GAP_LIMITS[HOLD]
 
 
 class Recorder:
@@ -39,7 +41,7 @@ def test_the_sample_is_copied() -> None:
     assert core.samples[1].tolist() == [1.0, 1.0]
 
 
-@pytest.mark.parametrize("gap", [1, 2, 7, GAP_LIMIT])
+@pytest.mark.parametrize("gap", [1, 2, 7, GAP_LIMITS[LINE]])
 def test_a_line_is_met_exactly_and_a_bend_no_worse_than_by_a_held_sample(gap: int) -> None:
     """Of a ramp no missing sample is wrong; the error of a tone is at most its bend, (w dt (gap + 1))^2 / 8."""
     ticks, frequency = np.arange(gap + 2), 0.3 / (gap + 1)
@@ -60,6 +62,14 @@ def test_where_the_line_is_not_finite_the_sample_before_is_held() -> None:
     stepper(np.array([1.0, 2.0, -1.7e308, np.nan]), 0, out)
     stepper(np.array([5.0, np.nan, 1.7e308, 3.0]), 1, out)
     np.testing.assert_array_equal(core.samples[1], [np.nan, 2.0, -1.7e308, np.nan])
+
+
+def test_a_gap_beyond_half_a_period_of_the_fast_tones_is_left_out() -> None:
+    core, out = Recorder(), np.zeros(1)
+    stepper = GapStepper(core.step, 1)
+    stepper(np.zeros(1), 0, out)
+    stepper(np.ones(1), GAP_LIMITS[LINE] + 1, out)
+    assert [float(sample[0]) for sample in core.samples] == [0.0, 1.0]
 
 
 def test_another_fill_is_refused() -> None:
