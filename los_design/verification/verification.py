@@ -351,10 +351,21 @@ def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedC
     return found
 
 
+def above(value: float, limit: float, places: int) -> str:
+    """A value above a limit with so many decimals, or with as many more as show that it is above.
+
+    Examples
+    --------
+    >>> above(41.23, 40.0, 1), above(40.0026, 40.0, 1)
+    ('41.2', '40.003')
+    """
+    return next((text for k in range(places, 16) if float(text := f"{value:.{k}f}") > limit), repr(value))
+
+
 def broken_requirements(check: ImplementedCheck) -> list[str]:
     """One line for each requirement of the implemented loop that a pair of designs breaks; empty if all are met."""
     lines = [
-        f"{stage}: {row.name} {gamma:.3f} of its limit, must be at most {row.allowed:g}"
+        f"{stage}: {row.name} {above(gamma, row.allowed, 3)} of its limit, must be at most {row.allowed:g}"
         for stage in check.stages
         for row in gain_figures(stage)
         if not (gamma := check.gamma(stage, row.name)) <= row.allowed
@@ -362,12 +373,12 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
     last = check.stages[-1]
     fine = figure("RPE").limit(check.parameters, last) / MAS
     if not check.total(last) <= fine:
-        lines.append(f"{last}: tones and noise {check.total(last):.1f} mas, must be at most {fine:g} mas")
+        lines.append(f"{last}: tones and noise {above(check.total(last), fine, 1)} mas, must be at most {fine:g} mas")
     for stage in check.stages:
         absolute = figure("APE").limit(check.parameters, stage) / ARCSEC
         if not check.total_ape(stage) <= absolute:
-            found = f"tone and noise {check.total_ape(stage):.2f} arcsec, must be at most {absolute:g} arcsec"
-            lines.append(f"{stage}: {found}")
+            found = above(check.total_ape(stage), absolute, 2)
+            lines.append(f"{stage}: tone and noise {found} arcsec, must be at most {absolute:g} arcsec")
     return lines + check.lost_margins()
 
 
