@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.run import stages
 from los_testbed.run.stages import PLAN, Plan, StageRun, finish, perform
+
+from los_design.synthesis.store import load_designs
 
 PLANNED = Plan(RunConfig(duration=1.1, mode="inprocess"), Path(), ("imbalance",), 1, ("all",))
 
@@ -58,3 +61,18 @@ def test_another_plan_does_not_go_on_in_the_folder(tmp_path: Path, monkeypatch: 
     finish(plan)
     with pytest.raises(ValueError, match="--output must be a new folder"):
         perform(plan)
+
+
+@pytest.mark.slow
+def test_a_run_that_diverged_is_none_that_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its bag ends where it diverged; the stages that go on after an interrupt say so like those without one."""
+    stored = load_designs("implemented")[0]
+    file = tmp_path / "k_fsm.json"
+    replace(stored, A=2.5 * np.eye(stored.order)).to_file(file)
+    base = replace(PLANNED.base, k_fsm=str(file), start="rest")
+    plan = replace(PLANNED, base=base, folder=tmp_path / "s", keep=True)
+    interrupted(plan, monkeypatch, 3)
+    assert (plan.folder / "imbalance-nominal-fsm").exists(), "the run behind it was interrupted"
+    results, whole = perform(plan), perform(replace(plan, folder=tmp_path / "whole"))
+    assert [(r.note, repr(r.as_dict())) for r in results] == [(r.note, repr(r.as_dict())) for r in whole]
+    assert "diverged" in results[2].note

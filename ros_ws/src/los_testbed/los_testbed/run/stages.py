@@ -254,7 +254,8 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
 def _begin(plan: Plan) -> None:
     """Make the folder; or leave of one of the same plan, which was interrupted, the bags of its finished runs.
 
-    Runs that do not pass in one process are made again: what their processes had to say is not in the bags.
+    Runs that do not pass in one process are made again: what their processes had to say is not in the bags. So are runs
+    that diverged, whose bags end there.
 
     Raises
     ------
@@ -270,8 +271,17 @@ def _begin(plan: Plan) -> None:
         raise ValueError(f"--output must be a new folder, or one of the same stages, got {plan.folder}")
     write_text(file, json.dumps(asked, indent=1) + "\n")
     for bag in (plan.folder / run.name for run in runs):
-        if plan.base.mode != "inprocess" or not (bag / "metadata.yaml").exists():
+        if plan.base.mode != "inprocess" or not _finished(bag):
             shutil.rmtree(bag, ignore_errors=True)
+
+
+def _finished(bag: Path) -> bool:
+    """Whether a bag is that of a run that came to its end."""
+    try:
+        statistics = Run.open(bag).parameters.get("statistics", {})
+    except (ValueError, OSError):
+        return False
+    return "failure" not in statistics.get("plant", {"failure": "unknown"})
 
 
 def finish(plan: Plan) -> None:
