@@ -76,6 +76,9 @@ def test_what_a_plant_could_not_send_is_told_with_the_windows_that_it_cost(
     found = screen._lost_periods(recorded(plant), replace(summary, windows_skipped=skipped))
     assert told in found and bool(found) == bool(told) and ("windows" in found) == bool(told and skipped)
     assert ("--mode lockstep" in found) == ("lost_periods" in plant)
+    rig = recorded(plant)
+    rig.parameters["device"] = "my_rig:Rig"
+    assert "--mode lockstep" not in screen._lost_periods(rig, summary), "a rig has no other mode"
 
 
 def test_statistics_are_the_numbers_that_a_count_can_be() -> None:
