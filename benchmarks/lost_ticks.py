@@ -60,7 +60,7 @@ def line_of_sight(parts: RunParts, first: int, gap: int, fill: str = LINE) -> Fl
 
 def measure(seeds: int) -> list[dict[str, object]]:
     """One entry for each stage and tone, with its cost [arcsec] by choice and length of the gap."""
-    found = []
+    found: list[dict[str, object]] = []
     for loop, worst_of in CASES:
         settings = {"duration": (FIRST + AFTER) * DT, **worst_member(loop, worst_of)}
         runs = [RunParts(RunConfig.from_mapping({**settings, "seed": seed})) for seed in range(1, seeds + 1)]
