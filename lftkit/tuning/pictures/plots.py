@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import control
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,7 +19,6 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
-from lftkit.systems.sampled.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import certify, delayed_controller
 from lftkit.tuning.discrete import certified, rates, sampled_weights
@@ -208,16 +208,12 @@ def _poles(axes: Axes, r: ClosedLoopPoles | ControllerPoles, models: Sequence[Sy
 def _steps(axes: Axes, goal: StepTracking, models: Sequence[System], K: System) -> None:
     dt, end = models[0].dt, LAST * goal.time_constant
     period = dt or end / STEPS
-    time = period * np.arange(int(end / period) + 1)
+    time, drawn = period * np.arange(int(end / period) + 1), "steps-post" if dt else "default"
     for model in models:
         loop = close_loop(model, K, (goal.reference,), (goal.output,))
-        A, B, C, D = (loop if dt else discretise(loop, period, method="hold")).matrices
-        x: FloatArray = np.zeros((len(A), B.shape[1]))
-        values = []
-        for _ in time:
-            values.append(np.diag(C @ x + D))
-            x = A @ x + B
-        axes.plot(time, values, color=RESULT, linewidth=1.2, drawstyle="steps-post" if dt else "default")
+        # outputs by inputs by time: of each reference its own output
+        values = control.step_response(loop.to_control(), time, squeeze=False).outputs
+        axes.plot(time, np.einsum("iit->ti", values), color=RESULT, linewidth=1.2, drawstyle=drawn)
     axes.plot(time, 1.0 - np.exp(-time / goal.time_constant), color=LIMIT, linestyle="--", linewidth=1.2)
     axes.set(xlabel="time [s]", ylabel=f"{goal.output} after a step", xlim=(0.0, time[-1]))
 
