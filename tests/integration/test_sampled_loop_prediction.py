@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, assemble_controller
+from los_testbed.controllers import assemble_controller
+from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import simulate as run
 
 from lftkit import SampledSystem

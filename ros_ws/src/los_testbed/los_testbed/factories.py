@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import fsm_pma_controller
 import los_estimator
 from fsm_pma_controller.runtime import FsmPmaController
-from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
-from los_testbed.flight_library import LibraryLaw
+from los_testbed.controllers import assemble_controller, compare_with_telescope
 from los_testbed.law_devices import NO_DEVICES, Devices, Wiring, placed_devices
+from los_testbed.plants import Plant
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
 from los_testbed.user_blocks import LAWS, UserBlock, linear_law, make_disturbance, make_law
 from los_testbed.variants import check_ranges
-from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
     from los_loop.sampled_loop import Delays
@@ -46,32 +45,6 @@ if TYPE_CHECKING:
 
 
 FROM_REST = "controllers that use sensors or actuators of the telescope's file start at rest"
-
-
-class Plant(Protocol):
-    """What the loop needs of a plant: commands in, measurements and truth out, one step per tick.
-
-    **Contract.** The vectors are those of :mod:`titop_plant.interface`. `step` number k applies the command that was
-    computed from the measurement of step k - 1 and holds it until step k + 1; it limits the command to what its
-    actuators can do. It overwrites all of `measurement` and `truth`, leaves `command` alone, and raises nothing: a
-    plant that diverges returns values that are not finite. It takes well under a tick. After `reset` the same commands
-    give the same bits.
-
-    Two further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
-    and ``parameters_hash``, a text that names its values.
-    """
-
-    frame_ticks: int
-    """Ticks from one camera frame to the next: step k has a frame where k is a multiple of it."""
-
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` (8,) [rad, N]; write `measurement` (22,) [m/s2, rad/s2, rad] and `truth` (2,) [rad].
-
-        The camera's columns are NaN where there is no frame or the frame is lost.
-        """
-
-    def reset(self) -> None:
-        """Back to the state before the first step, noise included."""
 
 
 @dataclass(frozen=True)
@@ -514,59 +487,6 @@ class RunParts:
             )
 
 
-def compare_with_telescope(
-    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw], telescope: DesignBasis, loop: str
-) -> tuple[str, ...]:
-    """Compare controllers with the telescope of a run; one line for each made for other parameters or limits.
-
-    K_FSM counts in every stage, since its estimates are recorded; K_PMA only where its loop is closed.
-
-    Raises
-    ------
-    ValueError
-        A loop is closed with a controller that was made for another sensitivity of the mirror.
-    """
-    lines = design_warnings([controllers["k_fsm"]], telescope, closed=loop in MIRROR_STAGES)
-    if loop in FORCE_STAGES:
-        lines += design_warnings([controllers["k_pma"]], telescope, closed=True)
-    return lines
-
-
-def assemble_controller(
-    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw], telescope: DesignBasis, loop: str
-) -> FsmPmaController:
-    """Mirror and proof-mass laws.
-
-    Parameters
-    ----------
-    controllers : mapping
-        ``k_fsm``, which says the sensitivity of the mirror that it was made for, and ``k_pma``.
-    telescope : DesignBasis
-        With the limits of the run; its sensitivity counts where the file of K_FSM says none.
-    loop : str
-        Stage.
-
-    Raises
-    ------
-    ValueError
-        Other ports, another period, an unknown stage, a value that neither the file nor the telescope says.
-    """
-    k_fsm = controllers["k_fsm"]
-    mirror, force = telescope.authority
-    law = controllers["k_pma"]
-    devices = law.devices if isinstance(law, UserBlock) else NO_DEVICES
-    return FsmPmaController(
-        controllers["k_pma"],
-        loop,
-        los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
-        fsm_authority=mirror,
-        pma_authority=force,
-        sensors=devices.inputs,
-        actuators=devices.outputs,
-        actuator_authority=devices.authority,
-    )
-
-
 def _user_plant(config: RunConfig) -> Plant:
     own: Plant = make(config)
     try:
@@ -589,25 +509,3 @@ def build_estimator(config: RunConfig) -> LosEstimator | UserBlock:
 def build_controller(config: RunConfig) -> FsmPmaController:
     """Mirror and proof-mass laws of a run, see :meth:`RunParts.controller`."""
     return RunParts(config).controller()
-
-
-def inner(plant: object, name: str) -> Any:
-    """Attribute of a plant, or of the telescope behind its devices; None where none has it."""
-    while not hasattr(plant, name) and hasattr(plant, "plant"):
-        plant = plant.plant
-    return getattr(plant, name, None)
-
-
-def plant_notes(plant: Plant) -> dict[str, str]:
-    """Tones, motion and name of the values of a plant, for the metadata of a bag."""
-    notes = {}
-    tones = getattr(plant, "tones", None)
-    if tones is not None:
-        notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
-    motion = inner(plant, "motion")
-    if motion is not None:
-        notes["motion"] = json.dumps(motion)
-    parameters_hash = getattr(plant, "parameters_hash", None)
-    if parameters_hash is not None:
-        notes["plant_parameters_hash"] = str(parameters_hash)
-    return notes

@@ -29,7 +29,8 @@ from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import judged, refused
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, assemble_controller
+from los_testbed.controllers import assemble_controller
+from los_testbed.factories import RunParts
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, simulate

@@ -172,7 +172,7 @@ class ModelResponse:
 
 
 def model_response(plant: Any, peaks: FloatArray) -> ModelResponse:
-    """Response of a plant with the contract of :class:`los_testbed.factories.Plant` that knows `change`."""
+    """Response of a plant with the contract of :class:`los_testbed.plants.Plant` that knows `change`."""
     gains = np.zeros((MEASUREMENTS, COMMANDS, len(FREQUENCIES)), complex)
     ticks = round((RAMP_S + MOTION_S) / DT)
     course = np.array([_all_lines(DT * k) for k in range(ticks)])

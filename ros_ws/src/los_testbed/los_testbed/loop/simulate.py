@@ -21,10 +21,11 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, RunParts, inner, plant_notes
+from los_testbed.factories import RunParts
 from los_testbed.image_camera import ImagePlant, frame_counts, window_of
 from los_testbed.law_devices import NONE, Wiring
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
+from los_testbed.plants import Plant, inner, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition

@@ -21,7 +21,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
-from los_testbed.factories import Plant, RunParts, build_plant, plant_notes
+from los_testbed.factories import RunParts, build_plant
 from los_testbed.image_camera import ImagePlant, frame_counts
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.compiled_loop import compile_telescope
@@ -35,6 +35,7 @@ from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
+from los_testbed.plants import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched

@@ -23,7 +23,7 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.config import is_library
-from los_testbed.factories import assemble_controller, compare_with_telescope
+from los_testbed.controllers import assemble_controller, compare_with_telescope
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError

@@ -1,0 +1,58 @@
+"""What the loop asks of a plant, and what a bag says of one."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Protocol
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+
+
+class Plant(Protocol):
+    """What the loop needs of a plant: commands in, measurements and truth out, one step per tick.
+
+    **Contract.** The vectors are those of :mod:`titop_plant.interface`. `step` number k applies the command that was
+    computed from the measurement of step k - 1 and holds it until step k + 1; it limits the command to what its
+    actuators can do. It overwrites all of `measurement` and `truth`, leaves `command` alone, and raises nothing: a
+    plant that diverges returns values that are not finite. It takes well under a tick. After `reset` the same commands
+    give the same bits.
+
+    Two further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
+    and ``parameters_hash``, a text that names its values.
+    """
+
+    frame_ticks: int
+    """Ticks from one camera frame to the next: step k has a frame where k is a multiple of it."""
+
+    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+        """Apply `command` (8,) [rad, N]; write `measurement` (22,) [m/s2, rad/s2, rad] and `truth` (2,) [rad].
+
+        The camera's columns are NaN where there is no frame or the frame is lost.
+        """
+
+    def reset(self) -> None:
+        """Back to the state before the first step, noise included."""
+
+
+def inner(plant: object, name: str) -> Any:
+    """Attribute of a plant, or of the telescope behind its devices; None where none has it."""
+    while not hasattr(plant, name) and hasattr(plant, "plant"):
+        plant = plant.plant
+    return getattr(plant, name, None)
+
+
+def plant_notes(plant: Plant) -> dict[str, str]:
+    """Tones, motion and name of the values of a plant, for the metadata of a bag."""
+    notes = {}
+    tones = getattr(plant, "tones", None)
+    if tones is not None:
+        notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
+    motion = inner(plant, "motion")
+    if motion is not None:
+        notes["motion"] = json.dumps(motion)
+    parameters_hash = getattr(plant, "parameters_hash", None)
+    if parameters_hash is not None:
+        notes["plant_parameters_hash"] = str(parameters_hash)
+    return notes
