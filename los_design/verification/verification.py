@@ -25,6 +25,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margins, rounded
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_rms
+from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
@@ -351,21 +352,10 @@ def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedC
     return found
 
 
-def above(value: float, limit: float, places: int) -> str:
-    """A value above a limit with so many decimals, or with as many more as show that it is above.
-
-    Examples
-    --------
-    >>> above(41.23, 40.0, 1), above(40.0026, 40.0, 1)
-    ('41.2', '40.003')
-    """
-    return next((text for k in range(places, 16) if float(text := f"{value:.{k}f}") > limit), repr(value))
-
-
 def broken_requirements(check: ImplementedCheck) -> list[str]:
     """One line for each requirement of the implemented loop that a pair of designs breaks; empty if all are met."""
     lines = [
-        f"{stage}: {row.name} {above(gamma, row.allowed, 3)} of its limit, must be at most {row.allowed:g}"
+        f"{stage}: {row.name} {digits_beside(gamma, row.allowed)} of its limit, must be at most {row.allowed:g}"
         for stage in check.stages
         for row in gain_figures(stage)
         if not (gamma := check.gamma(stage, row.name)) <= row.allowed
@@ -373,11 +363,13 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
     last = check.stages[-1]
     fine = figure("RPE").limit(check.parameters, last) / MAS
     if not check.total(last) <= fine:
-        lines.append(f"{last}: tones and noise {above(check.total(last), fine, 1)} mas, must be at most {fine:g} mas")
+        lines.append(
+            f"{last}: tones and noise {digits_beside(check.total(last), fine)} mas, must be at most {fine:g} mas"
+        )
     for stage in check.stages:
         absolute = figure("APE").limit(check.parameters, stage) / ARCSEC
         if not check.total_ape(stage) <= absolute:
-            found = above(check.total_ape(stage), absolute, 2)
+            found = digits_beside(check.total_ape(stage), absolute)
             lines.append(f"{stage}: tone and noise {found} arcsec, must be at most {absolute:g} arcsec")
     return lines + check.lost_margins()
 

@@ -28,6 +28,22 @@ def digits(value: float, places: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= whole else f"{value:.{places}g}"
 
 
+def digits_beside(value: float, limit: float) -> str:
+    """As :func:`digits`, with as many more as show on which side of the limit the value is.
+
+    Examples
+    --------
+    >>> [digits_beside(value, 40.0) for value in (41.23, 40.0026, 39.9996, 40.0)]
+    ['41.2', '40.003', '39.9996', '40']
+    """
+    if math.isinf(value):
+        return f"{value:g}"
+    if math.isnan(value) or value == limit:
+        return digits(value)
+    texts = (digits(value, places) for places in range(3, 17))
+    return next((text for text in texts if (float(text) - limit) * (value - limit) > 0.0), repr(value))
+
+
 def number(value: float) -> float | None:
     """Six digits for JSON; infinities and NaN become None."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
@@ -136,7 +152,7 @@ class RequirementRow:
     @property
     def value_text(self) -> str:
         """Value with its unit, or a dash."""
-        return ABSENT if math.isnan(self.value) else with_unit(digits(self.value), self.unit)
+        return ABSENT if math.isnan(self.value) else with_unit(digits_beside(self.value, self.limit), self.unit)
 
     @property
     def limit_text(self) -> str:
@@ -150,7 +166,7 @@ class RequirementRow:
             return ABSENT
         if math.isinf(self.bound):
             return "none yet"
-        bound = with_unit(f"{'above ' if self.lower else ''}{digits(self.bound)}", self.unit)
+        bound = with_unit(f"{'above ' if self.lower else ''}{digits_beside(self.bound, self.limit)}", self.unit)
         return f"{bound} at {100 * self.confidence:g} %"
 
     @property
