@@ -32,6 +32,7 @@ from los_testbed.device.udp import UdpSocket, address_of, other_machine
 from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode, fits
 from los_testbed.device.wiring import Wiring
 from los_testbed.factories import RunParts
+from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.scheduling import become_real_time, sharpen_timers
 from los_testbed.run_start import emulated
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
@@ -46,6 +47,8 @@ FAULTS = (
 BROWN_OUT_S = 0.5
 OUTAGE_S = 0.1
 """The line is out in both directions for so long."""
+COMPILED_TICKS = 60_000
+"""Ticks that the emulator expects to work for."""
 PSEUDO_TERMINAL = "pty"
 """Line of the emulator that it makes itself; it says the path of the other end when it is ready."""
 LEFT_NS = 1_000_000_000
@@ -100,25 +103,32 @@ class Mirror:
         w = 2 * np.pi * settings.resonance
         A = np.zeros((4, 4))
         A[0, 1], A[1, :3], A[3, 0] = 1.0, (-(w**2), -2 * settings.damping * w, w**2), 1.0 / DT
-        self._step = linalg.expm(A * DT)[[0, 1, 3], :3]
+        self._rows = linalg.expm(A * DT)[[0, 1, 3], :3].tolist()
         self._limit, self._change = limit, settings.rate * DT
-        self._state: FloatArray = np.zeros((2, 2))
-        self._aim: FloatArray = np.zeros(2)
+        self._axes = [(0.0, 0.0, 0.0)] * 2
+        """Of each axis: angle, its rate, and where its driver aims."""
         self.limited = False
 
     def step(self, command: FloatArray) -> FloatArray:
         """Angles (2,) [rad], mean over a tick with a command (2,) [rad]."""
-        inside = np.clip(command, -self._limit, self._limit)
-        aim = self._aim + np.clip(inside - self._aim, -self._change, self._change)
-        self.limited = bool(np.any(aim != command))
-        self._aim = aim
-        *state, mean = self._step @ np.vstack([self._state, aim])
-        self._state = np.array(state)
-        return np.asarray(np.clip(mean, -self._limit, self._limit))
+        means, wanted = [], command.tolist()
+        for axis, (angle, rate, before) in enumerate(self._axes):
+            inside = _clip(wanted[axis], self._limit)
+            aim = before + _clip(inside - before, self._change)
+            angle, rate, mean = (row[0] * angle + row[1] * rate + row[2] * aim for row in self._rows)
+            self._axes[axis] = angle, rate, aim
+            means.append(_clip(mean, self._limit))
+        self.limited = [aim for _, _, aim in self._axes] != wanted
+        return np.array(means)
 
     def stop(self) -> None:
         """At zero at once, as its driver does without power."""
-        self._state, self._aim = np.zeros((2, 2)), np.zeros(2)
+        self._axes = [(0.0, 0.0, 0.0)] * 2
+
+
+def _clip(value: float, limit: float) -> float:
+    """The value, at most `limit` in size."""
+    return min(max(value, -limit), limit)
 
 
 class Emulator:
@@ -139,6 +149,7 @@ class Emulator:
         parts = RunParts(config)
         self._plant = parts.plant()
         self._plant.reset()
+        compile_telescope(self._plant, COMPILED_TICKS)
         angle, self._force = parts.basis.authority
         self._mirror = Mirror(angle, settings)
         self._random = np.random.default_rng(settings.seed)
@@ -206,8 +217,10 @@ class Emulator:
         """A tick of the physics."""
         command = self._wiring.command(np.zeros(COMMANDS) if self._safe else self._command)
         self._applied[MIRROR] = self._mirror.step(command[MIRROR])
-        self._applied[FORCES] = np.clip(command[FORCES], -self._force, self._force)
-        limited = self._mirror.limited or bool(np.any(self._applied[FORCES] != command[FORCES]))
+        forces = command[FORCES].tolist()
+        inside = [_clip(force, self._force) for force in forces]
+        self._applied[FORCES] = inside
+        limited = self._mirror.limited or inside != forces
         self._flags = (self._flags & RESTARTED) | SAFE * self._safe | LIMITED * limited
         self._plant.step(self._applied, self._measurement, self._truth)
         self._measurement[:] = self._wiring.measurement(self._measurement)
