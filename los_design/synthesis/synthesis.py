@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ from los_design.synthesis.pair_problem import (
     blocks,
 )
 from los_design.synthesis.provenance import commit
-from los_design.synthesis.round_state import Outcome
+from los_design.synthesis.round_state import Kept, Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import random_start, screened, zero_controller
@@ -81,7 +80,11 @@ def _silent(text: str) -> None:
 
 
 def design_observer(
-    telescope: Telescope, parameters: Parameters, options: DesignOptions, report: Report = _silent
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    report: Report = _silent,
+    kept: Kept | None = None,
 ) -> SampledSystem:
     """Tune K_FSM from the Kalman observer.
 
@@ -92,6 +95,8 @@ def design_observer(
     options : DesignOptions
     report : callable
         Receives one line for each step.
+    kept : (Path, mapping), optional
+        As in :func:`los_design.synthesis.rounds.design_in_rounds`; of no use without a loop delay.
 
     Returns
     -------
@@ -100,7 +105,7 @@ def design_observer(
         hash, seed, status, tuned values and the continuous controller.
     """
     if options.implemented:
-        return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"])[0]
+        return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], kept=kept)[0]
     plant = observer_plant(telescope, parameters)
     structure = observer_structure(plant)
     starts = [kalman_start(structure, telescope, parameters)]
@@ -116,6 +121,7 @@ def design_actuators(
     observer: SampledSystem,
     options: DesignOptions,
     report: Report = _silent,
+    kept: Kept | None = None,
 ) -> SampledSystem:
     """Tune K_PMA with the mirror loop of an observer closed, from random starts.
 
@@ -128,6 +134,8 @@ def design_actuators(
     options : DesignOptions
     report : callable
         Receives one line for each step.
+    kept : (Path, mapping), optional
+        As in :func:`los_design.synthesis.rounds.design_in_rounds`; of no use without a loop delay.
 
     Returns
     -------
@@ -135,7 +143,7 @@ def design_actuators(
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
     if options.implemented:
-        return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer)[1]
+        return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept)[1]
     plant = actuator_plant(telescope, parameters, continuous(observer))
     structure = actuator_structure(plant)
     starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
@@ -150,7 +158,7 @@ def design_pair(
     parameters: Parameters,
     options: DesignOptions,
     report: Report = _silent,
-    kept: tuple[Path, Mapping[str, Any]] | None = None,
+    kept: Kept | None = None,
     workers: Workers | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
     """Tune both controllers of the implemented loop together.
@@ -193,7 +201,7 @@ def _implemented(
     tuned: tuple[int, ...],
     kinds: Sequence[str],
     observer: SampledSystem | None = None,
-    kept: tuple[Path, Mapping[str, Any]] | None = None,
+    kept: Kept | None = None,
     workers: Workers | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
     """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""

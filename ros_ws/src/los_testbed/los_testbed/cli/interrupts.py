@@ -18,7 +18,7 @@ def remember_command(words: Sequence[str]) -> None:
 
 @contextmanager
 def told_how_to_go_on(
-    kept: str, output: Path, further: Sequence[str] = (), without: Sequence[str] = ()
+    kept: str, output: Path, further: Sequence[str] = (), without: Sequence[str] = (), state: Path | None = None
 ) -> Iterator[None]:
     """After an interrupt or a signal: a line that says what is kept, and the command that goes on with it.
 
@@ -29,13 +29,15 @@ def told_how_to_go_on(
     output : Path
         Folder that has it, if there is one yet; the command line names it with ``--output`` even where the one that
         was given does not.
+    state : Path, optional
+        File that has it, in place of the output.
     further, without : sequence of str
         Options without a value that the command line must have, and must not have.
     """
     try:
         yield
     except BaseException as error:
-        if not isinstance(error, Exception) and output.exists():
+        if not isinstance(error, Exception) and (state or output).exists():
             words = [word for word in _words if word not in without]
             if not any(word.split("=")[0] == "--output" for word in words):
                 words += ["--output", str(output)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from rich.text import Text
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, verify_folder
+from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json, warn
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
     from los_design.synthesis.options import DesignOptions
 
 MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
+
+Where it was interrupted, or ended by its time limit, the same command goes on in its descent or after its last search
+(not without a loop delay).
 
 **Examples**
 
@@ -115,12 +120,14 @@ def _make(
 ) -> None:
     from lftkit import SampledSystem
     from lftkit.support.threads import one_thread
+    from los_design.redesign import OUT_OF_TIME, ROUNDS_FILE
+    from los_design.synthesis.provenance import digest
     from los_design.synthesis.store import design_file
     from los_design.synthesis.synthesis import design_actuators, design_observer
     from pointing_analysis.files.atomic_output import check_output
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import telescope
-    from titop_plant.telescope.parameters import design_basis, load_parameters
+    from titop_plant.telescope.parameters import design_basis, load_parameters, parameters_hash
 
     if output is None and (file is not None or observer is not None):
         raise ValueError(
@@ -129,14 +136,20 @@ def _make(
     path = output or design_file(kind, options.variant)
     check_output(path, "--output")
     parameters, assembled = load_parameters(file), telescope(None if file is None else str(file))
-    with one_thread(), Progress(kind) as bar:
+    rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
+    key = {"kind": kind, "parameters_hash": parameters_hash(parameters), **asdict(options), "wall_limit": 0.0}
+    go_on = told_how_to_go_on("rounds so far", path, state=rounds)
+    with one_thread(), go_on, Progress(kind) as bar:
         if kind == "k-fsm":
-            system = design_observer(assembled, parameters, options, bar.print)
+            system = design_observer(assembled, parameters, options, bar.print, (rounds, key))
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
             warn(design_warnings([k_fsm], design_basis(parameters), closed=True))
-            system = design_actuators(assembled, parameters, k_fsm, options, bar.print)
+            key |= {"k_fsm": digest(k_fsm)}
+            system = design_actuators(assembled, parameters, k_fsm, options, bar.print, (rounds, key))
     system.to_file(path)
+    if system.provenance["status"] != OUT_OF_TIME:
+        rounds.unlink(missing_ok=True)
     _show_design(system, path, json_)
     if not_met := _not_met(system):
         for text in not_met:
