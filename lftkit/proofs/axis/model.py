@@ -147,7 +147,7 @@ class AxisModel:
         if not np.all(decay > 0.0):
             return False
         E, F = self._errors
-        share = ((1.0 + np.abs(self.poles) / decay)[:, None] * E + F / decay[:, None]) * INFLATE + TINY
+        share = ((1.0 + np.abs(self.poles) / decay)[:, None] * E + F / decay[:, None]) * INFLATE
         return bool(weighted_share(share)[0] < 1.0)
 
 
@@ -161,7 +161,7 @@ def neumann(share: FloatArray) -> FloatArray:
     """
     if not len(share):
         return share
-    radius, size = weighted_share(share + TINY)
+    radius, size = weighted_share(share)
     if not radius < 0.9:
         raise ArithmeticError("the nominal member may have a pole in the window")
     return np.asarray(INFLATE * (share + radius**2 / (1.0 - radius) * size[:, None] / size) + TINY)

@@ -10,21 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lftkit.proofs.trusted.polynomials import (
-    UNIT,
-    ComplexArray,
-    FloatArray,
-    Polynomial,
-    constant,
-    exponential,
-    inverse,
-    linear,
-    reciprocal,
-)
+from lftkit.proofs.trusted.polynomials import UNIT, Polynomial, constant, exponential, inverse, linear, reciprocal
+
+if TYPE_CHECKING:
+    from lftkit.arrays import ComplexArray, FloatArray, IntArray
 
 CHANGE = 2
 """Of :attr:`Loop.returned`: the change within a tick."""
@@ -78,7 +71,7 @@ class Loop:
     K_C: ComplexArray
     K_B: ComplexArray
     K_D: FloatArray
-    frame: NDArray[np.int64]
+    frame: IntArray
     groups: tuple[tuple[int, ...], ...]
     angle: tuple[bool, ...]
     weights: FloatArray
@@ -171,7 +164,7 @@ class Loop:
         """Commands by measurements, with the delay of a tick and the hold of frames."""
         modes = reciprocal(self.shift(middle, half, 1.0) - constant(self.K_poles))
         K = (constant(self.K_C) * modes) @ constant(self.K_B) + constant(self.K_D)
-        ticks = np.arange(int(self.frame.max(initial=1)))
+        ticks = np.arange(self.frame.max(initial=1), dtype=float)
         waves = exponential(-ticks * middle * self.dt, -ticks * half * self.dt)
         held = np.stack([np.where(ticks < n, 1.0 / n, 0.0) for n in self.frame])
         frames = constant(held, 2.0 * UNIT) @ waves[:, None]
@@ -179,8 +172,7 @@ class Loop:
 
     def hold(self, middle: float, half: float) -> Polynomial:
         """``(1 - exp(-j w dt)) / (j w dt)``."""
-        rounding = np.array([2.0 * UNIT * (middle + half) * self.dt])
-        x = Polynomial(np.array([[-1j * middle * self.dt], [-1j * half * self.dt]]), rounding)
+        x = linear(-1j * middle * self.dt, -1j * half * self.dt, 2.0 * UNIT * (middle + half) * self.dt)
         if (middle + half) * self.dt >= 0.05:
             return (self.shift(middle, half) - ONE) * reciprocal(x)
         total = power = ONE

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+if TYPE_CHECKING:
+    from lftkit.arrays import ComplexArray, FloatArray
 
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-9  # covers the rounding of the radii themselves
@@ -110,9 +109,9 @@ def span(low: float, high: float) -> tuple[float, float]:
     return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 4.0 * UNIT) + 4.0 * UNIT * high
 
 
-def linear(middle: float, half: float) -> Polynomial:
-    """The variable of a window, ``middle + half t``, (1,)."""
-    return Polynomial(np.array([[middle], [half]], dtype=complex))
+def linear(middle: complex, half: complex, error: float = 0.0) -> Polynomial:
+    """``middle + half t``, (1,), with a bound of its error: the variable of a window or a multiple of it."""
+    return Polynomial(np.array([[middle], [half]], dtype=complex), np.array([error]))
 
 
 def windows_with(works: Callable[[float, float], bool], low: float, high: float, deepest: int) -> int:
@@ -133,7 +132,7 @@ def windows_with(works: Callable[[float, float], bool], low: float, high: float,
     return done
 
 
-def exponential(middle: NDArray[Any], half: NDArray[Any]) -> Polynomial:
+def exponential(middle: FloatArray, half: FloatArray) -> Polynomial:
     """``exp(j (middle + half t))``, elementwise."""
     c = [np.exp(1j * middle) * np.ones_like(half)]
     for k in range(1, ORDER + 1):
@@ -171,6 +170,7 @@ def reciprocal(p: Polynomial) -> Polynomial:
 
 def weighted_share(bound: FloatArray) -> tuple[float, FloatArray]:
     """Bound of the spectral radius of all matrices below `bound`, and sizes with ``bound @ size <= share size``."""
+    bound = bound + TINY
     size: FloatArray = np.ones(len(bound))
     for _ in range(8):
         size = bound @ size + 1e-3 * size
@@ -192,7 +192,7 @@ def inverse(p: Polynomial) -> Polynomial:
     if singular:
         raise ArithmeticError("the matrix may be singular")
     away = constant(found) @ p - one
-    share, size = weighted_share(away.bound() + TINY)
+    share, size = weighted_share(away.bound())
     if not share < 0.9:
         raise ArithmeticError("the matrix may be singular")
     rest = share ** (ORDER + 1) / (1.0 - share) * size[:, None] / size

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lftkit.proofs.trusted.polynomials import ComplexArray, FloatArray
+    from lftkit.arrays import ComplexArray, FloatArray
 
 Interval = tuple[float, float]
 Box = tuple[Interval, ...]

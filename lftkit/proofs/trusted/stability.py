@@ -16,7 +16,6 @@ infinity in the last window all members are well posed, so that no pole comes fr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +27,6 @@ from lftkit.proofs.trusted.polynomials import (
     ORDER,
     TINY,
     UNIT,
-    ComplexArray,
-    FloatArray,
     Polynomial,
     constant,
     inverse,
@@ -38,8 +35,10 @@ from lftkit.proofs.trusted.polynomials import (
     windows_with,
 )
 from lftkit.proofs.trusted.proof import Box, Interval
+from lftkit.proofs.trusted.strips import TRIG, ends_of
 
 if TYPE_CHECKING:
+    from lftkit.arrays import ComplexArray, FloatArray
     from lftkit.proofs.trusted.given import GivenLoop
 
 LOOSE = 3e-5
@@ -115,7 +114,7 @@ def argument_change(model: GivenLoop, low: float, high: float) -> tuple[float, f
     R = model.return_difference(middle, half)
     one = np.eye(len(R.rad))
     X, n = constant(linalg.solve(R.c[0], one)) @ R, len(one)
-    share, size = weighted_share((X - constant(one)).bound() + TINY)
+    share, size = weighted_share((X - constant(one)).bound())
     beyond = 16.0 * UNIT * high / half  # t of low and high is 1 to this
     slopes = sum(k * X.sizes[k] for k in range(1, ORDER + 1))
     loose = INFLATE * float(((X.rad + beyond * slopes) @ size / size).max()) / (1.0 - share)
@@ -128,28 +127,19 @@ def argument_change(model: GivenLoop, low: float, high: float) -> tuple[float, f
 
 
 def windows_above(model: GivenLoop, box: Box) -> int:
-    """Windows from half of the sampling rate to infinity in which no member has a pole on the axis; 0 if not proven.
+    """Windows from half of the sampling rate on in which no member has a pole on the axis; 0 if not proven.
 
-    The nominal loop must have been proven stable by :func:`nominal_windows`.
+    Above the last one, up to infinity, there is none either. The nominal loop must have been proven stable by
+    :func:`nominal_windows`.
     """
-    nyquist, parts = math.pi / model.dt, list[Box]()
-
-    def works(low: float, high: float) -> bool:
-        nonlocal parts
-        finer = regular(model, channels(model, low, high), parts)
-        parts = finer or parts
-        return bool(finer)
-
-    try:
-        commands = commands_bound(model)
-    except ArithmeticError:
+    low, commands = math.pi / model.dt, commands_bound(model)
+    for octave in range(1, OCTAVES + 1):
+        high, parts = low * 2.0**octave, [box]
+        if regular(model, beyond(model, high, commands), parts):
+            break
+    else:
         return 0
-    for end in nyquist * 2.0 ** np.arange(OCTAVES + 1):
-        parts = regular(model, beyond(model, float(end), commands), [box])
-        if parts:
-            below = windows_with(works, nyquist, float(end), DEEPEST) if end > nyquist else 0
-            return below + 1 if below or end == nyquist else 0
-    return 0
+    return windows_with(lambda a, b: regular(model, channels(model, a, b), parts), low, high, DEEPEST)
 
 
 def channels(model: GivenLoop, low: float, high: float) -> Polynomial:
@@ -177,7 +167,7 @@ def commands_bound(model: GivenLoop) -> FloatArray:
         largest = np.maximum(largest, loop.bound())
         return True
 
-    if len(largest) and not windows_with(works, 0.0, math.pi / model.dt, DEEPEST):
+    if not windows_with(works, 0.0, math.pi / model.dt, DEEPEST):
         raise ArithmeticError("the nominal loop may have a pole on the axis")
     return largest
 
@@ -196,13 +186,10 @@ def beyond(model: GivenLoop, omega: float, commands: FloatArray) -> Polynomial:
     return Polynomial(model.D[None, :q, :q].astype(complex), INFLATE * rest + TINY)
 
 
-def regular(model: GivenLoop, M: Polynomial, parts: Sequence[Box]) -> list[Box]:
-    """Parts of the box, bisected as needed, in which no member has a pole on the axis where its channels are M.
-
-    Empty if that was not proven.
-    """
+def regular(model: GivenLoop, M: Polynomial, parts: list[Box]) -> bool:
+    """Whether no member has a pole on the axis where its channels are M; parts of the box are bisected as needed."""
     whole = Polynomial(M.c[:1], INFLATE * (M.sizes[1:].sum(axis=0) + M.rad))
-    waiting, done, left = list(parts), [], PARTS
+    waiting, done, left = parts.copy(), [], PARTS
     while waiting:
         part = waiting.pop()
         if deviation_share(model, whole, part) < 1.0:
@@ -210,35 +197,24 @@ def regular(model: GivenLoop, M: Polynomial, parts: Sequence[Box]) -> list[Box]:
             continue
         axis, left = model.to_bisect(M, part), left - 1
         if axis is None or not left:
-            return []  # a narrower window is what helps
+            return False  # a narrower window is what helps
         low, high = part[axis]
         at = 0.5 * (low + high)
         waiting += [(*part[:axis], half, *part[axis + 1 :]) for half in ((low, at), (at, high))]
-    return done
+    parts[:] = done
+    return True
 
 
 def deviation_share(model: GivenLoop, M: Polynomial, part: Box) -> float:
     """Bound of the spectral radius of |N|; infinite where the middle of the part may have a pole."""
     if any(angle and high - low > WIDEST for angle, (low, high) in zip(model.angle, part)):
         return math.inf
-    cz, sz, cw, sw = deviations(model, part)
+    # between the ends of an interval (z, w) is (1 - t) z' times the lower one plus (1 + t) z' times the upper one
+    z_low, w_low, z_high, w_high = (constant(row, TRIG) for row in ends_of(model, part))
+    cz, sz, cw, sw = z_low + z_high, z_high - z_low, w_low + w_high, w_high - w_low
     one = constant(np.eye(model.sizes[0]))
     try:
         N = inverse(one * cz - M * cw) @ (M * sw - one * sz)
     except (ArithmeticError, linalg.LinAlgError):
         return math.inf
-    return weighted_share(N.bound() + TINY)[0]
-
-
-def deviations(model: GivenLoop, part: Box) -> tuple[Polynomial, ...]:
-    """(cz, sz, cw, sw) of each channel, (q,): the values of t include all of the part, whatever the rounding."""
-    found = np.zeros((4, model.sizes[0]))
-    for group, angle, (low, high) in zip(model.groups, model.angle, part):
-        at = 0.5 * (low + high)
-        width = max(high - at, at - low) * (1.0 + 4.0 * UNIT)
-        of_group = [1.0, 0.0, at, width]
-        if angle:
-            t, cos, sin = math.tan(0.5 * width) * (1.0 + 16.0 * UNIT), math.cos(0.5 * at), math.sin(0.5 * at)
-            of_group = [cos, -t * sin, sin, t * cos]
-        found[:, list(group)] = np.array(of_group)[:, None]
-    return tuple(constant(row, 8.0 * UNIT) for row in found)  # of sine and cosine, and a product
+    return weighted_share(N.bound())[0]

@@ -22,19 +22,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from lftkit.proofs.trusted.polynomials import (
-    ORDER,
-    UNIT,
-    ComplexArray,
-    FloatArray,
-    Polynomial,
-    constant,
-    span,
-    windows_with,
-)
+from lftkit.proofs.trusted.polynomials import ORDER, UNIT, Polynomial, constant, linear, span, windows_with
 from lftkit.proofs.trusted.proof import Box, Strip
 
 if TYPE_CHECKING:
+    from lftkit.arrays import ComplexArray, FloatArray
     from lftkit.proofs.trusted.given import Responses
 
 PIECES = 4
@@ -78,9 +70,7 @@ def inequality(model: Responses, strip: Strip, number: int, low: float, high: fl
     w, disturbances = constant(V[:q]), constant(V[q:])
     output, inputs = model.performance(middle, half)
     start, length = strip.nodes[number], strip.nodes[number + 1] - strip.nodes[number]
-    share = Polynomial(
-        np.array([[(middle - start) / length], [half / length]], dtype=complex), np.array([8.0 * UNIT * high / length])
-    )
+    share = linear((middle - start) / length, half / length, 8.0 * UNIT * high / length)
 
     def between(values: ComplexArray) -> Polynomial:
         return constant(values[number]) + constant(values[number + 1] - values[number], 2.0 * UNIT) * share
