@@ -45,6 +45,7 @@ def flexible_body(
     deflections: Collection[str] = (),
     frequencies: Mapping[int, RealParameter] | None = None,
     dampings: Mapping[int, RealParameter] | None = None,
+    relative: bool = False,
 ) -> System:
     """TITOP block of a flexible body (ports and assumptions: see the module).
 
@@ -59,6 +60,8 @@ def flexible_body(
     frequencies, dampings : mapping
         Mode index to the parameter that replaces the frequency [rad/s] (2 occurrences) or the damping
         ratio (1 occurrence) of this mode.
+    relative : bool
+        The parameters are factors of the frequencies and damping ratios of `data`; several modes may share one.
 
     Returns
     -------
@@ -90,11 +93,11 @@ def flexible_body(
     for name in deflections:
         data.child(name)
     w, z = data.frequencies.copy(), data.damping.copy()
-    for mode, parameter in omega.items():
-        w[mode] = parameter.nominal
-    for mode, parameter in zeta.items():
-        z[mode] = parameter.nominal
-    channels, Bd, Cd = _modal_parameters(n, w, z, omega, zeta)
+    units = (w.copy(), z.copy()) if relative else (np.ones(n), np.ones(n))
+    for values, unit, known in zip((w, z), units, (omega, zeta)):
+        for mode, parameter in known.items():
+            values[mode] = unit[mode] * parameter.nominal
+    channels, Bd, Cd = _modal_parameters(n, w, z, omega, zeta, units)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(w**2), -np.diag(2 * z * w)]])
     forcing, acc, direct = _force_and_acceleration(data)
     # eta'' = lower half of A x + Bd w + forcing u ; every output is acc @ eta'' + direct @ u (+ states)
@@ -117,7 +120,7 @@ def flexible_body(
         C = np.vstack([C, np.hstack([data.child(name).shapes, np.zeros((6, n))])])
         D = np.vstack([D, np.zeros((6, D.shape[1]))])
         outputs.append(ports.deflection(name))
-    parameters = (*omega.values(), *zeta.values())
+    parameters = tuple({p.name: p for p in (*omega.values(), *zeta.values())}.values())
     C, D = np.vstack([Cd[0], C]), np.vstack([np.hstack([Cd[1], np.zeros((q, D.shape[1] - q))]), D])
     return System(A, B, C, D, tuple(inputs), tuple(outputs), channels=channels, elements=parameters)
 
@@ -128,8 +131,9 @@ def _modal_parameters(
     z: FloatArray,
     omega: Mapping[int, RealParameter],
     zeta: Mapping[int, RealParameter],
+    units: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[str, ...], FloatArray, tuple[FloatArray, FloatArray]]:
-    """Delta channels of ``eta'' = -omega (omega eta + 2 zeta eta') + f``.
+    """Delta channels of ``eta'' = -omega (omega eta + 2 zeta eta') + f``, parameters in `units` of both.
 
     The inner product omega eta is the first occurrence of omega, the outer product the second; zeta is between them.
     """
@@ -144,18 +148,18 @@ def _modal_parameters(
             inner.append(len(channels))
             channels.append(omega[mode].name)
             columns.append(-w[mode] * rate)
-            rows.append(eta)
+            rows.append(units[0][mode] * eta)
         if mode in zeta:
             inner.append(len(channels))
             channels.append(zeta[mode].name)
             columns.append(-w[mode] * rate)
-            rows.append(2.0 * rate)
+            rows.append(2.0 * units[1][mode] * rate)
         if mode in omega:
             for i in inner:
-                feed[(len(channels), i)] = 1.0
+                feed[(len(channels), i)] = units[0][mode]
             channels.append(omega[mode].name)
             columns.append(-rate)
-            rows.append(w[mode] * eta + 2.0 * z[mode] * rate)
+            rows.append(units[0][mode] * (w[mode] * eta + 2.0 * z[mode] * rate))
     q = len(channels)
     Ddd = np.zeros((q, q))
     for (row, column), value in feed.items():

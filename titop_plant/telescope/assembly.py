@@ -92,7 +92,7 @@ from titop_plant.telescope.placed.mounting import (
     sensor_wires,
 )
 from titop_plant.telescope.placed.points import PAYLOAD_NODES, body_of
-from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors
+from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors, factors_of_modes
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -197,12 +197,20 @@ def _driven_at_G(
     acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(parameters)
     used = {"I_w", "I_p", *mounted_points(parameters), *(node for _, node in acting)}
     systems = {
-        "body": _without_loads(flexible_body(body, motion=True), {child.name for child in body.children} - used),
+        "body": _without_loads(
+            flexible_body(body, motion=True, **factors_of_modes(parameters, "body", body.n_modes)),
+            {child.name for child in body.children} - used,
+        ),
         "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
         **{one.name: _array(parameters, one, outside) for one in arrays},
         **{one.name: component.appendage_block(parameters, one) for one in others},
         "platform": _platform(parameters, isolated),
-        "payload": _without_loads(flexible_body(payload, deflections=OPTICAL_POINTS), set(PAYLOAD_NODES) - used),
+        "payload": _without_loads(
+            flexible_body(
+                payload, deflections=OPTICAL_POINTS, **factors_of_modes(parameters, "payload", payload.n_modes)
+            ),
+            set(PAYLOAD_NODES) - used,
+        ),
         "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
         "optics": line_of_sight(parameters),
         "steering": static_gain(

@@ -109,7 +109,7 @@ def load_parameters(path: str | Path | None = None) -> Parameters:
     merged = with_guide_camera(merged, own, file)
     merged |= checked_layout(mounted, merged, reference, file)
     if spreads:
-        merged[UNCERTAIN] = checked_spreads(spreads, file)
+        merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
     for name in OWN_BODIES:
         file = merged[name]["modal_data"]
         if file:

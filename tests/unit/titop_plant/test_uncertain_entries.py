@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from oracles.accurate_response import accurate_response
 
 from lftkit import System
 from titop_plant.interface import COLUMNS
 from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope import assembly
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
 from titop_plant.telescope.tables.uncertain import ENTRIES, spread_of, with_uncertain
@@ -55,6 +58,40 @@ def test_a_member_is_the_telescope_with_these_values(uncertain: System) -> None:
         assert np.abs((found - expected) / size).max() < 1e-6
 
 
+MODAL = ("body.frequency_2=8%", "body.damping=60%", "payload.frequency_1=5%", "payload.damping_1=50%")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At random values: assembled of bodies with other frequencies and damping ratios."""
+    system = plant(with_uncertain(load_parameters(), MODAL))
+    factors = system.parameters[-len(MODAL) :]
+    assert [p.name for p in factors] == ["body.damping", *(text.split("=")[0] for text in (MODAL[0], *MODAL[:1:-1]))]
+    assert [system.channels.count(p.name) for p in factors] == [35, 2, 1, 2]
+    chance = np.random.default_rng(seed)
+    values = {p.name: float(chance.uniform(p.lower, p.upper)) for p in factors}
+    speeds = {p.name: float(chance.uniform(p.lower, p.upper)) for p in system.parameters if p.name not in values}
+    body, payload = assembly.build_body, assembly.build_payload
+
+    def changed(build: Any, name: str, mode: int, dampings: Any) -> Any:
+        def own(*asked: Any) -> Any:
+            data = build(*asked)
+            frequencies, damping = data.frequencies.copy(), data.damping.copy()
+            frequencies[mode] *= values[f"{name}.frequency_{mode + 1}"]
+            damping[dampings] *= values.get(f"{name}.damping", values.get(f"{name}.damping_{mode + 1}"))
+            return dataclasses.replace(data, frequencies=frequencies, damping=damping)
+
+        return own
+
+    monkeypatch.setattr(assembly, "build_body", changed(body, "body", 1, slice(None)))
+    monkeypatch.setattr(assembly, "build_payload", changed(payload, "payload", 0, 0))
+    member, other = system.at({**values, **speeds}), plant(load_parameters()).at(speeds)
+    omega = np.array([0.3, 8.0, 140.0, 340.0, 900.0])
+    found, expected = (accurate_response(s.A, s.B, s.C, s.D, omega) for s in (member, other))
+    size = np.abs(expected).max(axis=2, keepdims=True) + 1e-300
+    assert np.abs((found - expected) / size).max() < 1e-9
+
+
 def test_without_the_table_nothing_changes() -> None:
     reference = load_parameters()
     assert with_uncertain(reference, ()) is reference
@@ -78,12 +115,30 @@ def test_a_file_says_the_same_as_the_option(tmp_path: Path) -> None:
         ("isolator.damping=0%", "above 0"),
         ("isolator.damping=nan", "above 0"),
         ("isolator.damping=95%", "at most 0.9"),
+        ("payload.frequency_0=5%", r"payload\.frequency_1, payload\.damping_1, got 'payload\.frequency_0'"),
+        ("payload.frequency=5%", "must name one of"),
     ],
 )
 def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         spread_of(text)
     assert spread_of(f"{ENTRIES[0]} = 10%") == (ENTRIES[0], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["payload.frequency_37=5%"], "one of the 36 modes, got mode 37"),
+        (["payload.damping=50%", "payload.damping_2=20%"], r"must stand without payload\.damping_2"),
+    ],
+)
+def test_modes_that_are_none_or_counted_twice_are_refused(texts: list[str], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        with_uncertain(load_parameters(), texts)
+    file = tmp_path / "mine.toml"
+    file.write_text("[uncertain]\n" + "".join(text.replace("%", "e-2\n") for text in texts))
+    with pytest.raises(ValueError, match=rf"mine\.toml.*{message}"):
+        load_parameters(file)
 
 
 def test_a_file_with_another_entry_is_named(tmp_path: Path) -> None:

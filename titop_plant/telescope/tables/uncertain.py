@@ -5,6 +5,7 @@ Each entry is a factor about 1 of what it names, with a half-width::
     [uncertain]
     isolator.stiffness = 0.10     # all six stiffnesses of the isolator, 10 % less to 10 % more
     camera_los.gain = 0.05
+    payload.frequency_1 = 0.03
 
 ========================  ============================================================================================
 entry                     what it multiplies
@@ -14,6 +15,9 @@ entry                     what it multiplies
 ``fsm_command.gain``      commands as the mirror carries them out
 ``pma_force.gain``        forces of the proof-mass actuators, together
 ``<measured>.gain``       a measured port: ``accel_Ip``, ``accel_M1``, ``accel_M2``, ``camera_los``, ``fsm_angle``
+``body.frequency_1``      clamped frequency of the central body's first mode, and so on; ``payload.frequency_1``
+``body.damping_1``        damping ratio of that mode; ``payload.damping_1``
+``body.damping``          damping ratios of all modes of the central body, together; ``payload.damping``
 ========================  ============================================================================================
 
 They are channels of the telescope's Delta behind those that are always there, for everything that uses them: searches,
@@ -22,6 +26,7 @@ designs, verification and proofs. A run has the nominal factors.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -35,7 +40,11 @@ UNCERTAIN = "uncertain"
 STIFFNESS, DAMPING = "isolator.stiffness", "isolator.damping"
 GAIN = "gain"
 ENTRIES = (STIFFNESS, DAMPING, *(f"{name}.{GAIN}" for name in (*COMMANDED, *MEASURED)))
-"""What can be uncertain, in the order of Delta."""
+"""What can be uncertain, in the order of Delta; then come those of `MODAL`."""
+BODIES = ("body", "payload")
+FREQUENCY_OF, DAMPING_OF = "frequency", "damping"
+MODAL = re.compile(rf"({'|'.join(BODIES)})\.({DAMPING_OF}|(?:{FREQUENCY_OF}|{DAMPING_OF})_([1-9]\d*))")
+"""Of modes of the central body and the payload: body, kind, number; without a number all of them."""
 LARGEST = 0.9
 """Half-width of a factor: none may be zero."""
 
@@ -69,42 +78,83 @@ def checked(name: str, spread: Any) -> str:
     ValueError
         An unknown entry, a half-width out of its range.
     """
-    if name not in ENTRIES:
-        raise ValueError(f"uncertain must name one of {', '.join(ENTRIES)}, got {name!r}")
+    if name not in ENTRIES and not MODAL.fullmatch(name):
+        modal = ", ".join(f"{body}.{kind}" for body in BODIES for kind in (f"{FREQUENCY_OF}_1", f"{DAMPING_OF}_1"))
+        raise ValueError(f"uncertain must name one of {', '.join(ENTRIES)}, {modal}, got {name!r}")
     if isinstance(spread, bool) or not isinstance(spread, (int, float)) or not 0.0 < spread <= LARGEST:
         raise ValueError(f"uncertain {name} must be above 0 and at most {LARGEST:g}, got {spread!r}")
     return name
 
 
-def checked_spreads(table: Any, file: ParameterFile) -> dict[str, float]:
-    """Half-widths by entry, of a table of a file.
+def checked_spreads(table: Any, file: ParameterFile, parameters: Mapping[str, Any]) -> dict[str, float]:
+    """Half-widths by entry, of a table of a file that describes a telescope with these parameters.
 
     Raises
     ------
     ValueError
-        Not a table, an unknown entry, a half-width out of its range; the message names the file.
+        Not a table, an unknown entry, a half-width out of its range, a mode that is none; the message names the file.
     """
     if not isinstance(table, dict):
         raise file.error(UNCERTAIN, f"must be a table, got {table!r}")
     nested = ((key, value if isinstance(value, dict) else {"": value}) for key, value in table.items())
     flat = {f"{key}.{inner}" if inner else key: spread for key, values in nested for inner, spread in values.items()}
     try:
+        require_modes(flat, parameters)
         return {checked(name, spread): float(spread) for name, spread in flat.items()}
     except ValueError as error:
         raise file.error(UNCERTAIN, f"is not valid: {error}") from None
 
 
 def with_uncertain(parameters: Mapping[str, Any], spreads: Iterable[str]) -> Mapping[str, Any]:
-    """Parameters of a telescope with further uncertain entries, each as for :func:`spread_of`; a later one wins."""
+    """Parameters of a telescope with further uncertain entries, each as for :func:`spread_of`; a later one wins.
+
+    Raises
+    ------
+    ValueError
+        As of :func:`spread_of` and :func:`require_modes`.
+    """
     table = {**parameters.get(UNCERTAIN, {}), **dict(map(spread_of, spreads))}
+    require_modes(table, parameters)
     return MappingProxyType({**parameters, UNCERTAIN: table}) if table else parameters
+
+
+def require_modes(spreads: Iterable[str], parameters: Mapping[str, Any]) -> None:
+    """Refuse entries of modes that a frame does not have, and the damping of all modes beside that of one.
+
+    Modes of a file of modal data are counted where it is read.
+    """
+    names = set(spreads)
+    for name in names:
+        body, kind, number = match.groups() if (match := MODAL.fullmatch(name)) else ("", "", None)
+        if number is None:
+            continue
+        if kind.startswith(DAMPING_OF) and f"{body}.{DAMPING_OF}" in names:
+            raise ValueError(f"uncertain {body}.{DAMPING_OF} has all modes: it must stand without {name}, got both")
+        modes = parameters[body]["modes"]
+        if int(number) > modes and not parameters[body].get("modal_data"):
+            raise ValueError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")
 
 
 def factors(parameters: Mapping[str, Any]) -> dict[str, RealParameter]:
     """The uncertain factors of a telescope by entry, in the order of Delta."""
     spreads = parameters.get(UNCERTAIN, {})
+    modal = [name for name in spreads if name not in ENTRIES]
+    modal.sort(key=lambda name: (name.rstrip("0123456789"), len(name), name))
     return {
         name: RealParameter(name, 1.0, 1.0 - spreads[name], 1.0 + spreads[name], "1", f"factor of {name}")
-        for name in ENTRIES
+        for name in (*ENTRIES, *modal)
         if name in spreads
     }
+
+
+def factors_of_modes(parameters: Mapping[str, Any], body: str, modes: int) -> Mapping[str, Any]:
+    """Arguments of :func:`titop_plant.blocks.flexible_body.flexible_body` for a body with so many modes."""
+    known = {name: factor for name, factor in factors(parameters).items() if name.startswith(f"{body}.")}
+    whole = known.get(f"{body}.{DAMPING_OF}")
+    all_modes = {} if whole is None else dict.fromkeys(range(modes), whole)
+    found: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: all_modes}
+    for name, factor in known.items():
+        kind, _, number = name.removeprefix(f"{body}.").partition("_")
+        if number:
+            found[kind][int(number) - 1] = factor
+    return {"frequencies": found[FREQUENCY_OF], "dampings": found[DAMPING_OF], "relative": True}
