@@ -52,9 +52,12 @@ PAPER_ROBUST = {"fsm": [0.9857, 1.0026, 0.9877], "pma": [0.5768, 0.9835, 0.9835,
 PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150, 0.4266]}
 
 
-def verification_points(parameters: Parameters, system: System, samples: int, seed: int = 0) -> list[dict[str, float]]:
-    """Nominal, all corners, and random points."""
-    return [{}, *parameter_corners(parameters), *system.sample_values(np.random.default_rng(seed), samples)]
+def verification_points(
+    parameters: Parameters, system: System, samples: int, seed: int = 0, every: int = 1
+) -> list[dict[str, float]]:
+    """Nominal, corners (all, or each of so many), and random points."""
+    corners = parameter_corners(parameters)[::every]
+    return [{}, *corners, *system.sample_values(np.random.default_rng(seed), samples)]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import pickle
+import random
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -48,6 +49,8 @@ Parameters = Mapping[str, Any]
 
 REFERENCE = Path(__file__).with_name("reference.toml")
 OWN_BODIES = ("body", "payload")
+MOST_CORNERS = 256
+"""Corners of the box that are looked at one by one: all of eight parameters."""
 """Bodies whose modal data may be a file of the user."""
 SOURCES = "disturbance"
 """Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
@@ -279,6 +282,11 @@ def parameter_box(parameters: Parameters) -> dict[str, tuple[float, float]]:
 
 
 def parameter_corners(parameters: Parameters) -> list[dict[str, float]]:
-    """All corners of the box of uncertain parameters (2^7 for the reference)."""
+    """All corners of the box of uncertain parameters (2^7 for the reference), or `MOST_CORNERS` random ones of more."""
     box = parameter_box(parameters)
-    return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]
+    if 2 ** len(box) <= MOST_CORNERS:
+        return [dict(zip(box, ends)) for ends in itertools.product(*box.values())]
+    chance, drawn = random.Random(0), dict[tuple[float, ...], None]()
+    while len(drawn) < MOST_CORNERS:
+        drawn[tuple(map(chance.choice, box.values()))] = None
+    return [dict(zip(box, ends)) for ends in drawn]

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,8 +109,45 @@ def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
     assert process.returncode == 1, errors
     (found,) = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
     assert found["status"] == "open" and found["upper"] is None and found["proof"] is None and not found["stable"]
-    assert 0.19 < found["lower"] < 0.2 and found["uncovered"]
+    assert 0.43 < found["lower"] < 0.44 and found["uncovered"]
+    assert "the time is over: 0 of 1 figures proven; the same command goes on" in errors
     assert not list(tmp_path.glob("*.npz"))
+
+
+@pytest.mark.slow
+def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the stored pair in place of a design of minutes, which took all the time."""
+    from los_testbed.cli.designs import proofs
+    from los_testbed.cli.designs.redesign import ROUNDS_OF_ALL
+
+    from los_design import redesign
+    from los_design.synthesis.store import load_designs
+    from los_design.verification import certify
+
+    limits = []
+
+    def stored(parameters: Any, folder: Path, *, wall_limit: float, **_: object) -> SimpleNamespace:
+        limits.append(wall_limit)
+        for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
+            system.to_file(folder / name)
+        shutil.copy(Path(redesign.__file__).parent / "search" / "worst_points.json", folder)
+        time.sleep(wall_limit / ROUNDS_OF_ALL + 0.1)
+        return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
+
+    monkeypatch.setattr(redesign, "design_all", stored)
+    monkeypatch.setattr(certify, "nominal_stable", lambda _: True)
+    monkeypatch.setattr(proofs, "FIGURES", {"fsm": ("slow",), "fsm+pma": ("force",)})
+    with pytest.raises(SystemExit) as stopped:
+        main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
+    told = capsys.readouterr()
+    found = json.loads(told.out)["figures"]
+    assert stopped.value.code == 1 and limits == [ROUNDS_OF_ALL]
+    assert [(f["stage"], f["figure"]) for f in found] == [("fsm", "slow"), ("fsm+pma", "force")]
+    assert {f["status"] for f in found} == {"open"}
+    assert "the time is over: 0 of 2 figures proven; the same command goes on" in told.err
+    assert not (tmp_path / "bundle.zip").exists()
 
 
 @pytest.mark.parametrize(

@@ -288,7 +288,8 @@ def _verified(samples: int, workers: Workers, uncertain: Sequence[str] = ()) -> 
         nominal = load_designs("implemented_nominal")
         alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
         spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=workers)
-    paper_points: list[Any] = [{}, *parameter_corners(parameters)[:: 2**7 // 8], *system.sample_values(_rng(), 4)]
+    corners = parameter_corners(parameters)
+    paper_points: list[Any] = [{}, *corners[:: max(1, len(corners) // 8)], *system.sample_values(_rng(), 4)]
     robust = load_designs("paper")
     for design in robust:
         paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]

@@ -7,7 +7,6 @@ import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,6 +33,7 @@ from titop_plant.interface import (
 )
 
 if TYPE_CHECKING:
+    from lftkit.support.workers import Workers
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
     from los_loop.implemented_loop import ImplementedLoop
@@ -96,10 +96,6 @@ def certify(
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
-    from los_design.verification.certify import certify_figure
-    from los_design.verification.noise_certificate import NOISE, certify_noise
-    from los_testbed.campaign.proof_parts import prover_of
-
     number("--level", level, 1e-6, 1e6)
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
     if gap is not None:
@@ -113,29 +109,64 @@ def certify(
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + wall_limit
     loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or ())
+    with cluster.workers() as pool, told_how_to_go_on("parts that are proven", output):
+        found = prove_figures(chosen, loops, known, output, pool, until, level, gap or 0.0)
+    if json_:
+        print_json({"figures": [bounds.to_mapping() for bounds in found]})
+    else:
+        show_bounds(found)
+    if any(bounds.status != "proven" for bounds in found):
+        raise typer.Exit(1)
+
+
+def prove_figures(
+    chosen: Sequence[tuple[str, str]],
+    loops: Mapping[str, ImplementedLoop],
+    known: Sequence[WorstPoint],
+    output: Path,
+    workers: Workers,
+    until: float,
+    level: float = 1.0,
+    gap: float = 0.0,
+) -> list[FigureBounds]:
+    """Prove figures one after the other, and put all proofs of the folder into its bundle.
+
+    Parameters
+    ----------
+    chosen : sequence of (stage, figure)
+    loops, known
+        Of :func:`loops_of`.
+    output : Path
+    workers : Workers
+        Prove the parts.
+    until : float
+        ``time.monotonic()`` after which no part is begun and those that are being proven end.
+    level, gap : float
+        Part of the limit to be proven, or with a gap that much above the largest value known.
+    """
+    from los_design.verification.certify import certify_figure
+    from los_design.verification.noise_certificate import NOISE, certify_noise
+    from los_testbed.campaign.proof_parts import prover_of
+
+    prove = prover_of(workers)
     found: list[FigureBounds] = []
-    with ExitStack() as stack:
-        pool = stack.enter_context(cluster.workers())
-        prove = prover_of(pool)
-        stack.enter_context(told_how_to_go_on("parts that are proven", output))
-        for s, name in chosen:
-            with Progress(f"{s}, {name}") as bar:
-                if name == NOISE:
-                    found.append(certify_noise(loops[s], output, prove, until, bar.report))
-                else:
-                    points = known or _searched(loops[s], name, pool)
-                    wanted = None if gap else level
-                    found.append(
-                        certify_figure(loops[s], name, wanted, gap or 0.0, points, output, prove, until, bar.report)
-                    )
-            _keep(output / SUMMARY, found)
-            sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
+    for s, name in chosen:
+        with Progress(f"{s}, {name}") as bar:
+            if name == NOISE:
+                found.append(certify_noise(loops[s], output, prove, until, bar.report))
+            else:
+                points = known or _searched(loops[s], name, workers)
+                wanted = None if gap else level
+                found.append(certify_figure(loops[s], name, wanted, gap, points, output, prove, until, bar.report))
+        _keep(output / SUMMARY, found)
+        sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     if any(bounds.status == "proven" for bounds in found):
         with Progress("bundle"):
             _bundle(output, loops)
-    _show(found, json_)
-    if any(bounds.status != "proven" for bounds in found):
-        raise typer.Exit(1)
+    if time.monotonic() > until and any(bounds.status == "open" for bounds in found):
+        done = sum(bounds.status == "proven" for bounds in found)
+        sys.stderr.write(f"the time is over: {done} of {len(found)} figures proven; the same command goes on\n")
+    return found
 
 
 def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
@@ -248,10 +279,8 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     write_bundle(output / BUNDLE, loop.parameters, loop.pair, proofs)
 
 
-def _show(found: list[FigureBounds], json_: bool) -> None:
-    if json_:
-        print_json({"figures": [bounds.to_mapping() for bounds in found]})
-        return
+def show_bounds(found: Sequence[FigureBounds]) -> None:
+    """Table of bounds, and what is not proven."""
     heads: tuple[Column | str, ...] = (
         *numbers("lower", "upper", "at rad/s"),
         "status",

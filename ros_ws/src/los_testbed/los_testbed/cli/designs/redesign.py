@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
@@ -24,13 +25,16 @@ from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem
+    from lftkit.support.workers import Workers
+    from los_design.verification.certify import FigureBounds
     from titop_plant.telescope.parameters import Parameters
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
 Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
 same telescope that was interrupted, or ended by its time limit, goes on in its descent or after its last search.
-The exit code is 1 if a requirement is not met.
+With --certify the proofs of all figures, bounds.json and bundle.zip follow, as `design certify` makes them. The exit
+code is 1 if a requirement is not met, or a figure not proven.
 
 **Examples**
 
@@ -40,9 +44,13 @@ The exit code is 1 if a requirement is not met.
 
     los-testbed design verify designs/soft
 
+    los-testbed design all --output designs/mine --certify --workers 2           # designs and proofs within the hour
+
     los-testbed design all --output designs/mine --scheduler tcp://host:8786     # its workers search and verify
 """
 
+ROUNDS_OF_ALL = 0.4
+"""Part of the wall limit that the rounds may take where proofs follow."""
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
 
@@ -96,7 +104,12 @@ def design_all(
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
     nominal: Annotated[bool, typer.Option("--nominal", help="Tune at the nominal parameters alone.")] = False,
     resume: Annotated[bool, typer.Option("--resume/--anew", help="Keep the steps that are there.")] = True,
-    time_limit: Annotated[float, typer.Option(help="Wall limit of the rounds [s]; run again to go on.")] = 3600.0,
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Then prove all figures below their limits and bundle the proofs.")
+    ] = False,
+    time_limit: Annotated[
+        float, typer.Option(help="Wall limit [s]: of the rounds, with --certify of all; run again to go on.")
+    ] = 3600.0,
     cluster: Cluster,
     json_: Json = False,
 ) -> None:
@@ -114,20 +127,34 @@ def design_all(
     own = load_parameters(parameters)
     if idle := placed_devices(own).idle():
         sys.stderr.write(f"note: {idle}\n")
+    until = time.monotonic() + time_limit
     kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
-    with cluster.workers() as pool, kept, Progress("design") as bar:
-        summary = redesign.design_all(
-            with_uncertain(own, uncertain or ()),
-            output,
-            seed=seed,
-            effort=effort,
-            resume=resume,
-            report=bar.print,
-            nominal=nominal,
-            wall_limit=time_limit,
-            workers=pool,
-        )
-    _show(output, summary.check.to_mapping(), list(summary.not_met), json_)
+    with cluster.workers() as pool, kept:
+        with Progress("design") as bar:
+            summary = redesign.design_all(
+                with_uncertain(own, uncertain or ()),
+                output,
+                seed=seed,
+                effort=effort,
+                resume=resume,
+                report=bar.print,
+                nominal=nominal,
+                wall_limit=ROUNDS_OF_ALL * time_limit if certify else time_limit,
+                workers=pool,
+            )
+        bounds = _proven(output, pool, until) if certify else ()
+    _show(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds)
+
+
+def _proven(folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
+    """Bounds of all figures of the designs of a folder; the proofs and their bundle go there, too."""
+    from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures
+    from titop_plant.telescope.layout import mirror_stages
+
+    stages = mirror_stages(designs_in(folder)[0])
+    loops, known = loops_of(folder, list(stages))
+    chosen = [(stage, name) for stage in stages for name in FIGURES[stage]]
+    return prove_figures(chosen, loops, known, folder, workers, until)
 
 
 def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
@@ -181,10 +208,17 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, unc
     _show(folder, check.to_mapping(), broken_requirements(check), json_)
 
 
-def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: bool) -> None:
-    """Table or JSON object, one line for each requirement that is not met, exit code 1 if there is one."""
+def _show(
+    folder: Path,
+    implemented: dict[str, Any],
+    not_met: list[str],
+    json_: bool,
+    bounds: Sequence[FigureBounds] = (),
+) -> None:
+    """Table or JSON object, one line for each requirement that is not met; exit code 1 if one is not met or proven."""
     if json_:
-        print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met})
+        proofs = {"figures": [b.to_mapping() for b in bounds]} if bounds else {}
+        print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met, **proofs})
     else:
         title = f"{folder}: gammas as implemented (1 is the limit)"
         table = Table("stage", "requirement", *numbers("gamma"), "", title=title)
@@ -195,7 +229,11 @@ def _show(folder: Path, implemented: dict[str, Any], not_met: list[str], json_: 
         for key in ("margins", "noise", "worst_point"):
             if key in implemented:
                 Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
+    if bounds and not json_:
+        from los_testbed.cli.designs.proofs import show_bounds
+
+        show_bounds(bounds)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")
-    if not_met:
+    if not_met or any(b.status != "proven" for b in bounds):
         raise typer.Exit(1)
