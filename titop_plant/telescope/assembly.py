@@ -45,6 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -197,20 +198,12 @@ def _driven_at_G(
     acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(parameters)
     used = {"I_w", "I_p", *mounted_points(parameters), *(node for _, node in acting)}
     systems = {
-        "body": _without_loads(
-            flexible_body(body, motion=True, **factors_of_modes(parameters, "body", body.n_modes)),
-            {child.name for child in body.children} - used,
-        ),
+        "body": _flexible(parameters, "body", body, {child.name for child in body.children} - used, motion=True),
         "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
         **{one.name: _array(parameters, one, outside) for one in arrays},
         **{one.name: component.appendage_block(parameters, one) for one in others},
         "platform": _platform(parameters, isolated),
-        "payload": _without_loads(
-            flexible_body(
-                payload, deflections=OPTICAL_POINTS, **factors_of_modes(parameters, "payload", payload.n_modes)
-            ),
-            set(PAYLOAD_NODES) - used,
-        ),
+        "payload": _flexible(parameters, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
         "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
         "optics": line_of_sight(parameters),
         "steering": static_gain(
@@ -394,6 +387,11 @@ def _with_wrenches(wires: list[Connection], acting: Sequence[tuple[str, str]]) -
             before = result[at][0]
             result[at] = ((*((before,) if isinstance(before, str) else before), source), target)
     return result
+
+
+def _flexible(parameters: Parameters, kind: str, data: ModalData, idle: set[str], **options: Any) -> System:
+    """Central body or payload with its uncertain modes, without the wrench inputs of the idle points."""
+    return _without_loads(flexible_body(data, **factors_of_modes(parameters, kind, data.n_modes), **options), idle)
 
 
 def _without_loads(body: System, points: Iterable[str]) -> System:
