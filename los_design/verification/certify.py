@@ -287,6 +287,8 @@ def certify_figure(
         raise ValueError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "violated", [metric.band])
+    if time.monotonic() > until:
+        return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "open", [metric.band])
     if not nominal_stable(loop):
         return FigureBounds(loop.stage, name, lower, math.inf, values, omega, "unstable", [metric.band])
     parts = _parts(model, box, target, until, folder / "parts", loop.stage, metric)

@@ -124,7 +124,6 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
 
     from los_design import redesign
     from los_design.synthesis.store import load_designs
-    from los_design.verification import certify
 
     limits = []
 
@@ -137,7 +136,6 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
         return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
 
     monkeypatch.setattr(redesign, "design_all", stored)
-    monkeypatch.setattr(certify, "nominal_stable", lambda _: True)
     monkeypatch.setattr(proofs, "FIGURES", {"fsm": ("slow",), "fsm+pma": ("force",)})
     with pytest.raises(SystemExit) as stopped:
         main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
