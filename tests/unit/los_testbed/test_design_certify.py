@@ -119,8 +119,7 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the stored pair in place of a design of minutes, which took all the time."""
-    from los_testbed.cli.designs import proofs
-    from los_testbed.cli.designs.redesign import ROUNDS_OF_ALL
+    from los_testbed.cli.designs import redesign as commands
 
     from los_design import redesign
     from los_design.synthesis.store import load_designs
@@ -132,16 +131,16 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
         for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
             system.to_file(folder / name)
         shutil.copy(Path(redesign.__file__).parent / "search" / "worst_points.json", folder)
-        time.sleep(wall_limit / ROUNDS_OF_ALL + 0.1)
+        time.sleep(wall_limit / commands.ROUNDS_OF_ALL + 0.1)
         return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
 
     monkeypatch.setattr(redesign, "design_all", stored)
-    monkeypatch.setattr(proofs, "FIGURES", {"fsm": ("slow",), "fsm+pma": ("force",)})
+    monkeypatch.setattr(commands, "FIGURES", {"fsm": ("slow",), "fsm+pma": ("force",)})
     with pytest.raises(SystemExit) as stopped:
         main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
     told = capsys.readouterr()
     found = json.loads(told.out)["figures"]
-    assert stopped.value.code == 1 and limits == [ROUNDS_OF_ALL]
+    assert stopped.value.code == 1 and limits == [commands.ROUNDS_OF_ALL]
     assert [(f["stage"], f["figure"]) for f in found] == [("fsm", "slow"), ("fsm+pma", "force")]
     assert {f["status"] for f in found} == {"open"}
     assert "the time is over: 0 of 2 figures proven; the same command goes on" in told.err

@@ -14,7 +14,7 @@ import typer
 from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.redesign import designs_in
+from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain

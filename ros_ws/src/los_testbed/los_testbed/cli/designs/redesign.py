@@ -15,19 +15,19 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures, show_bounds
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, met, numbers
-from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE, WORST_POINTS
+from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:
-    from lftkit import SampledSystem
     from lftkit.support.workers import Workers
     from los_design.verification.certify import FigureBounds
-    from titop_plant.telescope.parameters import Parameters
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
@@ -148,32 +148,12 @@ def design_all(
 
 def _proven(folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
     """Bounds of all figures of the designs of a folder; the proofs and their bundle go there, too."""
-    from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures
     from titop_plant.telescope.layout import mirror_stages
 
     stages = mirror_stages(designs_in(folder)[0])
     loops, known = loops_of(folder, list(stages))
     chosen = [(stage, name) for stage in stages for name in FIGURES[stage]]
     return prove_figures(chosen, loops, known, folder, workers, until)
-
-
-def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
-    """Telescope and controllers of a folder of designs; the reference telescope where it names none.
-
-    Raises
-    ------
-    ValueError
-        No folder, or a file that is missing or cannot be read.
-    """
-    from lftkit import SampledSystem
-    from titop_plant.telescope.parameters import load_parameters
-
-    if not folder.is_dir():
-        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
-    file = folder / TELESCOPE_FILE
-    parameters = load_parameters(file if file.exists() else None)
-    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
-    return parameters, k_fsm, k_pma
 
 
 def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, uncertain: Sequence[str] = ()) -> None:
@@ -230,8 +210,6 @@ def _show(
             if key in implemented:
                 Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
     if bounds and not json_:
-        from los_testbed.cli.designs.proofs import show_bounds
-
         show_bounds(bounds)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.designs.proofs import loops_of
-from los_testbed.cli.designs.redesign import designs_in
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
 from los_testbed.run.summary.screen import Screen, numbers

@@ -1,0 +1,31 @@
+"""Telescope and controllers of a folder of ``los-testbed design all``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
+
+if TYPE_CHECKING:
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import Parameters
+
+
+def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
+    """Telescope and controllers of a folder of designs; the reference telescope where it names none.
+
+    Raises
+    ------
+    ValueError
+        No folder, or a file that is missing or cannot be read.
+    """
+    from lftkit import SampledSystem
+    from titop_plant.telescope.parameters import load_parameters
+
+    if not folder.is_dir():
+        raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
+    file = folder / TELESCOPE_FILE
+    parameters = load_parameters(file if file.exists() else None)
+    k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
+    return parameters, k_fsm, k_pma
