@@ -14,6 +14,8 @@ from typing import Any, TypeGuard
 
 import yaml
 
+from lftkit.support.file_kind import kind_of_file, kind_of_text
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -51,7 +53,8 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise StructuredTextError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise StructuredTextError(f"{path} must be text in UTF-8, got other bytes") from None
+        found = kind_of_file(path) or "other bytes"
+        raise StructuredTextError(f"{path} must be text in UTF-8, got {found}") from None
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -88,6 +91,9 @@ def _load(text: str, what: object, kind: str, parse: Callable[[str], Any]) -> An
     except RecursionError:
         raise StructuredTextError(f"{what} must be nested at most {MAX_DEPTH} levels deep, got more") from None
     except (ValueError, TypeError, OverflowError, yaml.YAMLError) as error:
+        found = kind_of_text(text)
+        if found is not None and found != kind:
+            raise StructuredTextError(f"{what} must be {kind}, got {found}") from None
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise StructuredTextError(f"{what} must be {kind}: {first}") from None
     return content

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.file_kind import kind_of_file
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
@@ -237,11 +238,12 @@ class SampledSystem:
         except OSError as error:
             raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
         except ValueError:
-            raise ValueError(f"{path} is not a controller file: expected JSON, the text is not") from None
+            found = kind_of_file(path) or "another text"
+            raise ValueError(f"{path} is not a controller file: expected JSON, got {found}") from None
         except RecursionError:
             raise ValueError(f"{path} is not a controller file: it is nested too deep") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError(f'{path} is not a controller file: expected "format": "{FORMAT}"')
+            raise ValueError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise ValueError(f"{path}: expected version {VERSION}, got {content.get('version')}")
         missing = [key for key in ("inputs", "outputs", "dt", *"ABCD") if key not in content]

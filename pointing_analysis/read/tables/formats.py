@@ -6,11 +6,14 @@ import zipfile
 from enum import Enum
 from pathlib import Path
 
+from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.tables.table import TableError
 
 HEAD = 512
 """Bytes at the beginning of a file by which its format is told."""
+TEXT_LOOKED_THROUGH = 1_000_000
+"""Largest text that is searched for a digit [byte]; a table without numbers is refused by its reader if larger."""
 HDF5 = b"\x89HDF\r\n\x1a\n"
 HDF5_OFFSETS = (0, 512, 1024, 2048, 4096)
 """Places of the signature of HDF5 in a file that begins with something else, as a MATLAB file of version 7.3 does."""
@@ -70,12 +73,22 @@ def format_of(path: Path) -> Format:
             marks = [head[: len(HDF5)], *(_at(file, offset) for offset in HDF5_OFFSETS[1:])]
     except OSError as error:
         raise TableError(f"{path}: {error.strerror}") from None
-    found = _by_mark(path, head, marks) or OF_SUFFIX.get(path.suffix.lower())
-    if found is None and _is_text(head):
-        found = Format.CSV
-    if found is None:
-        raise TableError(f"{path}: file must be one of {FORMATS}; got a file that begins with {head[:8]!r}")
+    if (found := _by_mark(path, head, marks)) is not None:
+        return found
+    kind = kind_of_file(path)
+    if kind is None:
+        found = OF_SUFFIX.get(path.suffix.lower()) or (Format.CSV if _is_text(head) else None)
+        if found is Format.CSV and _without_digits(path):
+            kind = "a text without numbers"
+    if found is None or kind is not None:
+        kind = kind or f"a file that begins with {head[:8]!r}"
+        raise TableError(f"{path}: file must be one of {FORMATS}; got {kind}")
     return found
+
+
+def _without_digits(path: Path) -> bool:
+    """Whether a file is small and no byte of it is a digit: then it is no table."""
+    return path.stat().st_size <= TEXT_LOOKED_THROUGH and not any(48 <= byte <= 57 for byte in path.read_bytes())
 
 
 def _at(file: object, offset: int) -> bytes:
@@ -88,11 +101,21 @@ def _by_mark(path: Path, head: bytes, marks: list[bytes]) -> Format | None:
         return Format.BAG
     if head.startswith(b"PAR1"):
         return Format.PARQUET
-    if head.startswith(b"\x93NUMPY") or zipfile.is_zipfile(path):
+    if head.startswith(b"\x93NUMPY") or (zipfile.is_zipfile(path) and _holds_arrays(path)):
         return Format.NUMPY
     if HDF5 in marks:  # a MATLAB file of version 7.3 is one
         return Format.HDF5
     return Format.MATLAB if head.startswith(b"MATLAB 5.0") else None
+
+
+def _holds_arrays(path: Path) -> bool:
+    """Whether a zip file is one of NumPy, or so damaged that only its reader can say."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return True
+    return not names or any(name.endswith(".npy") for name in names)
 
 
 def text_encoding(head: bytes) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass
 
+from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import RATE, STAGES
@@ -239,7 +240,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if isinstance(content, dict) and set(content) == {"/**"}:
         content = content["/**"].get("ros__parameters") if isinstance(content["/**"], dict) else None
     if not isinstance(content, dict):
-        raise ValueError(f"{path} must hold names and values, got another content")
+        raise ValueError(f"{path} must hold names and values, got {kind_of_file(path) or 'another content'}")
     return content
 
 

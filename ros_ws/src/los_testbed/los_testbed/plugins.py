@@ -71,6 +71,8 @@ module 'math' has no attribute 'no_such')
             return found
         known = {point.name: point for point in entry_points(group=group)}
         if text not in known:
+            if Path(text).is_dir():
+                raise LookupError("it is a folder, not a file")
             raise LookupError(f"known are {', '.join(sorted(known)) or 'none'}")
         return known[text].load()
     except RAISED as error:

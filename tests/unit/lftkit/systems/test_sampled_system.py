@@ -62,7 +62,7 @@ def test_file_round_trip_is_exact(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "x"}, 'expected "format"'),
+        ({"format": "x"}, 'expected JSON with "format"'),
         ({"version": 7}, "expected version 1, got 7"),
         ({"A": [[float("nan")] * 5] * 5}, r"matrix A must be finite, got nan in entry \[0, 0\]"),
         ({"B": [[1.0]]}, "matrix B must be 5 x 2"),
