@@ -175,8 +175,7 @@ def sampled_controller(
     basis: DesignBasis | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> SampledSystem:
-    """Sampled proof-mass law with the washout F_w on the accelerometer channels (6 more states)."""
-    (port,) = K_PMA_INPUTS
-    filtered = with_input_filter(controller, {port.name: high_pass(port, washout)})
+    """Sampled proof-mass law with the washout F_w on its accelerometers (6 more states)."""
+    filtered = with_input_filter(controller, {port.name: high_pass(port, washout) for port in controller.inputs})
     found = sampled(filtered, DT, name=name, provenance=provenance)
     return replace(found, design_basis=(basis or DesignBasis()).to_mapping())

@@ -35,10 +35,10 @@ from los_design.verification.verification import (
     verification_points,
 )
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.open_loop import OpenLoop
+from los_loop.open_loop import OpenLoop, loop_plant
+from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
-from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import Telescope, build_telescope
 from titop_plant.telescope.layout import control_stages, mirror_stages
 from titop_plant.telescope.parameters import Parameters, parameters_hash
@@ -142,10 +142,11 @@ def design_all(
         basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
-        system = control_loop_plant(assembled, parameters)
+        placed = Placed.of(parameters, k_fsm, k_pma)
+        system = loop_plant(parameters, placed, telescope=assembled)
         at = verification_points(parameters, system, SAMPLES[effort], seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
-        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=workers)
+        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=workers, placed=placed)
     not_met = broken_requirements(check)
     content = {"implemented": check.to_mapping(), "not_met": not_met}
     write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
@@ -163,8 +164,9 @@ def search_stages(
 
     The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
     """
+    placed = Placed.of(parameters, k_fsm, k_pma)
     open_loops = {
-        isolated: OpenLoop(control_loop_plant(build_telescope(parameters, isolated=isolated), parameters), parameters)
+        isolated: OpenLoop(loop_plant(parameters, placed, isolated=isolated), parameters, placed=placed)
         for isolated in (False, True)
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
@@ -197,7 +199,9 @@ def adversarial_points(
 
 
 def _key(parameters: Parameters, seed: int, effort: str) -> dict[str, Any]:
-    return {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
+    key = {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
+    placed = Placed.of(parameters)  # sensors are not part of the hash
+    return key if placed == NO_DEVICES else {**key, "devices": repr(placed)}
 
 
 def _pair(

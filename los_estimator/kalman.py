@@ -131,7 +131,7 @@ def sampled_observer(
     Parameters
     ----------
     observer : System
-        Continuous, ports of K_FSM.
+        Continuous, ports of K_FSM; behind them those of further accelerometers.
     washout : float
         Corner of F_w [rad/s].
     name : str
@@ -139,6 +139,7 @@ def sampled_observer(
         What it was made for.
     provenance : mapping, optional
     """
-    filters = {port.name: high_pass(port, washout) for port in K_FSM_INPUTS if port.name in ACCELEROMETERS}
+    known = {port.name for port in K_FSM_INPUTS} - set(ACCELEROMETERS)
+    filters = {port.name: high_pass(port, washout) for port in observer.inputs if port.name not in known}
     found = sampled(with_input_filter(observer, filters), DT, name=name, provenance=provenance)
     return replace(found, design_basis=(basis or DesignBasis()).to_mapping())

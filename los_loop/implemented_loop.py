@@ -29,21 +29,18 @@ from los_loop.figures_of_merit import gain_figures
 from los_loop.open_loop import OpenLoop, closed_lft
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from los_loop.spec import (
-    ADDED,
-    APPLIED,
     DISTURBANCE,
-    INPUTS,
     LINE_OF_SIGHT,
+    NO_DEVICES,
     OUTPUTS,
+    Placed,
     held_response,
     laws,
 )
 from titop_plant.interface import (
     COLUMNS,
-    COMMANDS,
     DT,
     FRAME_TICKS,
-    MEASUREMENTS,
     TRUTH,
     sample_ticks,
 )
@@ -83,16 +80,24 @@ class LoopMetric:
     @property
     def disturbed(self) -> bool:
         """Whether the inputs are normalised disturbances."""
-        return self.columns == INPUTS[DISTURBANCE]
+        return bool(self.columns.start == 0)
 
 
 def loop_metrics(
-    parameters: Parameters, stage: str, within: tuple[float, float] = (LOWEST, HIGHEST)
+    parameters: Parameters,
+    stage: str,
+    within: tuple[float, float] = (LOWEST, HIGHEST),
+    placed: Placed = NO_DEVICES,
 ) -> dict[str, LoopMetric]:
     """Gains that a stage must keep, by name, in their bands within some frequencies [rad/s]."""
     return {
         row.name: LoopMetric(
-            row.name, row.rows, row.columns, float(row.limit(parameters, stage)), row.within(*within), row.relative
+            row.name,
+            placed.rows(row.output),
+            placed.columns_of(row.inputs[0]),
+            float(row.limit(parameters, stage)),
+            row.within(*within),
+            row.relative,
         )
         for row in gain_figures(stage)
     }
@@ -130,7 +135,9 @@ class ImplementedLoop:
         self.system, self.parameters, self.stage = open_loop.system, open_loop.parameters, stage
         self.names = open_loop.names
         self.pair = (k_fsm, k_pma)
-        self.laws = laws(k_fsm, k_pma, stage, float(self.parameters["fsm"]["los_sensitivity"]))
+        self.placed = open_loop.placed
+        sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
+        self.laws = laws(k_fsm, k_pma, stage, sensitivity, self.placed)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -151,10 +158,12 @@ class ImplementedLoop:
     def controls(self, omega: FloatArray) -> ComplexArray:
         """What :meth:`control` gives at N frequencies [rad/s], shape (N, 8, 22)."""
         z = np.exp(1j * omega * DT)
-        out = np.zeros((len(omega), COMMANDS, MEASUREMENTS), complex)
+        out = np.zeros((len(omega), self.placed.commands, self.placed.measurements), complex)
+        rows, seen = np.arange(self.placed.commands), np.arange(self.placed.measurements)
         for law in self.laws:
             if law.gain:
-                out[:, law.command, law.measured] = law.gain * _sampled_responses(law.system, z)
+                part = np.ix_(np.arange(len(omega)), rows[law.command], seen[law.measured])
+                out[part] = law.gain * _sampled_responses(law.system, z)
         for name, ticks in sample_ticks(FRAME_TICKS).items():
             out[:, :, COLUMNS[name]] *= held_response(z, ticks)[:, None, None]
         return np.asarray(out / z[:, None, None])
@@ -169,12 +178,12 @@ class ImplementedLoop:
 
     def around(self, lft: ComplexArray, omega: FloatArray) -> list[ClosedAt]:
         """Close the loop around the telescope's LFT at N frequencies (:meth:`los_loop.open_loop.OpenLoop.at`)."""
-        q = self.open.channels
-        y, u = q + MEASUREMENTS, lft.shape[2] - COMMANDS
+        q, commands, measured = self.open.channels, self.placed.commands, self.placed.measurements
+        y, u = q + measured, lft.shape[2] - commands
         K, held, into = self.controls(omega), lft[:, :, u:], lft[:, :, :u]
-        unit = np.broadcast_to(np.eye(COMMANDS, dtype=complex), (len(omega), COMMANDS, COMMANDS))
+        unit = np.broadcast_to(np.eye(commands, dtype=complex), (len(omega), commands, commands))
         command = solve(np.asarray(unit - K @ held[:, q:y]), np.concatenate([K, unit], axis=2))
-        applied = np.concatenate([command[:, :, :MEASUREMENTS] @ into[:, q:y], command[:, :, MEASUREMENTS:]], axis=2)
+        applied = np.concatenate([command[:, :, :measured] @ into[:, q:y], command[:, :, measured:]], axis=2)
         whole = np.concatenate([held @ applied, applied], axis=1)
         whole[:, : lft.shape[1], :u] += into
         rows = np.r_[y : y + TRUTH, lft.shape[1] : whole.shape[1]]
@@ -234,20 +243,21 @@ class ImplementedLoop:
     ) -> FloatArray:
         """First-order changes (K,) of gains, not normalised, between the frequencies STEP below and above."""
         T12, T21, T11 = parts
-        q, count = self.open.channels, len(closed)
+        q, count, placed = self.open.channels, len(closed), self.placed
+        added, applied = placed.added, placed.applied
         inputs: ComplexArray = np.zeros((count, T11.shape[2]), complex)
-        outputs: ComplexArray = np.zeros((count, APPLIED.stop), complex)
+        outputs: ComplexArray = np.zeros((count, applied.stop), complex)
         inputs[:, metric.columns], outputs[:, metric.rows] = signals.right, signals.left
-        both = np.concatenate([T12[:, APPLIED], T11[:, APPLIED]], axis=2)
+        both = np.concatenate([T12[:, applied], T11[:, applied]], axis=2)
         commands = (both @ np.concatenate([signals.driven, inputs], axis=1)[:, :, None])[:, :, 0]
-        by_commands = _through(outputs, T11[:, :, ADDED]) + _through(signals.outer, T21[:, :, ADDED])
+        by_commands = _through(outputs, T11[:, :, added]) + _through(signals.outer, T21[:, :, added])
         measured = _through(by_commands, np.array([own.control for own in closed]))
         row = np.concatenate([signals.outer, measured, outputs[:, OUTPUTS[LINE_OF_SIGHT]]], axis=1)
-        column = np.concatenate([signals.driven, inputs[:, INPUTS[DISTURBANCE]], commands], axis=1)
-        seen = np.array([own.open[q : q + MEASUREMENTS] for own in closed]) @ column[:, :, None]
+        column = np.concatenate([signals.driven, inputs[:, placed.columns_of(DISTURBANCE)], commands], axis=1)
+        seen = np.array([own.open[q : q + placed.measurements] for own in closed]) @ column[:, :, None]
         beside = np.outer([np.exp(STEP), np.exp(-STEP)], [own.omega for own in closed])
         plant = self.open.between(beside.ravel(), np.tile(row, (2, 1)), np.tile(column, (2, 1))).reshape(2, -1)
-        controls = self.controls(beside.ravel()).reshape(2, count, COMMANDS, MEASUREMENTS)
+        controls = self.controls(beside.ravel()).reshape(2, count, placed.commands, placed.measurements)
         control = (by_commands[:, None, :] @ controls @ seen)[:, :, 0, 0]
         found = (plant + control).real
         return np.asarray(found[0] - found[1])
@@ -288,7 +298,7 @@ class ImplementedLoop:
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
-        return self.all_responses(closed, points, APPLIED, ADDED)
+        return self.all_responses(closed, points, self.placed.applied, self.placed.added)
 
     def sampled_at(self, values: Mapping[str, float]) -> tuple[System, SampledLoop]:
         """The continuous plant at parameter values, and the exact periodic loop around it."""
@@ -299,7 +309,13 @@ class ImplementedLoop:
         """The exact periodic loop around a plant; `step` as for :func:`los_loop.sampled_loop.sampled_loop`."""
         sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
         return sampled_loop(
-            plant, *self.pair, loop=self.stage, frame_ticks=FRAME_TICKS, los_sensitivity=sensitivity, step=step
+            plant,
+            *self.pair,
+            loop=self.stage,
+            frame_ticks=FRAME_TICKS,
+            los_sensitivity=sensitivity,
+            step=step,
+            placed=self.placed,
         )
 
     def scale(self, metric: LoopMetric, omega: float) -> float:

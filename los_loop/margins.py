@@ -94,12 +94,12 @@ def delay_margins(
     return smallest
 
 
-def change_names(stage: str) -> list[str]:
-    """Names of the changes of :func:`changed_loops`, in its order."""
+def change_names(stage: str, commands: int = COMMANDS) -> list[str]:
+    """Names of the changes of :func:`changed_loops`, in its order, for a loop with so many commands."""
     names = ["one more tick"]
     for factor in GAINS:
         names.append(f"gain x{factor:g}")
-        for channel in _channels(stage):
+        for channel in _channels(stage, commands):
             kind = f"force {channel - FORCES.start + 1}" if channel >= FORCES.start else f"mirror {channel + 1}"
             names.append(f"gain x{factor:g} at {kind}")
     return names
@@ -117,7 +117,7 @@ def doubtful(sensitivity: ComplexArray, omega: float | FloatArray, stage: str) -
     it leaves the loop stable while ``1 + l (1 - exp(-j a))`` stays away from zero for all a from 0 to w dt, which large
     ones may do as well.
     """
-    size, (low, high) = len(_channels(stage)), GAINS
+    size, (low, high) = len(_channels(stage, sensitivity.shape[1])), GAINS
     S, at = sensitivity[:, :size, :size], np.broadcast_to(omega, len(sensitivity))
     certain = np.where(at > NARROW_FROM, CERTAIN[1], CERTAIN[0])
     turned = 2.0 * np.abs(np.sin(0.5 * np.minimum(at * DT, math.pi)))
@@ -178,18 +178,18 @@ def _radius_bounds(M: ComplexArray) -> FloatArray:
 
 def changed_loops(loop: SampledLoop, stage: str) -> Iterator[tuple[str, Callable[[], SampledLoop]]]:
     """Makers of the loop with one more tick of delay, and with other gains, by name."""
-    names = iter(change_names(stage))
+    names = iter(change_names(stage, loop.commands))
     yield next(names), lambda: delayed(loop)
     for factor in GAINS:
-        yield next(names), partial(scaled, loop, np.full(COMMANDS, factor))
-        for channel in _channels(stage):
-            gains = np.ones(COMMANDS)
+        yield next(names), partial(scaled, loop, np.full(loop.commands, factor))
+        for channel in _channels(stage, loop.commands):
+            gains = np.ones(loop.commands)
             gains[channel] = factor
             yield next(names), partial(scaled, loop, gains)
 
 
-def _channels(stage: str) -> range:
-    return range(COMMANDS if stage in FORCE_STAGES else MIRROR.stop)
+def _channels(stage: str, commands: int) -> range:
+    return range(commands if stage in FORCE_STAGES else MIRROR.stop)
 
 
 def unstable_changes(loop: SampledLoop, stage: str) -> list[str]:
@@ -199,7 +199,7 @@ def unstable_changes(loop: SampledLoop, stage: str) -> list[str]:
 
 def scaled(loop: SampledLoop, gains: FloatArray) -> SampledLoop:
     """The loop with its commands multiplied by `gains` (8,)."""
-    rows = slice(loop.plant_order, loop.plant_order + COMMANDS)
+    rows = slice(loop.plant_order, loop.plant_order + loop.commands)
 
     def change(matrix: FloatArray) -> FloatArray:
         changed = matrix.copy()
@@ -211,20 +211,20 @@ def scaled(loop: SampledLoop, gains: FloatArray) -> SampledLoop:
 
 def delayed(loop: SampledLoop) -> SampledLoop:
     """The loop with one more tick of delay at all commands; 8 states more, before the held values."""
-    V = np.arange(loop.plant_order, loop.plant_order + COMMANDS)
-    n = loop.hold.shape[0]
-    order = np.r_[np.arange(n - HELD.size), np.arange(n, n + COMMANDS), np.arange(n - HELD.size, n)]
+    V = np.arange(loop.plant_order, loop.plant_order + loop.commands)
+    n, commands = loop.hold.shape[0], loop.commands
+    order = np.r_[np.arange(n - HELD.size), np.arange(n, n + commands), np.arange(n - HELD.size, n)]
 
     def later(A: FloatArray) -> FloatArray:
-        whole = np.zeros((n + COMMANDS, n + COMMANDS))
+        whole = np.zeros((n + commands, n + commands))
         whole[:n, :n] = A
         whole[:n, n:] = A[:, V]
         whole[:n, V] = 0.0
-        whole[n + np.arange(COMMANDS), V] = 1.0
+        whole[n + np.arange(commands), V] = 1.0
         return np.asarray(whole[np.ix_(order, order)])
 
     def widened(rows: FloatArray) -> FloatArray:
-        return np.asarray(np.vstack([rows, np.zeros((COMMANDS, rows.shape[1]))])[order])
+        return np.asarray(np.vstack([rows, np.zeros((commands, rows.shape[1]))])[order])
 
     truth = np.hstack([loop.truth, loop.truth[:, V]])
     truth[:, V] = 0.0

@@ -97,6 +97,8 @@ class SampledLoop:
         The same two matrices at the other ticks of a period at which a sensor that is held has a sample.
     sample_ticks : mapping of str to int
         Ticks from one sample to the next of each port that is held; those left out have one in a period.
+    commands : int
+        Number of commands, forces of actuators of the telescope's file among them.
     """
 
     frame: FloatArray
@@ -108,6 +110,7 @@ class SampledLoop:
     plant_order: int
     between: Mapping[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     sample_ticks: Mapping[str, int] = field(default_factory=dict)
+    commands: int = COMMANDS
 
     def at(self, tick: int) -> tuple[FloatArray, FloatArray]:
         """Next state from state and from measurement noise at a tick of the run."""
@@ -270,8 +273,9 @@ def sampled_loop(
     delays : Delays
         Of a rig. With late frames the sensitivity must be given.
     placed : Placed
-        Sensors and actuators of the telescope's file that the controllers may use. `step` must be given then: it has
-        the readings behind the line of sight, and the forces behind the commands.
+        Sensors and actuators of the telescope's file that the controllers may use: plant and `step` have the readings
+        behind the line of sight, and the forces behind the commands. A plant in modal coordinates has no such forces:
+        `step` must be given then.
 
     Raises
     ------
@@ -285,8 +289,9 @@ def sampled_loop(
         if isinstance(plant, ModalPlant):
             step = held_step(plant)
         else:
-            step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
-    commands, sensed_size = COMMANDS + placed.forces, MEASUREMENTS + placed.readings
+            commands = placed.commands
+            step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
+    commands, sensed_size = placed.commands, placed.measurements
     n = step.shape[1] - commands
     both = laws(k_fsm, k_pma, loop, los_sensitivity, placed)
     X, V, *own, H = state_parts(n, k_fsm.order, k_pma.order, commands)
@@ -334,7 +339,7 @@ def sampled_loop(
     some = {names: tick(names) for names in set(due.values()) - {due[0], frozenset()}}
     between = {k: some[names] for k, names in due.items() if names in some}
     los = _of_plant(step[truth], X, V, size)
-    return SampledLoop(frame, hold, noise_frame, noise_hold, los, period, n, between, every)
+    return SampledLoop(frame, hold, noise_frame, noise_hold, los, period, n, between, every, commands)
 
 
 def _of_plant(rows: FloatArray, states: slice, commands: slice, size: int) -> FloatArray:

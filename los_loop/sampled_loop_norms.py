@@ -24,9 +24,8 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampled.sampling import sampled
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop import SampledLoop, periodic_covariances, sampled_loop
-from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response
+from los_loop.spec import APPLIED, LINE_OF_SIGHT, NO_DEVICES, OUTPUTS, Placed, held_response
 from titop_plant.interface import (
-    COMMANDS,
     DT,
     FRAME_TICKS,
     HELD,
@@ -34,6 +33,7 @@ from titop_plant.interface import (
     MEASUREMENTS,
     MIRROR_STAGES,
     PLATFORM,
+    TRUTH,
 )
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -221,10 +221,14 @@ class ToneModes:
     loop : FrequencyResponse
         Of the loop at a tick without held values: from what is added to the measurement (22), and the held values, to
         line of sight (2), commands (8) and the held values at their samples.
+    sensed, whole : int
+        Values of the measurement; rows of line of sight and commands.
     """
 
     plant: FrequencyResponse
     loop: FrequencyResponse
+    sensed: int = MEASUREMENTS
+    whole: int = APPLIED.stop
 
     @classmethod
     def of(cls, loop: SampledLoop, plant: System | ModalPlant) -> ToneModes:
@@ -232,30 +236,30 @@ class ToneModes:
         n, size = loop.plant_order, loop.hold.shape[0] - HELD.size
         A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
         kept = size + _kept(loop)
-        outputs = np.zeros((APPLIED.stop, size))
-        outputs[LOS], outputs[APPLIED, n : n + COMMANDS] = loop.truth[:, :size], np.eye(COMMANDS)
+        commands, sensed = loop.commands, N.shape[1]
+        outputs = np.zeros((LOS.stop + commands, size))
+        outputs[LOS], outputs[LOS.stop :, n : n + commands] = loop.truth[:, :size], np.eye(commands)
         C, B = np.vstack([outputs, loop.frame[kept, :size]]), np.hstack([N, A[:, kept]])
         D = np.zeros((len(C), B.shape[1]))
-        D[APPLIED.stop :, :MEASUREMENTS] = loop.noise_frame[kept]
+        D[LOS.stop + commands :, :sensed] = loop.noise_frame[kept]
         if isinstance(plant, ModalPlant):
             alone = plant.response
         else:
-            B_d, D_d = plant.B[:, COMMANDS:], plant.D[:, COMMANDS:]
+            B_d, D_d = plant.B[:, commands:], plant.D[:, commands:]
             alone = FrequencyResponse.of(plant.A, B_d, plant.C, D_d, check=False)
-        return cls(alone, FrequencyResponse.of_sampled(A[:, :size], B, C, D))
+        return cls(alone, FrequencyResponse.of_sampled(A[:, :size], B, C, D), sensed, len(outputs))
 
     @cached_property
     def without_commands(self) -> ToneModes:
         """The same with the line of sight as the only output."""
-        rows = [*range(*LOS.indices(APPLIED.stop)), *range(APPLIED.stop, len(self.loop.D))]
-        return replace(self, loop=self.loop.part(rows, slice(None)))
+        rows = [*range(LOS.stop), *range(self.whole, len(self.loop.D))]
+        return replace(self, loop=self.loop.part(rows, slice(None)), whole=LOS.stop)
 
     @cached_property
     def sides(self) -> FrequencyResponse:
         """Of the loop, from the held values to line of sight (2) and the held values at their samples."""
-        first = len(self.loop.D) - (self.loop.D.shape[1] - MEASUREMENTS)
-        rows = [*range(*LOS.indices(APPLIED.stop)), *range(first, len(self.loop.D))]
-        return self.loop.part(rows, slice(MEASUREMENTS, None))
+        rows = [*range(LOS.stop), *range(self.whole, len(self.loop.D))]
+        return self.loop.part(rows, slice(self.sensed, None))
 
 
 def tone_response(
@@ -283,9 +287,10 @@ def tone_response(
     z = np.exp(1j * omega * DT)
     alone, closed = modes.plant.at(omega), modes.loop.at_points(z)
     # the loop answers what the tone does to the measurement as it answers noise
-    forced = closed[:, :, :MEASUREMENTS] @ alone[:, :MEASUREMENTS]
-    forced[:, LOS] += alone[:, MEASUREMENTS:]
-    whole = slice(0, APPLIED.stop if commands else LOS.stop)
+    los = slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
+    forced = closed[:, :, : modes.sensed] @ np.delete(alone, los, axis=1)
+    forced[:, LOS] += alone[:, los]
+    whole = slice(0, modes.whole)
     if not held:
         return ToneResponse(forced, None, [])
     places, own = _places(held), np.cumsum([0, *(part.stop - part.start for part, _, _ in held)])
@@ -310,7 +315,7 @@ def tone_response(
         seen[:, places[s, 0]] = forced[:, whole.stop + own[s] : whole.stop + own[s + 1]]
     camera: ComplexArray = np.asarray(np.linalg.solve(np.eye(total) - loop_gain, seen), dtype=np.complex128)
     holds = [held_response(z, ticks)[:, None, None] * camera[:, places[s, 0]] for s, (_, ticks, _) in enumerate(held)]
-    fundamental = forced[:, whole] + closed[:, whole, MEASUREMENTS:] @ np.concatenate(holds, axis=1)
+    fundamental = forced[:, whole] + closed[:, whole, modes.sensed :] @ np.concatenate(holds, axis=1)
     return ToneResponse(
         fundamental, camera, [(2.0 * np.pi * side / (period * DT), gain) for side, gain in sidebands.items()]
     )
@@ -346,15 +351,19 @@ def noise_covariances(
     loop: str,
     frame_ticks: int = FRAME_TICKS,
     sensors: str | None = None,
+    placed: Placed = NO_DEVICES,
 ) -> tuple[FloatArray, FloatArray]:
     """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
 
-    The arguments are those of :func:`sampled_loop_metrics`; infinite if the loop is unstable.
+    The arguments are those of :func:`sampled_loop_metrics`, with the further sensors and actuators that the plant has;
+    infinite if the loop is unstable.
     """
     sensitivity = float(parameters["fsm"]["los_sensitivity"])
-    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    closed = sampled_loop(
+        plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity, placed=placed
+    )
     if closed.spectral_radius() < 1.0:
-        return _noise(closed, parameters, sensors)
+        return _noise(closed, parameters, sensors, placed)
     return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
 
 
@@ -376,10 +385,12 @@ def largest_part(covariance: FloatArray) -> float:
     return float(linalg.eigvalsh(covariance)[-1]) / total if np.isfinite(total) and total > 0.0 else np.nan
 
 
-def _noise(loop: SampledLoop, parameters: Parameters, sensors: str | None) -> tuple[FloatArray, FloatArray]:
+def _noise(
+    loop: SampledLoop, parameters: Parameters, sensors: str | None, placed: Placed = NO_DEVICES
+) -> tuple[FloatArray, FloatArray]:
     """Covariances of the line of sight over a frame period [rad^2], plain and with the relative-error weight."""
-    sigma = noise_of_samples(parameters)
-    if sensors == "platform":
+    sigma = np.concatenate([noise_of_samples(parameters), placed.noise])
+    if sensors == "platform":  # the paper's figure
         sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
     w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
     n, m = loop.hold.shape[0], w.order

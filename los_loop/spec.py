@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from titop_plant.interface import (
     COMMANDED,
     COMMANDS,
     FORCE_STAGES,
+    FORCES,
     HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
@@ -42,6 +44,8 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     DesignBasis,
 )
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.placed.devices import placed_actuators, placed_sensors
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""
@@ -64,17 +68,100 @@ APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].sto
 """Columns and rows of all commands."""
 
 
+class WithPorts(Protocol):
+    """A controller with its ports."""
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """What it measures."""
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """What it commands."""
+
+
 @dataclass(frozen=True)
 class Placed:
     """Sensors and actuators of a telescope's file: readings behind the measurement, forces behind the command.
 
+    The port of the forces holds those of the actuators, too: they are among its rows and columns in every response.
+
     Parameters
     ----------
     sensors, actuators : tuple of Port
+    noise : tuple of float
+        Standard deviation of a sample of each reading.
+    units : tuple of float
+        Force [N] of each actuator for a value of 1 in the loop: its authority over that of the proof-mass actuators,
+        so that one limit holds for all forces. Empty: 1 N.
     """
 
     sensors: tuple[Port, ...] = ()
     actuators: tuple[Port, ...] = ()
+    noise: tuple[float, ...] = ()
+    units: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, parameters: Parameters, *controllers: WithPorts) -> Placed:
+        """All of a telescope; with controllers the actuators that they command, and nothing if they use nothing.
+
+        Examples
+        --------
+        >>> from titop_plant.telescope.parameters import load_parameters
+        >>> Placed.of(load_parameters()).commands
+        8
+        """
+        sensors, actuators = placed_sensors(parameters), placed_actuators(parameters)
+        if controllers:
+            names = {port.name for system in controllers for port in (*system.inputs, *system.outputs)}
+            actuators = tuple(one for one in actuators if one.name in names)
+            if not actuators and not names & {one.name for one in sensors}:
+                return NO_DEVICES
+        noise = (one.noise for one in sensors for _ in one.axes)
+        whole = float(parameters["pma"]["authority"])
+        return cls(
+            tuple(one.port for one in sensors),
+            tuple(one.port for one in actuators),
+            tuple(noise),
+            tuple(one.authority / whole for one in actuators),
+        )
+
+    @property
+    def commands(self) -> int:
+        """Values of all commands."""
+        return COMMANDS + self.forces
+
+    @property
+    def measurements(self) -> int:
+        """Values of all measurements."""
+        return MEASUREMENTS + self.readings
+
+    @property
+    def added(self) -> slice:
+        """Columns of all commands in the response of the loop, behind the disturbances."""
+        return slice(-self.commands, None)
+
+    @property
+    def applied(self) -> slice:
+        """Rows of all commands in the response of the loop."""
+        return slice(APPLIED.start, APPLIED.stop + self.forces)
+
+    @property
+    def force_columns(self) -> slice:
+        """Forces among the commands."""
+        return slice(FORCES.start, self.commands)
+
+    def rows(self, port: str) -> slice:
+        """Rows of a port in the response of the loop."""
+        own = OUTPUTS[port]
+        return slice(own.start, own.stop + self.forces) if port == COMMAND_PORTS[-1].name else own
+
+    def columns_of(self, port: str) -> slice:
+        """Columns of a port in the response of the loop, as :data:`INPUTS` counts them."""
+        own = INPUTS[port]
+        if port == DISTURBANCE:
+            return slice(0, -self.commands)
+        return slice(own.start - self.forces, None if own.stop is None else own.stop - self.forces)
 
     @property
     def readings(self) -> int:
@@ -118,6 +205,19 @@ class Law:
     command: slice | IntArray
 
 
+def _in_order(k_pma: SampledSystem, placed: Placed) -> SampledSystem:
+    """K_PMA with its further ports in the order of the telescope, and the forces of its actuators in their units."""
+    sensed = {port.name for port in k_pma.inputs}
+    k_pma = k_pma.with_inputs((*K_PMA_INPUTS, *(port for port in placed.sensors if port.name in sensed)))
+    units = dict(zip((port.name for port in placed.actuators), placed.units))
+    at, own = port_slices(k_pma.outputs), {port.name: port for port in k_pma.outputs}
+    names = [*(port.name for port in K_PMA_OUTPUTS), *(port.name for port in placed.actuators if port.name in own)]
+    rows = np.concatenate([np.arange(at[name].start, at[name].stop) for name in names])
+    size = np.concatenate([np.full(own[name].size, units.get(name, 1.0)) for name in names])
+    outputs = tuple(own[name] for name in names)
+    return replace(k_pma, C=k_pma.C[rows] / size[:, None], D=k_pma.D[rows] / size[:, None], outputs=outputs)
+
+
 def laws(
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
@@ -153,6 +253,8 @@ def laws(
     seen.append(placed.columns(columns(K_PMA_INPUTS), k_pma.inputs, placed.sensors, MEASUREMENTS))
     driven = placed.columns(COLUMNS[force], k_pma.outputs, placed.actuators, COMMANDS)
     names = {port.name for port in k_fsm.inputs}
+    if placed != NO_DEVICES:
+        k_pma = _in_order(k_pma, placed)
     k_fsm = k_fsm.with_inputs((*K_FSM_INPUTS, *(port for port in placed.sensors if port.name in names)))
     return (
         Law(k_fsm, mirror, seen[0], COLUMNS[angle]),

@@ -19,7 +19,6 @@ from lftkit.arrays import FloatArray
 from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.spec import state_parts
 from los_loop.tone_model import ToneModel
-from titop_plant.interface import COMMANDS
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class LoopStart:
     ----------
     plant : ndarray, shape (n,)
         State of the plant.
-    command : ndarray, shape (8,)
+    command : ndarray, shape (8 + further actuators,)
         Command that tick 0 applies, within the limits of the actuators [rad, N].
     k_fsm, k_pma : ndarray
         States of the sampled controllers.
@@ -70,8 +69,8 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
     ----------
     model : ToneModel
         The loop with the tones of the run.
-    bias : ndarray, shape (22,)
-        Constant part of the measurement [m/s2, rad/s2, rad].
+    bias : ndarray, shape (22 + readings,)
+        Constant part of the measurement, and of further sensors that the loop has, [m/s2, rad/s2, rad].
     orders : (int, int)
         Orders of K_FSM and K_PMA.
 
@@ -85,19 +84,19 @@ def steady_start(model: ToneModel, bias: FloatArray, orders: tuple[int, int]) ->
         raise ValueError(
             f"the loop must be stable to have a steady state, got a growth factor of {radius:.6f} per tick"
         )
-    n = model.plant.order
+    n, commands = model.plant.order, model.loop.commands
     by_bias = bias_state(model.loop, bias)
-    if not any(model.loop.at(k)[0][n : n + COMMANDS].any() for k in range(model.loop.frame_ticks)):
-        by_bias[: n + COMMANDS] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
+    if not any(model.loop.at(k)[0][n : n + commands].any() for k in range(model.loop.frame_ticks)):
+        by_bias[: n + commands] = 0.0  # nothing is commanded: exactly at rest, without what the solution rounds
     state = model.phasors().imag.sum(axis=1) + by_bias
-    x, v, f, p, c = (state[part] for part in state_parts(n, *orders))
+    x, v, f, p, c = (state[part] for part in state_parts(n, *orders, commands))
     return LoopStart(
         plant=model.plant.form.basis @ x, command=np.clip(v, -model.limits, model.limits), k_fsm=f, k_pma=p, camera=c
     )
 
 
 def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
-    """State at tick 0 in the periodic steady state that a constant `bias` (22,) of the measurement makes."""
+    """State at tick 0 in the periodic steady state that a constant `bias` of the measurement makes."""
     state: FloatArray = np.zeros(loop.hold.shape[0])
     for A, drive in map(loop.at, range(loop.frame_ticks)):
         state = A @ state + drive @ bias

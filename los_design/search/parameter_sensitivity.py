@@ -21,9 +21,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
-from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
-from titop_plant.telescope.assembly import build_telescope
+from los_loop.open_loop import OpenLoop, loop_plant
 from titop_plant.telescope.parameters import Parameters
 
 NEAR, FREQUENCIES = 0.05, 81
@@ -118,7 +116,8 @@ def effects_of_entries(
     for name, both in changed.items():
         sides = []
         for parameters in both:
-            open_loop = OpenLoop(control_loop_plant(build_telescope(parameters), parameters), parameters)
+            placed = loops[0].placed
+            open_loop = OpenLoop(loop_plant(parameters, placed), parameters, placed=placed)
             again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in own.items()}
             sides.append([_peak(again[p.stage], metrics[p.stage][p.requirement], p) for p in worst])
         for p, value, low, high in zip(worst, before, *sides):

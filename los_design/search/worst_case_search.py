@@ -142,7 +142,7 @@ class Search:
     def __init__(self, loop: ImplementedLoop, options: SearchOptions | None = None) -> None:
         self.loop = loop
         self.options = options or SearchOptions()
-        self.metrics = loop_metrics(loop.parameters, loop.stage)
+        self.metrics = loop_metrics(loop.parameters, loop.stage, placed=loop.placed)
 
     def run(
         self,

@@ -53,7 +53,7 @@ class WorstPoint:
     def channel(self) -> str:
         """Name of the input with the largest part of the disturbance."""
         k = int(np.abs(self.disturbance).argmax())
-        if len(self.disturbance) <= COMMANDS:
+        if len(self.disturbance) <= COMMANDS or self.requirement.startswith("sensitivity"):
             return f"command {k + 1}"
         edge = len(WHEEL_CHANNELS) * sum(name.endswith(".speed") for name in self.parameters)
         return f"solar array drive {k - edge + 1}" if k >= edge else f"wheel {k // 5 + 1}, {WHEEL_CHANNELS[k % 5]}"

@@ -32,12 +32,11 @@ from los_estimator.problem import ORDER as OBSERVER_ORDER
 from los_loop.figures_of_merit import FigureOfMerit, gain_figures, noise_figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
+from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import (
     COLUMNS,
     COMMANDED,
-    COMMANDS,
     DT,
-    FORCES,
     HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
@@ -74,8 +73,14 @@ LEAST_DECAY = 5e-4
 """Of the controllers' own poles [rad/s]: they are stable without the loop, and no transient lasts for hours."""
 
 
-def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
-    """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate)."""
+def blocks(
+    parameters: Parameters, tuned: Sequence[int], placed: Placed = NO_DEVICES
+) -> tuple[ControllerBlock, ControllerBlock]:
+    """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate).
+
+    Both measure with the further sensors `placed`, behind their other inputs and the same washout; K_PMA commands the
+    further actuators.
+    """
     mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
 
     def bilinear(omega: FloatArray) -> ComplexArray:
@@ -95,6 +100,8 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
                     held = np.arange(ticks[sensor.port.name])
                     factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
                 factors += [factor] * sensor.port.size
+            corner = float(parameters["sensors"]["washout"])
+            factors += [bilinear(omega) / (bilinear(omega) + corner)] * placed.readings
             return np.stack(factors, axis=1)
 
         return at
@@ -102,15 +109,17 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
     def delay(omega: FloatArray) -> ComplexArray:
         return np.asarray(np.exp(-1j * omega * DT))
 
-    estimates, forces = MIRROR.stop - MIRROR.start, FORCES.stop - FORCES.start
-    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + MEASUREMENTS), OBSERVER in tuned)
+    estimates, forces = MIRROR.stop - MIRROR.start, placed.force_columns
+    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + placed.measurements), OBSERVER in tuned)
     free[OBSERVER_ORDER:, OBSERVER_ORDER + HELD] = False
-    laws = np.full((ACTUATOR_ORDER + forces, ACTUATOR_ORDER + PLATFORM.stop - PLATFORM.start), ACTUATORS in tuned)
+    seen = placed.columns(PLATFORM, placed.sensors, placed.sensors, MEASUREMENTS)
+    count = PLATFORM.stop - PLATFORM.start + placed.readings
+    laws = np.full((ACTUATOR_ORDER + forces.stop - forces.start, ACTUATOR_ORDER + count), ACTUATORS in tuned)
     return (
         ControllerBlock(
             "K_FSM",
             OBSERVER_ORDER,
-            slice(0, MEASUREMENTS),
+            slice(0, placed.measurements),
             MIRROR,
             bilinear,
             filters(K_FSM_INPUTS),
@@ -119,7 +128,7 @@ def blocks(parameters: Parameters, tuned: Sequence[int]) -> tuple[ControllerBloc
             LEAST_DECAY,
         ),
         ControllerBlock(
-            "K_PMA", ACTUATOR_ORDER, PLATFORM, FORCES, bilinear, filters(K_PMA_INPUTS), delay, laws, LEAST_DECAY
+            "K_PMA", ACTUATOR_ORDER, seen, forces, bilinear, filters(K_PMA_INPUTS), delay, laws, LEAST_DECAY
         ),
     )
 
@@ -134,7 +143,9 @@ def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
     return {row.name: row.tuned_for(parameters, STAGE_NAMES[stage]) for row in tuned_figures(stage)}
 
 
-def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
+def gains(
+    parameters: Parameters, stages: Sequence[tuple[int, ...]], placed: Placed = NO_DEVICES
+) -> tuple[ResponseGain, ...]:
     """What is asked of the stages; 1 is the entry of :func:`limits`."""
     window = parameters["weights"]["rpe_window"]
 
@@ -145,7 +156,8 @@ def gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[Re
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
             return np.asarray(np.where((omega >= low) & (omega < high), weight / limit, 0.0))
 
-        outputs, inputs = COMMAND_COLUMNS.get(row.output), COMMAND_COLUMNS.get(row.inputs[0])
+        commands = {**COMMAND_COLUMNS, COMMANDED[1]: placed.force_columns}
+        outputs, inputs = commands.get(row.output), commands.get(row.inputs[0])
         return ResponseGain(named(row.name, stage), stage, outputs, inputs, scale, hard=row.hard)
 
     return tuple(gain(stage, row) for stage in stages for row in tuned_figures(stage))
@@ -165,13 +177,13 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
-    omega, amplitude = nominal.omega, noise_of_ticks(parameters)
+    omega, amplitude, placed = nominal.omega, noise_of_ticks(parameters), samples.open_loop.placed
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
         heard = np.zeros(MEASUREMENTS)
         for name in row.inputs:
             heard[COLUMNS[name]] = amplitude[COLUMNS[name]]
-        density = np.broadcast_to(heard, (len(omega), MEASUREMENTS))
+        density = np.broadcast_to(np.concatenate([heard, placed.noise]), (len(omega), placed.measurements))
         step = np.gradient(omega) * (DT / np.pi)
         if row.relative:
             step = step * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
@@ -183,10 +195,10 @@ def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[Respons
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
     """Samples of all parameter points (N, 7) of the unit cube at all frequencies."""
-    found = []
+    found, placed = [], open_loop.placed
     for begin in range(0, len(omega), 50):
         found += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
-    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), MEASUREMENTS, COMMANDS)
+    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), placed.measurements, placed.commands)
 
 
 def grid() -> FloatArray:
@@ -265,9 +277,9 @@ def pair_problem(
     """
     parameters = samples.open_loop.parameters
     return ResponseProblem(
-        blocks(parameters, tuned),
+        blocks(parameters, tuned, samples.open_loop.placed),
         samples.all(),
-        gains(parameters, stages),
+        gains(parameters, stages, samples.open_loop.placed),
         noises(samples, stages),
         threads,
     )

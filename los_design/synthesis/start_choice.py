@@ -15,7 +15,7 @@ import numpy as np
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.tuning import DescentOptions, descend
-from lftkit.tuning.responses import ResponseProblem, ResponseSource, parameters_of
+from lftkit.tuning.responses import ControllerBlock, ResponseProblem, ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
@@ -24,6 +24,7 @@ from los_design.synthesis.starts import random_law, stored_start
 from los_design.synthesis.store import continuous, load_designs
 from los_design.synthesis.task import Task, first_points
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from los_loop.spec import NO_DEVICES
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
 
@@ -36,6 +37,9 @@ LAW_SEEDS, LAW_GAINS = (2, 3, 4), (100.0, 10.0, 1.0, 0.0)
 """Random K_PMA beside the Kalman observer: of each seed the one with the largest of these gains that is stable."""
 POINTS, STEPS, COMPARED, GOOD = 6, 12, 2, 1.0
 """Random points of a comparison, steps of its descents, how many starts descend, and the value that ends it."""
+DEVICE_PART, WITH_DEVICES = 0.1, ", with some use of the further sensors and actuators"
+"""What such a start uses of them, beside its use of the platform's accelerometer and of the forces: from exact zero,
+steps in proportion to the size of an entry would hardly leave."""
 STORED_START, STORED_PAIR, KALMAN = "the stored start", "the stored pair", "the Kalman observer with the stored K_PMA"
 
 
@@ -66,32 +70,53 @@ def choose_start(
         No start stabilises the telescope.
     """
     given = None if observer is None else gain_matrix_of(continuous(observer).at({}))
-    own, at = blocks(parameters, task.tuned), _corners(task, options.seed)
+    own, at = blocks(parameters, task.tuned, task.samples.open_loop.placed), _corners(task, options.seed)
 
-    def stable(pair: Pair) -> bool:
-        x = parameters_of(own, pair)
+    def entries(pair: Pair, part: float = 0.0) -> FloatArray:
+        return parameters_of(own, [_widened(M, block, part) for M, block in zip(pair, own)])
+
+    def stable(x: FloatArray) -> bool:
         return all(task.stable(x, values) for values in at)
 
     stored = [
         given if given is not None else gain_matrix_of(stored_start("k-fsm")),
         gain_matrix_of(stored_start("k-pma")),
     ]
-    if is_reference(parameters) and stable(stored):
-        return parameters_of(own, stored)
+    devices = task.samples.open_loop.placed != NO_DEVICES
+    if is_reference(parameters) and not devices and stable(entries(stored)):
+        return entries(stored)
     report("another telescope than that of the stored start: starts are compared")
     k_fsm, k_pma = (gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented"))
     starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
     if given is None:
         starts[KALMAN] = [_kalman(telescope, parameters, options), k_pma]
     if ACTUATORS in task.tuned:
-        first = starts[STORED_PAIR if given is not None else KALMAN][0]
+        mirror = starts[STORED_PAIR if given is not None else KALMAN][0]
         for seed in LAW_SEEDS:
-            laws = ([first, gain_matrix_of(random_law(seed, gain))] for gain in LAW_GAINS)
-            starts[f"a random K_PMA, seed {seed}"] = next((start for start in laws if stable(start)), [])
-    found = {name: parameters_of(own, start) for name, start in starts.items() if start and stable(start)}
+            laws = ([mirror, gain_matrix_of(random_law(seed, gain))] for gain in LAW_GAINS)
+            starts[f"a random K_PMA, seed {seed}"] = next((start for start in laws if stable(entries(start))), [])
+    made = {name: entries(start) for name, start in starts.items() if start}
+    if devices:
+        made |= {f"{name}{WITH_DEVICES}": entries(start, DEVICE_PART) for name, start in starts.items() if start}
+    found = {name: x for name, x in made.items() if stable(x)}
     if not found:
         raise ValueError("K_FSM must stabilise the telescope with a small K_PMA, got one that does not")
     return _best(task, found, 0 if options.nominal else POINTS, report)
+
+
+def _widened(M: FloatArray, block: ControllerBlock, part: float) -> FloatArray:
+    """A gain matrix with columns and rows of further sensors and actuators: random, `part` of the size of others."""
+    n, (rows, columns) = block.order, block.shape
+    out = np.zeros((rows, columns))
+    out[: len(M), : M.shape[1]] = M
+    rng = np.random.default_rng(0)
+    if columns > M.shape[1] and block.free[0, -1]:
+        size = float(np.sqrt(np.mean(M[:n, n : n + 3] ** 2)))
+        out[:n, M.shape[1] :] = part * size * rng.standard_normal((n, columns - M.shape[1]))
+    if rows > len(M) and block.free[-1, 0]:
+        size = float(np.sqrt(np.mean(M[n:, :n] ** 2)))
+        out[len(M) :, :n] = part * size * rng.standard_normal((rows - len(M), n))
+    return out
 
 
 def is_reference(parameters: Parameters) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from lftkit import Port, SampledSystem, System, state_space
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import spread_columns
+from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
@@ -57,7 +58,9 @@ def _for_loop(
     """B, C, D, inputs, outputs of a controller, an observer behind all measured ports."""
     if outputs != K_FSM_OUTPUTS:
         return B, C, D, tuple(inputs), outputs
-    return spread_columns(B, inputs, K_FSM_INPUTS), C, spread_columns(D, inputs, K_FSM_INPUTS), K_FSM_INPUTS, outputs
+    own = {port.name for port in K_FSM_INPUTS}
+    known = (*K_FSM_INPUTS, *(port for port in inputs if port.name not in own))
+    return spread_columns(B, inputs, known), C, spread_columns(D, inputs, known), known, outputs
 
 
 def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
@@ -80,6 +83,8 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
     return result[0], result[1]
 
 
-def design_ports(kind: str) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Input and output ports of a kind of design."""
-    return {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}[kind]
+def design_ports(kind: str, placed: Placed = NO_DEVICES) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Input and output ports of a kind of design, with those of the telescope's further sensors and actuators."""
+    if kind == "k-fsm":
+        return (*K_FSM_INPUTS, *placed.sensors), K_FSM_OUTPUTS
+    return (*K_PMA_INPUTS, *placed.sensors), (*K_PMA_OUTPUTS, *placed.actuators)

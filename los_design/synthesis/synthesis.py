@@ -44,8 +44,8 @@ from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.synthesis.task import Task
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
+from los_loop.open_loop import OpenLoop, loop_plant
+from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.layout import control_stages
 from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
@@ -221,9 +221,10 @@ def _implemented(
         "active_models": outcome.active,
     }
     found = []
-    matrices_of = gain_matrices(blocks(parameters, tuned), outcome.x)
+    placed = task.samples.open_loop.placed
+    matrices_of = gain_matrices(blocks(parameters, tuned, placed), outcome.x)
     for stage, system, M in zip((ALONE, BOTH), task.sampled(outcome.x), matrices_of, strict=True):
-        A, B, C, D = _state_space(M)
+        A, B, C, D = _state_space(_in_newton(M, placed) if stage == BOTH else M)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
         found.append(replace(system, provenance={**common, **_values(outcome, stage), "continuous": matrices}))
     return found[0], found[1]
@@ -235,14 +236,20 @@ def _task(
     """The task for a telescope, with no parameter points yet."""
     stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
 
+    placed = Placed.of(parameters)
+
+    def in_newton(both: Sequence[FloatArray]) -> list[FloatArray]:
+        return [both[0], _in_newton(both[1], placed)]
+
     def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
         k_fsm, k_pma = (
-            _sampled(kind, _state_space(M), parameters, options, None)
-            for kind, M in zip(DESIGN_PACKAGES, gain_matrices(blocks(parameters, tuned), x))
+            _sampled(kind, _state_space(M), parameters, options, None, placed)
+            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(parameters, tuned, placed), x)))
         )
         return k_fsm, k_pma
 
-    samples = Samples(OpenLoop(control_loop_plant(telescope, parameters), parameters), options.workers)
+    system = loop_plant(parameters, placed, telescope=telescope)
+    samples = Samples(OpenLoop(system, parameters, placed=placed), options.workers)
     known: tuple[WorstPoint, ...] = ()
     if not (options.nominal or is_reference(parameters)):
         names = [STAGE_NAMES[stage] for stage in stages]
@@ -265,6 +272,13 @@ def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
     return {"tuned_values": tuned, "worst_cases": worst}
 
 
+def _in_newton(M: FloatArray, placed: Placed) -> FloatArray:
+    """Gain matrix of K_PMA with the forces of further actuators in N."""
+    size = np.ones(len(M))
+    size[len(M) - placed.forces :] = placed.units
+    return size[:, None] * M
+
+
 def _state_space(M: FloatArray) -> Matrices:
     return M[:ORDER, :ORDER], M[:ORDER, ORDER:], M[ORDER:, :ORDER], M[ORDER:, ORDER:]
 
@@ -275,10 +289,11 @@ def _sampled(
     parameters: Parameters,
     options: DesignOptions,
     provenance: Mapping[str, Any] | None,
+    placed: Placed = NO_DEVICES,
 ) -> SampledSystem:
     """Sampled controller with the washout."""
     A, B, C, D = matrices
-    system = state_space(A, B, C, D, *design_ports(kind))
+    system = state_space(A, B, C, D, *design_ports(kind, placed))
     sample = sampled_observer if kind == "k-fsm" else sampled_controller
     name = f"K_{kind[2:].upper()}, {options.variant}"
     washout, basis = parameters["sensors"]["washout"], design_basis(parameters)

@@ -61,7 +61,10 @@ class Task:
         plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
         sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
         return all(
-            sampled_loop(plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity).spectral_radius() < 1.0
+            sampled_loop(
+                plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity, placed=loop.placed
+            ).spectral_radius()
+            < 1.0
             for stage in self.stages
         )
 

@@ -26,7 +26,6 @@ from los_design.verification.sweep import Reach, Sweep, joined, sweep
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from los_loop.margins import changed_loops
 from los_loop.sampled_loop import radius_of
-from titop_plant.interface import COMMANDS
 from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.plant_step import step_matrix
 
@@ -210,7 +209,8 @@ def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[_Seen]:
     found = [_Seen([], {name: [] for name in reach.metrics}, []) for reach in reaches]
     for i, values in enumerate(item.points):
         plant = reaches[0].loop.system.at(values)
-        step = step_matrix(plant, no_tones(plant.B.shape[1] - COMMANDS))
+        commands = reaches[0].loop.placed.commands
+        step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
         for reach, seen, doubts in zip(reaches, found, item.doubts):
             sampled, doubt = reach.loop.sampled_around(plant, step), doubts[i].copy()
             multipliers = sampled.multipliers()

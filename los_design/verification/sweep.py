@@ -18,7 +18,7 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import ClosedAt, ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, doubtful
 from los_loop.spec import APPLIED
-from titop_plant.interface import COMMANDS, FORCE_STAGES, MIRROR
+from titop_plant.interface import FORCE_STAGES, MIRROR
 
 ROUNDING = 1e-12
 """Relative rounding of a norm that bounds a singular value."""
@@ -37,8 +37,8 @@ class Reach:
 
     def __init__(self, loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], changes: bool = True) -> None:
         self.loop, self.metrics, self.changes = loop, dict(metrics), changes
-        commands = COMMANDS if loop.stage in FORCE_STAGES else MIRROR.stop
-        added, size = loop.open.disturbances, loop.open.disturbances + COMMANDS
+        commands = loop.placed.commands if loop.stage in FORCE_STAGES else MIRROR.stop
+        added, size = loop.open.disturbances, loop.open.disturbances + loop.placed.commands
         columns = {name: slice(*m.columns.indices(size)[:2]) for name, m in metrics.items()}
         self.applied = slice(APPLIED.start, APPLIED.start + commands)
         self.added = slice(added, added + commands)
@@ -49,6 +49,11 @@ class Reach:
             blocks.setdefault((m.rows.start, m.rows.stop, columns[name].start, columns[name].stop), []).append(name)
         self.blocks = [(slice(a, b), slice(c, d), names) for (a, b, c, d), names in blocks.items()]
 
+    @property
+    def change_count(self) -> int:
+        """Number of the changes of :func:`los_loop.margins.changed_loops`."""
+        return len(change_names(self.loop.stage, self.loop.placed.commands))
+
     def responses(self, closed: ClosedAt, delta: ComplexArray) -> ComplexArray:
         """For N diagonals of Delta (N, 32): the first rows and columns of the loop's response."""
         return self.loop.some_responses(closed, delta, self.rows, self.columns)
@@ -56,7 +61,7 @@ class Reach:
     def doubt(self, T: ComplexArray, omega: float | FloatArray) -> BoolArray:
         """What :func:`los_loop.margins.doubtful` says of responses, shape (N, changes); without changes nothing."""
         if not self.changes:
-            return np.zeros((len(T), len(change_names(self.loop.stage))), dtype=bool)
+            return np.zeros((len(T), self.change_count), dtype=bool)
         return doubtful(T[:, self.applied, self.added], omega, self.loop.stage)
 
     def here(self, omega: float) -> list[tuple[slice, slice, dict[str, float]]]:
@@ -142,7 +147,7 @@ def _nothing(reach: Reach, points: int, frequencies: int) -> Sweep:
         {name: np.zeros(points) for name in reach.metrics},
         {name: np.zeros(points, dtype=np.intp) for name in reach.metrics},
         {name: np.zeros(frequencies) for name in reach.metrics},
-        np.zeros((points, len(change_names(reach.loop.stage))), dtype=bool),
+        np.zeros((points, reach.change_count), dtype=bool),
     )
 
 

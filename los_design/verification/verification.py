@@ -25,6 +25,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margins, rounded
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_rms
+from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.assembly import Telescope
@@ -285,6 +286,7 @@ def check_implemented(
     tick: Callable[[], None] = lambda: None,
     changes: bool = True,
     workers: Workers | None = None,
+    placed: Placed = NO_DEVICES,
 ) -> ImplementedCheck:
     """Evaluate a pair of implemented designs at the given parameter points.
 
@@ -304,17 +306,20 @@ def check_implemented(
         Check gains and one more tick of delay, too.
     workers : Workers, optional
         Processes; the result does not depend on them.
+    placed : Placed
+        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.open_loop.loop_plant`).
     """
-    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters)
+    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters, placed=placed)
     stages = mirror_stages(parameters)
     loops = [ImplementedLoop(open_loop, *pair, stage) for stage in stages]
     checks = dict(zip(stages, check_stages(loops, points, changes=changes, tick=tick, workers=workers)))
     nominal, noise, on_axis = system.at({}), {}, {}
     for stage in stages:
-        plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage)
+        plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage, placed=placed)
         noise[stage] = noise_rms((plain, relative))
         on_axis[stage] = largest_part(plain), largest_part(relative)
-    platform = noise_rms(noise_covariances(nominal, *pair, parameters, loop=stages[-1], sensors="platform"))
+    of_platform = noise_covariances(nominal, *pair, parameters, loop=stages[-1], sensors="platform", placed=placed)
+    platform = noise_rms(of_platform)
     delay = _delays(open_loop, pair, points, stages)
     return ImplementedCheck(checks, noise, on_axis, platform[0], delay, parameters)
 
@@ -329,7 +334,12 @@ def _delays(
     for stage in stages:
         loop = ImplementedLoop(open_loop, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
-        own = {name: channels for name, (closed, _, channels) in CLOSINGS.items() if closed == stage}
+        forces = open_loop.placed.force_columns
+        own = {
+            name: forces if channels == FORCES else channels
+            for name, (closed, _, channels) in CLOSINGS.items()
+            if closed == stage
+        }
         found |= dict(zip(own, delay_margins(loop, list(own.values()), cube, omega)))
     return {name: value for name, value in found.items() if CLOSINGS[name][0] in stages}
 

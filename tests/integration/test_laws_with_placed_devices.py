@@ -18,12 +18,20 @@ import los_estimator
 from lftkit import sampled
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from los_design.synthesis.store import load_designs
+from los_design.verification.verification import check_implemented
+from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.open_loop import OpenLoop, loop_plant
+from los_loop.sampled_loop_norms import noise_covariances, noise_rms
+from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.placed.devices import placed_sensors
+from titop_plant.telescope.weights import rpe_weight
 
 TELESCOPE = """
 [[sensor]]
@@ -144,10 +152,9 @@ def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path
     observer = SampledSystem([], [], [], D, (*K_FSM_INPUTS, ON_M1), K_FSM_OUTPUTS, DT)
     observer.to_file(tmp_path / "k_fsm.json")
     replace(observer, D=D[:, :22], inputs=K_FSM_INPUTS).to_file(tmp_path / "plain.json")
-    config = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, start="steady")
+    config = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True)
     parts = RunParts(config)
     assert set(parts.code) == {"k_fsm", "k_pma"}
-    assert parts.start.states is None and "start at rest" in parts.start.note
     with pytest.raises(ValueError, match=r"must have the loop's ports only, .* got k_fsm.json"):
         _ = parts.model_files
     bags = {name: tmp_path / name for name in ("k_fsm", "plain")}
@@ -163,26 +170,111 @@ def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path
     assert np.array_equal(run["truth/los"].values, other["truth/los"].values)
 
 
-@pytest.mark.parametrize("seeing", [False, True])
-def test_the_model_of_the_loop_has_them(base: RunConfig, tmp_path: Path, seeing: bool) -> None:
+def observer_with_devices() -> SampledSystem:
+    """The stored K_FSM, which adds a little of a sensor to its states and its estimate."""
+    stored = SampledSystem.from_file(Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json")
+    B, D = (np.c_[matrix, np.full((len(matrix), 3), 1e-7)] for matrix in (stored.B, stored.D))
+    return replace(stored, B=B, D=D, inputs=(*stored.inputs, ON_M1))
+
+
+@pytest.mark.parametrize(("seeing", "start"), [(False, "rest"), (True, "rest"), (True, "steady")])
+def test_the_model_of_the_loop_has_them(base: RunConfig, tmp_path: Path, seeing: bool, start: str) -> None:
     """Line of sight of a run, tick by tick, against the sampled loop of the controllers in its bag."""
     law = law_with_devices()
     law.to_file(tmp_path / "k_pma.json")
-    stored = SampledSystem.from_file(Path(str(los_estimator.__file__)).parent / "designs" / "k_fsm.json")
-    B, D = (np.c_[matrix, np.full((len(matrix), 3), 1e-7)] for matrix in (stored.B, stored.D))
-    replace(stored, B=B, D=D, inputs=(*stored.inputs, ON_M1)).to_file(tmp_path / "k_fsm.json")
-    config = replace(base, k_pma="k_pma.json", disturbance=True, k_fsm="k_fsm.json" if seeing else None)
+    observer_with_devices().to_file(tmp_path / "k_fsm.json")
+    own = "k_fsm.json" if seeing else None
+    config = replace(base, k_pma="k_pma.json", disturbance=True, k_fsm=own, start=start)
     run_in_process(config, tmp_path / "bag")
     run = Run.open(tmp_path / "bag")
     recorded = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
     parts = RunParts(config, recorded)
-    assert parts.start.states is None
+    assert (parts.start.states is None) == (start == "rest") and not parts.start.note
     los = run["truth/los"].values[:, :2]
     expected = parts.tone_model().record(len(los))
     assert np.abs(run["actuator/shaker/command"].values).max() > 1e-3
     np.testing.assert_allclose(los, expected, rtol=0.0, atol=1e-9 * np.abs(los).max())
     without = RunParts(replace(config, k_fsm=None, k_pma=None)).tone_model().record(len(los))
     assert np.abs(los - without).max() > 1e-4 * np.abs(los).max()
+
+
+@pytest.mark.slow
+def test_the_verification_is_what_a_run_measures(base: RunConfig, tmp_path: Path) -> None:
+    """At the nominal point: the worst fast tone of the loop with these devices, verified and run, to 0.1 %."""
+    law, observer = law_with_devices(), observer_with_devices()
+    law.to_file(tmp_path / "k_pma.json")
+    observer.to_file(tmp_path / "k_fsm.json")
+    config = replace(
+        base, duration=4.0, scenario="worst_case", worst_of="fast", disturbance=True, start="steady",
+        k_fsm="k_fsm.json", k_pma="k_pma.json",
+    )  # fmt: skip
+    tone = RunParts(config).start.tone
+    assert tone is not None
+    run_in_process(config, tmp_path / "bag")
+    los = Run.open(tmp_path / "bag")["truth/los"].values[:, :2]
+    phase = tone.omega * DT * np.arange(len(los))
+    fitted = np.linalg.lstsq(np.c_[np.cos(phase), np.sin(phase)], los, rcond=None)[0]
+    parameters = load_parameters("own.toml")
+    measured = np.linalg.norm(fitted) * rpe_weight(np.array([tone.omega]), parameters["weights"]["rpe_window"])[0]
+    placed = Placed.of(parameters, observer, law)
+    check = check_implemented(loop_plant(parameters, placed), parameters, observer, law, [{}], placed=placed)
+    worst = check.both.worst["fast"]
+    assert worst.gamma * worst.limit == pytest.approx(measured, rel=1e-3)
+    assert check.gamma("fsm+pma", "force") > 0.0 and "gain x2 at force 7" in str(check.lost_margins())
+
+
+TWINS = """
+[[sensor]]
+name = "twin_accel"
+place = "platform"
+
+[[sensor]]
+name = "twin_spin"
+place = "platform"
+kind = "angular_accelerometer"
+
+[[actuator]]
+name = "twin"
+place = "platform"
+axis = [0.0, 0.0, -1.0]
+position = [0.41569219381653056, 0.24, 0.0]
+"""
+"""Sensors beside those of the platform, and an actuator where its first one is: 0.48 m at 30 deg, mass along +z."""
+
+
+def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
+    """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
+    (tmp_path / "twins.toml").write_text(TWINS)
+    parameters = load_parameters(tmp_path / "twins.toml")
+    k_fsm, k_pma = load_designs("implemented")
+    accel, spin = (sensor.port for sensor in placed_sensors(parameters))
+    C, D = (np.vstack([0.0 * matrix[:1], matrix[1:], matrix[:1]]) for matrix in (k_pma.C, k_pma.D))
+    inputs, outputs = (*K_PMA_INPUTS, accel, spin), (*K_PMA_OUTPUTS, Port("twin", 1, "N"))
+    B, D = (np.hstack([0.0 * matrix, matrix]) for matrix in (k_pma.B, D))
+    twin = replace(k_pma, B=B, C=C, D=D, inputs=inputs, outputs=outputs)
+    whole = k_fsm.with_inputs(K_FSM_INPUTS)
+    B, D = (np.hstack([0.0 * matrix[:, :6], matrix[:, 6:], matrix[:, :6]]) for matrix in (whole.B, whole.D))
+    observer = replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin))  # the noise is that of one sensor
+    placed, rng = Placed.of(parameters, observer, twin), np.random.default_rng(1)
+    assert placed.units == (1.0,) and Placed.of(parameters, k_fsm, k_pma) == NO_DEVICES
+    standard = ImplementedLoop(OpenLoop(loop_plant(parameters), parameters), k_fsm, k_pma, "fsm+pma")
+    open_loop = OpenLoop(loop_plant(parameters, placed), parameters, placed=placed)
+    other = ImplementedLoop(open_loop, observer, twin, "fsm+pma")
+    known, own = (loop_metrics(parameters, "fsm+pma", placed=one) for one in (NO_DEVICES, placed))
+    points = rng.uniform(size=(4, len(open_loop.names)))
+    for omega in (0.3, 90.0, 399.5, 900.0):
+        one, two = standard.at(omega), other.at(omega)
+        for name in ("APE", "slow", "fast", "mirror", "force", "sensitivity, mirror"):
+            expected = standard.gains(one, known[name], points)
+            np.testing.assert_allclose(other.gains(two, own[name], points), expected, rtol=1e-9)
+    for values in ({}, open_loop.values(points[0])):
+        radii = [loop.sampled_at(values)[1].spectral_radius() for loop in (standard, other)]
+        assert radii[0] == pytest.approx(radii[1], abs=1e-11)
+    noise = [
+        noise_rms(noise_covariances(loop.system.at({}), *loop.pair, parameters, loop="fsm+pma", placed=loop.placed))
+        for loop in (standard, other)
+    ]
+    np.testing.assert_allclose(noise[1], noise[0], rtol=1e-6)  # covariances with modes of minutes have 7 digits
 
 
 def test_devices_without_use_are_named(base: RunConfig) -> None:

@@ -174,7 +174,7 @@ def whole_step(matrix: FloatArray, turn: ComplexArray) -> PlantStep:
     )
 
 
-def step_matrix(data: System, tones: Tones, dt: float = DT) -> FloatArray:
+def step_matrix(data: System, tones: Tones, dt: float = DT, commands: int = COMMANDS) -> FloatArray:
     """Next state (n), measurement (22) and truth (2) from state, command (8) and phasors: shape (n + 24, n + 8 + 2 K).
 
     The phasors stand as real and imaginary part in turn. Commands are held, tones integrated, all in one matrix
@@ -184,8 +184,10 @@ def step_matrix(data: System, tones: Tones, dt: float = DT) -> FloatArray:
     ----------
     data, tones, dt
         As in :func:`plant_step`.
+    commands : int
+        Inputs that are held, before the disturbances.
     """
-    m = COMMANDS
+    m = commands
     shapes = data.B[:, m:] @ tones.amplitude
     inputs = np.hstack([data.B[:, :m], in_turn(np.asarray(shapes, dtype=complex))])
     through = np.asarray(data.D[:, m:] @ tones.amplitude, dtype=complex)
@@ -242,7 +244,7 @@ def _mean_exponential(z: ComplexArray) -> ComplexArray:
 
 def _block(A: FloatArray, inputs: FloatArray, frequency: FloatArray, dt: float) -> FloatArray:
     """Next coordinates (d) from coordinates, commands (8) held, and phasors in turn, integrated: (d, d + inputs)."""
-    n, m = len(A), COMMANDS
+    n, m = len(A), inputs.shape[1] - 2 * frequency.size
     size = n + inputs.shape[1]
     if not n:
         return np.zeros((0, size))

@@ -32,8 +32,10 @@ class ControllerBlock:
     ----------
     name : str
     order : int
-    measurements, commands : slice
+    measurements : slice or ndarray of int
         Of the plant's samples.
+    commands : slice
+        The same.
     variable : callable
         From N frequencies [rad/s] to the variable v of the state space, shape (N,).
     before : callable
@@ -48,7 +50,7 @@ class ControllerBlock:
 
     name: str
     order: int
-    measurements: slice
+    measurements: slice | IntArray
     commands: slice
     variable: FrequencyFunction
     before: FrequencyFunction
@@ -59,8 +61,9 @@ class ControllerBlock:
     @property
     def shape(self) -> tuple[int, int]:
         """Of the gain matrix."""
-        rows, columns = self.commands.stop - self.commands.start, self.measurements.stop - self.measurements.start
-        return self.order + rows, self.order + columns
+        own = self.measurements
+        columns = own.stop - own.start if isinstance(own, slice) else len(own)
+        return self.order + self.commands.stop - self.commands.start, self.order + columns
 
 
 def gain_matrices(blocks: Sequence[ControllerBlock], x: FloatArray) -> list[FloatArray]:

@@ -41,10 +41,11 @@ if TYPE_CHECKING:
     from titop_plant.simulation.sampled_plant import SampledPlant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.placed.devices import PlacedActuator
     from titop_plant.telescope.placed.readings import PlantWithReadings
 
 
-FROM_REST = "controllers that use sensors or actuators of the telescope's file start at rest"
+FROM_REST = "a run with code of the user starts at rest: no model of it is known"
 
 
 @dataclass(frozen=True)
@@ -216,11 +217,28 @@ class RunParts:
             return AT_REST
         if not self.recorded and self.known_family is None and (start := from_runner(config)) is not None:
             return start
-        if self.code or any(self.devices_of_models):  # of code no model is known: the tone that is worst without it
+        laws = self.linear
+        if laws is None:  # of code no model is known: the tone that is worst without it
             opened = "isolator" if config.loop != "none" else "none"
             alone = RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened, start="rest"))
             return alone.start if config.start == "rest" else replace(alone.start, note=FROM_REST)
-        return find_run_start(config, self.family, self.settings, self.models, self.basis.authority)
+        family, actuators = self._loop_with(laws)
+        return find_run_start(config, family, self.settings, laws, self.basis.authority, actuators)
+
+    @property
+    def linear(self) -> dict[str, SampledSystem] | None:
+        """Both controllers as linear systems; None where one of them is code."""
+        if any(map(is_code, self.code.values())):
+            return None
+        laws = {name: law.linear if isinstance(law, UserBlock) else law for name, law in self.controllers.items()}
+        found = {name: law for name, law in laws.items() if isinstance(law, SampledSystem)}
+        return found if len(found) == len(laws) else None
+
+    def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, list[PlacedActuator]]:
+        """Telescopes for the loop with these controllers, and the further actuators that they command."""
+        used = [self.placed.among(law.inputs, law.outputs) for law in laws.values()]
+        sensed = any(one.sensors for one in used)
+        return self.sensed_family if sensed else self.family, [one for devices in used for one in devices.actuators]
 
     @cached_property
     def physical(self) -> PlantConfig:
@@ -271,9 +289,7 @@ class RunParts:
     def estimator(self) -> LosEstimator | UserBlock:
         """Observer; its reset leads to the start of the run. ValueError as :meth:`check`, for K_FSM."""
         design_warnings([self.k_fsm], self.basis, closed=self.config.loop in MIRROR_STAGES)
-        if isinstance(self.k_fsm, UserBlock):
-            return self.k_fsm
-        estimator = LosEstimator(self.k_fsm)
+        estimator = self.k_fsm if isinstance(self.k_fsm, UserBlock) else LosEstimator(self.k_fsm)
         if self.states is not None:
             estimator.start_at(self.states.k_fsm, self.states.camera)
         return estimator
@@ -334,11 +350,6 @@ class RunParts:
     def used(self) -> dict[str, Devices]:
         """Further devices that ``k_fsm`` and ``k_pma`` use."""
         return {name: self._used(name) for name in LAWS}
-
-    @property
-    def devices_of_models(self) -> list[Devices]:
-        """Further devices that the models of the controllers use; ValueError as :attr:`model_files`."""
-        return [self.placed.among(law.inputs, law.outputs) for law in self.models.values()]
 
     @cached_property
     def wiring(self) -> Wiring:
@@ -473,17 +484,17 @@ class RunParts:
         from los_loop.tone_model import ToneModel
 
         loop, steady = self.config.loop, self.start.states is not None
-        used = self.devices_of_models
         with one_thread():
+            family, actuators = self._loop_with(self.models)
             return ToneModel.of(
-                self.sensed_family if any(one.sensors for one in used) else self.family,
+                family,
                 self.physical,
                 self.models,
                 loop=loop,
                 authority=self.basis.authority,
                 steady=steady,
                 delays=delays or NONE,
-                actuators=[actuator for one in used for actuator in one.actuators],
+                actuators=actuators,
             )
 
 

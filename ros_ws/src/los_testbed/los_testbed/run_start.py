@@ -10,11 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
     from titop_plant.simulation.build import PlantConfig, PlantFamily
+    from titop_plant.telescope.placed.devices import PlacedActuator
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
@@ -95,7 +98,7 @@ class RunStart:
 
     @property
     def command(self) -> FloatArray | None:
-        """Command (8,) that the first tick applies [rad, N]; None: zero."""
+        """Command (8 + further actuators,) that the first tick applies [rad, N]; None: zero."""
         return None if self.states is None else self.states.command
 
     def tones(self) -> tuple[tuple[float, ...], ...]:
@@ -138,6 +141,7 @@ def find_run_start(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
+    actuators: Sequence[PlacedActuator] = (),
 ) -> RunStart:
     """Tone and states of a run; what was computed last is kept.
 
@@ -156,14 +160,16 @@ def find_run_start(
         ``k_fsm`` and ``k_pma``.
     authority : (float, float)
         Largest commands of the run: mirror [rad], actuators [N].
+    actuators : sequence of PlacedActuator
+        Of the telescope's file, that K_PMA commands; the family is that with its sensors where a controller has them.
     """
     chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
-    key = f"{chosen} {family.name(settings)} {_digest(controllers)}"
+    key = f"{chosen} {family.name(settings)} {_digest(controllers)} {actuators}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]
         with one_thread():
-            _found[key] = _computed(config, family, settings, controllers, authority)
+            _found[key] = _computed(config, family, settings, controllers, authority, actuators)
     return _found[key]
 
 
@@ -188,12 +194,13 @@ def _computed(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
+    actuators: Sequence[PlacedActuator],
 ) -> RunStart:
     from los_loop.steady_state import steady_start
     from los_loop.tone_model import ToneModel
 
     notes: list[str] = []
-    model = partial(ToneModel.of, family, controllers=controllers, authority=authority)
+    model = partial(ToneModel.of, family, controllers=controllers, authority=authority, actuators=actuators)
     loop = cache(partial(model, settings))
     tone = _tone(config, family, loop, notes) if needs_tone(config) else None
     states = None
@@ -203,10 +210,20 @@ def _computed(
             closed = closed.with_tones(family.tones(with_tones(settings, RunStart(tone))))
         orders = controllers["k_fsm"].order, controllers["k_pma"].order
         try:
-            states = steady_start(closed, family.bias(settings), orders)
+            states = steady_start(closed, _bias(family, settings, closed), orders)
         except ValueError as error:
             notes.append(f"{error}: the run starts at rest")
     return RunStart(tone, states, "; ".join(notes))
+
+
+def _bias(family: PlantFamily, settings: PlantConfig, model: ToneModel) -> FloatArray:
+    """Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)."""
+    from titop_plant.telescope.placed.devices import placed_sensors
+
+    known = family.bias(settings)
+    placed = [float(settings.noise) * one.bias for one in placed_sensors(family.parameters) for _ in one.axes]
+    size = model.loop.noise_frame.shape[1]
+    return np.concatenate([known, placed])[:size]
 
 
 def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel], notes: list[str]) -> WorstTone:

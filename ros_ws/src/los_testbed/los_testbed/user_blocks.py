@@ -122,19 +122,35 @@ class UserBlock:
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         if not isinstance(self.design_basis, Mapping):
             raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
-        self.order, self.tick = 0, 0
+        self.tick = 0
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
         """Nothing: code has no ports of its own, `check` tries the step."""
 
+    @property
+    def linear(self) -> SampledSystem | None:
+        """The linear system that it is; None of code."""
+        found = self.block.k_fsm if isinstance(self.block, LosEstimator) else self.block
+        return found if isinstance(found, SampledSystem) else None
+
+    @property
+    def order(self) -> int:
+        """Of a linear system; 0 of code, which has no state that is known."""
+        return 0 if self.linear is None else self.linear.order
+
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
-        """Nothing: a run with code of the user starts at rest."""
+        """Say where the next reset leads to; nothing for code of the user, with which a run starts at rest."""
+        if isinstance(self.block, LosEstimator):
+            self.block.start_at(state, camera)
 
     def reset(self, state: FloatArray | None = None) -> None:
-        """Back to the first tick."""
+        """Back to the first tick; to `state` (order,) where it is a linear system."""
         self.tick = 0
         try:
-            self.block.reset()
+            if isinstance(self.block, SampledSystem):
+                self.block.reset(state)
+            else:
+                self.block.reset()
         except RAISED as error:
             raise BlockFailedError(f"{self.name}: reset failed: {in_one_line(error)}") from error
 

@@ -123,7 +123,7 @@ def simulate(
         In the state in which the run starts.
     ticks : int
     sink : callable
-    first_command : ndarray, shape (8,), optional
+    first_command : ndarray, shape (8,) or (8 + actuators,), optional
         Command that the first tick applies [rad, N]; default: zero.
     wiring : Wiring
         What the controllers use of further sensors and actuators.
@@ -139,7 +139,8 @@ def simulate(
 
     block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), wiring.actuators)
     command = np.zeros(COMMANDS + wiring.actuators)
-    command[:COMMANDS] = 0.0 if first_command is None else first_command
+    if first_command is not None:
+        command[: len(first_command)] = first_command
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
     compiled = CompiledLoop.of(plant, estimator, controller, ticks)
     for first in range(0, ticks, BLOCK):

@@ -33,10 +33,12 @@ from titop_plant.interface import (
 )
 
 if TYPE_CHECKING:
+    from lftkit import SampledSystem
     from lftkit.support.workers import Workers
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
     from los_loop.implemented_loop import ImplementedLoop
+    from titop_plant.telescope.parameters import Parameters
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
@@ -208,6 +210,7 @@ def loops_of(
         parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
     else:
         parameters, k_fsm, k_pma = designs_in(folder)
+        refuse_devices(parameters, k_fsm, k_pma)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
     parameters = with_uncertain(parameters, uncertain)
@@ -218,6 +221,26 @@ def loops_of(
         points = [point for table in load_worst_points(folder).values() for point in table.values()]
     open_loop = OpenLoop(system, parameters)
     return {stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points
+
+
+def refuse_devices(parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
+    """Refuse controllers that use sensors or actuators of the telescope's file.
+
+    Raises
+    ------
+    ValueError
+        They do: proofs, their bundle and its checker have the ports of the reference's loop.
+    """
+    from los_loop.spec import NO_DEVICES, Placed
+
+    if Placed.of(parameters, k_fsm, k_pma) != NO_DEVICES:
+        known = {port.name for port in (*K_FSM_INPUTS, *K_FSM_OUTPUTS, *K_PMA_INPUTS, *K_PMA_OUTPUTS)}
+        ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
+        further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
+        raise ValueError(
+            "controllers of `design certify` must use no sensors and actuators of the telescope's file, since its "
+            f"proofs and their checker have the ports of the reference's loop, got {further}"
+        )
 
 
 def _searched(loop: ImplementedLoop, name: str, workers: Any) -> list[WorstPoint]:

@@ -115,7 +115,6 @@ def design_all(
 ) -> None:
     """See ALL_EXAMPLES."""
     from los_design import redesign
-    from los_testbed.law_devices import placed_devices
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
     from titop_plant.telescope.tables.uncertain import with_uncertain
 
@@ -125,8 +124,6 @@ def design_all(
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     own = load_parameters(parameters)
-    if idle := placed_devices(own).idle():
-        sys.stderr.write(f"note: {idle}\n")
     until = time.monotonic() + time_limit
     kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
     with cluster.workers() as pool, kept:
@@ -167,9 +164,9 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, unc
     from lftkit.support.threads import one_thread
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
+    from los_loop.open_loop import loop_plant
+    from los_loop.spec import Placed
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import control_loop_plant
-    from titop_plant.telescope.assembly import build_telescope
     from titop_plant.telescope.layout import mirror_stages
     from titop_plant.telescope.parameters import design_basis
     from titop_plant.telescope.tables.uncertain import with_uncertain
@@ -178,12 +175,13 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, unc
     parameters = with_uncertain(parameters, uncertain)
     warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
     with one_thread(), cluster.workers() as pool, Progress(f"{folder.name} as implemented") as bar:
-        system = control_loop_plant(build_telescope(parameters), parameters)
+        placed = Placed.of(parameters, k_fsm, k_pma)
+        system = loop_plant(parameters, placed)
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
         at = [*verification_points(parameters, system, samples), *adversarial]
         done, total = count(1), len(mirror_stages(parameters)) * len(at)
         check = check_implemented(
-            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), total), workers=pool
+            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), total), workers=pool, placed=placed
         )
     _show(folder, check.to_mapping(), broken_requirements(check), json_)
 
