@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.support.file_kind import kind_of_file
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -187,9 +186,6 @@ def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
     except OSError:
         head = b""  # the reader of JSON says why
     if head != MATLAB:
-        kind = kind_of_file(path)
-        if kind not in (None, "JSON"):
-            raise ValueError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
         return SampledSystem.from_file(path)
     found = read_mat(path)
     if not found.dt:

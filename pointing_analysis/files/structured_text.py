@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 
 import yaml
 
-from lftkit.support.file_kind import kind_of_file, kind_of_text
+from pointing_analysis.files.file_kind import kind_of_file, kind_of_text
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
-from lftkit.support.file_kind import kind_of_file
 from lftkit.support.ordinary_file import read_ordinary_file
 
 PROFILES = ("linear", "trapezoidal")
@@ -151,8 +150,7 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
             f"{what} must be one of {', '.join(choices)} or a CSV file, got {path}: {error.strerror}"
         ) from None
     except UnicodeDecodeError:
-        found = kind_of_file(path) or "other bytes"
-        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text, got {found}") from None
+        raise ValueError(f"{path} is not a CSV file: expected UTF-8 text") from None
     return [name.strip() for name in lines[0]] if lines else [], lines[1:]
 
 

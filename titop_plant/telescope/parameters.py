@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lftkit.support.file_kind import kind_of_file
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
@@ -169,11 +168,9 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
     except OSError as error:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        found = kind_of_file(path) or "other bytes"
-        raise ValueError(f"{path} is not a TOML file: expected UTF-8 text, got {found}") from None
+        raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        kind = kind_of_file(path)
-        raise ValueError(f"{path} is not a TOML file: {f'got {kind}' if kind else error}") from None
+        raise ValueError(f"{path} is not a TOML file: {error}") from None
 
 
 @lru_cache(maxsize=4)

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.file_kind import kind_of_file
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
@@ -238,8 +237,7 @@ class SampledSystem:
         except OSError as error:
             raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
         except ValueError:
-            found = kind_of_file(path) or "another text"
-            raise ValueError(f"{path} is not a controller file: expected JSON, got {found}") from None
+            raise ValueError(f"{path} is not a controller file: expected JSON, the text is not") from None
         except RecursionError:
             raise ValueError(f"{path} is not a controller file: it is nested too deep") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -23,7 +23,7 @@ from los_testbed.plants import Plant
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
-from los_testbed.user_blocks import LAWS, UserBlock, linear_law, make_disturbance, make_law
+from los_testbed.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
 from los_testbed.variants import check_ranges
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
 
@@ -156,6 +156,7 @@ class RunParts:
             return self.recorded[name]
         if name in self.code:
             return make_law(self.config, name, self.placed)
+        check_controller_file(self.files[name])
         if self.files[name].suffix == ".json":  # as all stored ones are; nothing else is loaded for them
             return SampledSystem.from_file(self.files[name])
         from lftkit.systems.exchange import read_sampled

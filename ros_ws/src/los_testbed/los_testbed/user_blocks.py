@@ -32,6 +32,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code, is_library
 from los_testbed.law_devices import NO_DEVICES, Devices
 from los_testbed.plugins import RAISED, in_one_line, load, make
+from pointing_analysis.files.file_kind import kind_of_file
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 UNTOUCHED = -1.2345678901234567e-300
@@ -280,6 +281,7 @@ def linear_law(setting: str, text: str) -> SampledSystem | None:
         A file that is no controller; a system that is not sampled.
     """
     if not is_code(text):
+        check_controller_file(text)
         if text.endswith(".json"):  # as all stored ones are; nothing else is loaded for them
             return SampledSystem.from_file(text)
         from lftkit.systems.exchange import read_sampled
@@ -296,6 +298,13 @@ def linear_law(setting: str, text: str) -> SampledSystem | None:
         return as_sampled(as_system(found))
     except ValueError as error:
         raise ContractError(f"{setting} {text}: {error}") from None
+
+
+def check_controller_file(path: Path | str) -> None:
+    """Refuse a file of another kind by its name; ValueError."""
+    kind = kind_of_file(path)
+    if kind not in (None, "JSON", "a MATLAB file"):
+        raise ValueError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
 
 
 def _checked(setting: str, text: str, law: SampledSystem, devices: Devices) -> LosEstimator | SampledSystem:
