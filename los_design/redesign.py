@@ -35,7 +35,8 @@ from los_design.verification.verification import (
     verification_points,
 )
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.open_loop import OpenLoop, loop_plant
+from los_loop.loop_plant import loop_plant
+from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES

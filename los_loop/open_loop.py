@@ -13,60 +13,20 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from lftkit import Port, System, transform
+from lftkit import System
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop.build import modal
 from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kept_channels
 from los_loop.spec import NO_DEVICES, Placed
-from titop_plant.interface import COMMANDED, DT, MEASURED, MEASUREMENTS, TRUTH, TRUTH_PORTS
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.interface import DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import weight_amplitudes
-from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.control_plant import disturbances_of, with_sensors
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.placed.devices import ACTUATOR_FORCE, placed_actuators, sensor_ports
 
 MANY = 40
 """Points from which on the eigenvectors of the angle's channels take less time than they save."""
-
-
-def loop_plant(
-    parameters: Parameters, placed: Placed = NO_DEVICES, *, telescope: Telescope | None = None, isolated: bool = True
-) -> System:
-    """The plant of the loop with the sensors and actuators of the telescope's file that the loop has.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Of the telescope.
-    placed : Placed
-        None, or of this telescope (:meth:`los_loop.spec.Placed.of`). Forces of actuators stand behind the other
-        commands, in their units; readings behind the line of sight.
-    telescope : Telescope, optional
-        Assembled without inputs for these forces, if it is known.
-    isolated : bool
-        Whether the payload is on its isolator.
-
-    Returns
-    -------
-    System
-        Of :func:`titop_plant.simulation.build.control_loop_plant` where the loop has none of them.
-    """
-    if not (placed.sensors or placed.actuators):
-        return control_loop_plant(telescope or build_telescope(parameters, isolated=isolated), parameters)
-    whole = with_sensors(build_telescope(parameters, isolated=isolated, motors=True).system, parameters)
-    forces = (ACTUATOR_FORCE,) if placed.actuators else ()
-    outputs = (*MEASURED, *(port.name for port in (*TRUTH_PORTS, *sensor_ports(parameters))))
-    found = whole.select(inputs=(*COMMANDED, *forces, *disturbances_of(whole)), outputs=outputs)
-    if not forces:
-        return found
-    every = [one.name for one in placed_actuators(parameters)]
-    force = np.zeros((len(every), placed.forces))
-    force[[every.index(port.name) for port in placed.actuators], np.arange(placed.forces)] = placed.units
-    return transform(found, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, placed.forces, "N"))})
 
 
 class OpenLoop:
@@ -81,7 +41,7 @@ class OpenLoop:
     real : bool
         Keep Delta real, with all channels of the arrays' angle.
     placed : Placed
-        Sensors and actuators of the telescope's file that the system has (:func:`loop_plant`).
+        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
     """
 
     def __init__(

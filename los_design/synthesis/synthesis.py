@@ -44,7 +44,8 @@ from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.synthesis.task import Task
 from los_estimator.kalman import sampled_observer
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from los_loop.open_loop import OpenLoop, loop_plant
+from los_loop.loop_plant import loop_plant
+from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.layout import control_stages

@@ -307,7 +307,7 @@ def check_implemented(
     workers : Workers, optional
         Processes; the result does not depend on them.
     placed : Placed
-        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.open_loop.loop_plant`).
+        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
     """
     points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters, placed=placed)
     stages = mirror_stages(parameters)

@@ -164,7 +164,7 @@ def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, unc
     from lftkit.support.threads import one_thread
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
-    from los_loop.open_loop import loop_plant
+    from los_loop.loop_plant import loop_plant
     from los_loop.spec import Placed
     from titop_plant.interface import design_warnings
     from titop_plant.telescope.layout import mirror_stages
