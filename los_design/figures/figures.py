@@ -24,13 +24,15 @@ from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.verification import ARCSEC
 from los_estimator.kalman import kalman_observer
 from los_loop.implemented_loop import ImplementedLoop
+from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
+from los_loop.spec import Placed
 from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.report.figures import LaidOutFigure
-from titop_plant.interface import FORCES, LOOP_DELAY, MIRROR
-from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.interface import LOOP_DELAY, MIRROR
+from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.layout import control_stages, mirror_stages
@@ -107,7 +109,12 @@ class Designed:
     @property
     def system(self) -> System:
         """The control-loop plant on its isolator."""
-        return control_loop_plant(telescope(self.file), self.parameters)
+        return loop_plant(self.parameters, self.placed, telescope=telescope(self.file))
+
+    @property
+    def placed(self) -> Placed:
+        """Sensors and actuators of the telescope's file that the controllers use."""
+        return Placed.of(self.parameters, *self.pair)
 
     def worst_members(self) -> dict[str, list[dict[str, float]]]:
         """Parameters of each stage that are worst for APE, slow and fast tones; first the nominal ones."""
@@ -176,7 +183,7 @@ def stage_curves(designed: Designed, stage: str, values: Mapping[str, float]) ->
     else:
         plant = designed.system.at(values)
         sensitivity = float(parameters["fsm"]["los_sensitivity"])
-        loop = sampled_loop(plant, *designed.pair, loop=stage, los_sensitivity=sensitivity)
+        loop = sampled_loop(plant, *designed.pair, loop=stage, los_sensitivity=sensitivity, placed=designed.placed)
         omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
         response = disturbance_response(loop, plant, omega)[:, :2]
     return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
@@ -262,10 +269,11 @@ def _force_law(right: Axes, k_pma: SampledSystem, omega: FloatArray) -> None:
 def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair, worst = designed.system, designed.pair, designed.worst
-    open_loop, rng = OpenLoop(system, designed.parameters), np.random.default_rng(seed)
+    placed, rng = designed.placed, np.random.default_rng(seed)
+    open_loop = OpenLoop(system, designed.parameters, placed=placed)
     panels = [
         ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
-        ("fsm+pma", "sensitivity, forces", FORCES, "At the forces together, both controllers"),
+        ("fsm+pma", "sensitivity, forces", placed.force_columns, "At the forces together, both controllers"),
     ]
     panels = [panel for panel in panels if panel[0] in designed.stages]
     figure = LaidOutFigure(figsize=(3.6 * len(panels), 3.2), layout="constrained")

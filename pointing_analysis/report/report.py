@@ -292,7 +292,7 @@ def render(
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
-    found = [s.budget.found if s.budget is not None else () for s in summaries]
+    found = [s.found for s in summaries]
     views = [view(run, name, transient, lines) for run, name, lines in zip(runs, names, found)]
     drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model, loops)
     rows = _rows(names, summaries)

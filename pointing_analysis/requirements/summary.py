@@ -33,7 +33,9 @@ from pointing_analysis.read.unsent import unsent
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
-from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
+from pointing_analysis.spectra.record_lines import unnamed_lines
+from pointing_analysis.spectra.sidebands import FoundLine
+from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_budget
 
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
@@ -147,6 +149,7 @@ class Summary:
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     sensors : as the recording describes them
+    found : lines that nobody has named, those of the budget where there is one
     star : exposures of a star of 20 ms; None where no optics are known
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
@@ -175,6 +178,7 @@ class Summary:
     losses: tuple[TopicLoss, ...] = ()
     contradictions: tuple[str, ...] = ()
     budget: ToneBudget | None = None
+    found: tuple[FoundLine, ...] = ()
     rpe_windows_p997: float = math.nan
     requirements_known: bool = True
     open_end: bool = False
@@ -401,8 +405,12 @@ def summarise(
         raise
     error, budget = Performance.of(series.values, series.dt), None
     whole = metrics.is_whole(WINDOW, series.dt)
+    found: tuple[FoundLine, ...] = ()
     if whole and series.duration >= WINDOW and motion_of(run) is None:
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
+        found = budget.found
+    elif not whole and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
+        found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
     lost, problems, dropped = _integrity(run)
     problems += [damaged] if damaged else []
     star, unusable = _star(run, series) if whole else (None, "")
@@ -438,6 +446,7 @@ def summarise(
         contradictions=run.contradictions,
         open_end=run["truth/los"].open_end,
         budget=budget,
+        found=found,
         sensors=sensors_of(run),
         star=star,
         kind=run.kind,

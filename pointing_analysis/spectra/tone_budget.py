@@ -84,6 +84,12 @@ class ToneBudget:
         return {**shown, "allowances": dict(self.allowances), "lines_found": [_as_row(line) for line in self.found]}
 
 
+def named_tones(run: Recording) -> FloatArray:
+    """Frequencies of the tones that a recording names [rad/s]."""
+    tones = run.parameters.get("tones_rad_s", [])
+    return np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)
+
+
 def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
     """Budget of a run; without tones all of the error is noise.
 
@@ -97,8 +103,7 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     total : float
         99.7 % quantile of the rms in each window, both axes [mas].
     """
-    tones = run.parameters.get("tones_rad_s", [])
-    omegas = np.array([w for w in tones if _number(w)] if isinstance(tones, list) else [], dtype=float)
+    omegas = named_tones(run)
     given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)

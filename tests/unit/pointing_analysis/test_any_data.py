@@ -228,6 +228,19 @@ def test_mistakes_are_one_line(folder: Path, name: str, options: dict[str, Any],
     assert "\n" not in str(caught.value)
 
 
+def test_lines_are_found_at_rates_without_a_window_of_20_ms(tmp_path: Path) -> None:
+    """1024 Hz has no whole number of samples in 20 ms: no budget, but the spectrum and the page have the line."""
+    t, rng = np.arange(20 * 1024) / 1024, np.random.default_rng(5)
+    values = 16.0 * rng.standard_normal((t.size, 2)) + 20.0 * np.sin(2 * np.pi * 47.0 * t)[:, None]
+    np.savetxt(tmp_path / "los.csv", np.c_[t, values], delimiter=",", header="t (s),x (mas),y (mas)", comments="")
+    run = open_los(tmp_path / "los.csv")
+    summary = summarise(run)
+    (line,) = summary.found
+    assert summary.budget is None and line.omega == pytest.approx(2 * np.pi * 47.0, rel=1e-4)
+    page = render([run], summaries=[summary])
+    assert "dB above the noise" in page and "none stands out of the noise" not in page
+
+
 def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
     for content, message in (
         ("", "got an empty file"),

@@ -238,8 +238,8 @@ def refuse_devices(parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledS
         ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
         further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
         raise ValueError(
-            "controllers of `design certify` must use no sensors and actuators of the telescope's file, since its "
-            f"proofs and their checker have the ports of the reference's loop, got {further}"
+            "controllers must use no sensors and actuators of the telescope's file here, since proofs and their "
+            f"checker have the ports of the reference's loop, got {further}"
         )
 
 
