@@ -21,16 +21,13 @@ from lftkit.proofs.state_space.bounds import (
     stability_by_cells,
 )
 from lftkit.proofs.state_space.disks import disks_of, real_first
+from lftkit.proofs.state_space.performance import BELOW, LESS, STEPS, performance_by_cells
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 
 FEW_STATES = 7
 """Most states for which a cell has scalings of the states; for more, scalings depend on frequency."""
-STEPS = 12
-"""Most factors of the box that are tried for robust performance."""
-BELOW, LESS = 0.999, 0.75
-"""Part of the smallest factor that reaches the level at which the next is looked for; of one not proven in time."""
 
 
 def worst_case_gain(
@@ -194,10 +191,13 @@ def robust_performance(
 ) -> Bounds:
     """Largest factor by which the box, scaled about the nominal values, keeps the worst-case gain below a level.
 
+    Disks of complex elements and bounds of dynamics are scaled by the same factor.
+
     Parameters
     ----------
     system : System
-        Gain from all inputs to all outputs, over all frequencies; without any of them stability is what is left.
+        In continuous time. Gain from all inputs to all outputs, over all frequencies; without any of them stability is
+        what is left.
     level : float
     box : mapping of str to (lowest, highest), optional
         It contains the nominal values.
@@ -234,10 +234,11 @@ def robust_performance(
     if not (system.inputs and system.outputs):
         return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
     system.require_continuous()
-    system.require_real()
-    chosen = system.sorted_channels()
+    chosen = real_first(system)
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():
+        if disks_of(chosen):
+            return performance_by_cells(chosen, ends, level, largest, gap, until, seed)
         worst = _too_large(chosen, ends, level, largest, seed)
         lower, proof = 0.0, None
         aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lftkit import System, dynamic, h2_norm, hinf_norm, real, s, z
-from lftkit.proofs import check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import check_proof, robust_performance, robust_stability, worst_case_gain
 
 LONG = 3600.0
 
@@ -80,3 +80,12 @@ def test_the_level_of_a_sensitivity_is_between_the_printed_margins() -> None:
     assert above.lower >= 1.5 and above.frequency == pytest.approx(7.8566, rel=0.03)
     member = sensitivity(0.7837).at(above.point)
     assert hinf_norm(*member.matrices).value >= 1.5
+
+
+@pytest.mark.slow
+def test_the_printed_margin_of_a_level_is_found() -> None:
+    """The same page by one call."""
+    margin = robust_performance(sensitivity(1.0), level=1.5, gap=0.02, wall_limit=LONG)
+    assert margin.status == "closed" and margin.upper == pytest.approx(0.7837, abs=1e-4)
+    assert margin.frequency == pytest.approx(7.8566, rel=0.03)
+    assert margin.lower >= margin.upper / 1.02 and check_proof(margin.proof).level == 1.5

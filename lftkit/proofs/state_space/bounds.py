@@ -218,11 +218,13 @@ class GainByCells:
     seed: int
     progress: bool
 
+    def __post_init__(self) -> None:
+        self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
+
     def run(self) -> Bounds:
         """The bounds, with the proof of the upper one."""
         start = time.monotonic()
-        self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
-        self.worst = self._searched()
+        self.worst = self.searched()
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
         if self._violated():
@@ -249,7 +251,7 @@ class GainByCells:
         proof = finished({**claim, "level": upper}, cover.proven, stable, posed)
         return self._bounds(upper, proof, "closed" if closed else "out_of_time")
 
-    def _searched(self) -> Member:
+    def searched(self) -> Member:
         """The worst member that a search of the box finds before cells are proven."""
         return worst_member(self.axis, self.box, self.over, seed=self.seed)
 
@@ -276,13 +278,14 @@ class GainByCells:
 
     def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
         worst, left = reached(self.system, self.worst), cells_of_system(self.system, uncovered)
-        return Bounds(worst.gain, upper, _named(self.system, worst), worst.frequency, proof, status, left)
+        return Bounds(worst.gain, upper, named_member(self.system, worst), worst.frequency, proof, status, left)
 
 
 class DiskGainByCells(GainByCells):
     """The same for systems with complex or dynamic elements, members of which have values at a frequency."""
 
-    def _searched(self) -> Member:
+    def searched(self) -> Member:
+        """The worst member that a search finds, values of complex and dynamic elements included."""
         search = self._search = DiskSearch(self.axis, self.box, self.over, self.seed)
         middle = np.array([0.5 * (low + high) for low, high in self.box])
         real = member_gain(self.axis, middle, self.over)
@@ -310,7 +313,7 @@ def stability_by_cells(
     nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
-        return Bounds(0.0, 0.0, _named(system, first), first.frequency, None, "unstable")
+        return Bounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
     factor, worst = _smallest_unstable(axis, box, largest, seed)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
@@ -345,7 +348,7 @@ def stability_by_cells(
             target *= 0.7
     status = "closed" if proof is not None and (np.isinf(factor) or factor <= (1.0 + gap) * lower) else "out_of_time"
     worst, left = reached(system, worst), cells_of_system(system, () if proof else left)
-    return Bounds(lower, factor, _named(system, worst), worst.frequency, proof, status, left)
+    return Bounds(lower, factor, named_member(system, worst), worst.frequency, proof, status, left)
 
 
 def _smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
@@ -374,7 +377,8 @@ def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray)
     return float(max(factors))
 
 
-def _named(system: System, member: Member) -> dict[str, Any]:
+def named_member(system: System, member: Member) -> dict[str, Any]:
+    """Values of a member's elements by name, as in :attr:`Bounds.point`."""
     values: dict[str, Any] = {p.name: float(v) for p, v in zip(system.parameters, member.point)}
     for e in system.elements:
         if isinstance(e, RealParameter):

@@ -203,6 +203,10 @@ class DiskSearch:
         point, values = found
         return DiskMember(value, point, omega, values)
 
+    def gain(self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]) -> float:
+        """Gain of the member with deviations `real` (p,) and `values`, by the response `M` of all channels."""
+        return self._gain(M, real, values)[0]
+
     def gain_near(self, point: FloatArray, omega: float) -> DiskMember:
         """That of an ascent from a member's real elements at one frequency."""
         nominal = np.array([p.nominal for p in self.system.parameters])

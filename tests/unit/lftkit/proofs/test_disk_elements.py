@@ -199,7 +199,7 @@ def test_what_is_not_available_is_a_line() -> None:
     repeated = (twice @ twice).system([("u", 2)], [("y", 2)])
     for call, message in (
         (lambda: worst_case_gain(loop, method="axis"), "elements must be real, got the dynamic element 'f'"),
-        (lambda: robust_performance(loop), "elements must be real, got the dynamic element 'f'"),
+        (lambda: robust_performance(unstable()), "the nominal member must be stable, got an unstable one"),
         (lambda: gain_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
         (lambda: stability_profile(loop, [1.0]), "elements must be real, got the dynamic element 'f'"),
         (lambda: worst_case_gain(loop, {"f": (0.0, 0.1)}), "element 'f' must be real"),
@@ -208,3 +208,30 @@ def test_what_is_not_available_is_a_line() -> None:
         with pytest.raises(ValueError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
+
+
+def unstable() -> System:
+    return ((1 + dynamic("f", bound=0.5)) / (s - 1)).system("u", "y")
+
+
+def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand() -> None:
+    """(1 + f) / (s + 1), |f| <= t / 2: the largest gain 1 + t / 2 is at rest."""
+    system = ((1 + dynamic("f", bound=0.5)) / (s + 1)).system("u", "y")
+    bounds = robust_performance(system, level=1.4, gap=0.2, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper == pytest.approx(0.8, rel=1e-6)
+    assert bounds.upper <= 1.2 * bounds.lower and check_proof(bounds.proof).level == 1.4
+    assert hinf_norm(*system.at(bounds.point).matrices).value == pytest.approx(1.4, rel=1e-6)
+    nominal = robust_performance(system, level=0.9)
+    assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
+    free = robust_performance(system, level=4.0, largest=1.5, gap=0.2, wall_limit=LONG)
+    assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf and free.point == {}
+
+
+@pytest.mark.slow
+def test_real_and_complex_numbers_keep_a_gain_by_hand() -> None:
+    """(1 + c) / (s + 1 - p), both of size t / 2: (1 + t / 2) / (1 - t / 2) is 2 at t = 2 / 3, 1e-6 of it by search."""
+    system = ((1 + complex_gain("c", 0.0, radius=0.5)) / (s + 1 - real("p", 0.0, -0.5, 0.5))).system("u", "y")
+    bounds = robust_performance(system, level=2.0, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-6)
+    assert bounds.upper <= 1.05 * bounds.lower and check_proof(bounds.proof).level == 2.0
+    assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5)
