@@ -24,12 +24,15 @@ from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, weighted_loop
+from lftkit.tuning.descent.starts import start_checked
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.structures.on_image import StructureOnImage, required_period
+from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 from lftkit.tuning.tuner import AGREEMENT, TuningOptions, tune
 
@@ -89,7 +92,8 @@ def tune_discrete(
         and count at ``s = (2 / T) (z - 1) / (z + 1)``. White noise of unit density (:class:`H2Gain`) has samples of
         variance 1 / T; poles z count as ``log(z) / T``, and bands end at pi / T.
     structure : Structure
-        A static gain, also with fixed or bounded entries, or a state-space controller with all entries free.
+        Of the discrete controller: entries are those of its matrices, also fixed and bounded ones. A PID has the
+        sampling period (``pid(..., dt=0.1)``) and is that of the trapezoidal rule.
     initial, met, options
         As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers.
 
@@ -118,11 +122,13 @@ def tune_discrete(
     """
     ready, needs = resolved(models, requirements)
     dt = _common_period(ready)
-    law = _affine(structure)
+    law = _law(structure, dt)
     images = [image_of_requirement(r, ready[0]) for r in needs]
-    starts = [_parameters_of_image(law, np.asarray(x, dtype=float), dt) for x in initial]
-    found = tune([image_of(m) for m in ready], images, structure, initial=starts, met=met, options=options)
-    K = sampled_from_image(found.controller, dt)
+    starts = [start_checked(x, structure) for x in initial]
+    if isinstance(law, AffineStructure):
+        starts = [_parameters_of_image(law, x, dt) for x in starts]
+    found = tune([image_of(m) for m in ready], images, law, initial=starts, met=met, options=options)
+    K = law.sampled(found.x) if isinstance(law, StructureOnImage) else sampled_from_image(found.controller, dt)
     certificate = certified(ready, K, needs, dt)
     status = found.status
     stable = bool(np.all(certificate.abscissae < 0.0))
@@ -134,7 +140,7 @@ def tune_discrete(
         status=status,
         advice=found.advice if status is found.status else status.advice,
         controller=K,
-        x=law.parameters_of(K) if law.order else found.x,
+        x=law.parameters_of(K) if law.order and isinstance(law, AffineStructure) else found.x,
         values=certificate.values,
         soft=float(certificate.values[~hard].max(initial=-np.inf)),
         hard=float(certificate.values[hard].max(initial=-np.inf)),
@@ -191,13 +197,16 @@ def _common_period(models: Sequence[System]) -> float:
     return float(models[0].dt)
 
 
-def _affine(structure: Structure) -> AffineStructure:
-    if not isinstance(structure, AffineStructure):
-        raise ValueError(f"structure must be a gain or a state-space controller, got {type(structure).__name__}")
-    free = len(structure.parameters) == structure.base.size and structure.bounds is None
-    if structure.order and not (free and structure.size == structure.base.size and not structure.base.any()):
-        raise ValueError("a dynamic controller in discrete time must have all entries free, got fixed or bounded ones")
-    return structure
+def _law(structure: Structure, dt: float) -> AffineStructure | StructureOnImage:
+    """What the descent works on: the structure itself where its image is one of the same kind, else its image."""
+    required_period(structure, dt)
+    if isinstance(structure, StableStateSpace):
+        raise ValueError("structure must have entries of discrete matrices, got StableStateSpace of continuous time")
+    if isinstance(structure, AffineStructure):
+        free = len(structure.parameters) == structure.base.size == structure.size and structure.bounds is None
+        if not structure.order or (free and not structure.base.any()):
+            return replace(structure, dt=None)
+    return StructureOnImage(structure, dt)
 
 
 @dataclass(frozen=True)

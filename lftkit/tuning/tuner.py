@@ -33,6 +33,7 @@ from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.structures.on_image import required_period
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
 AGREEMENT = 1e-3  # of tuned values and certificate
@@ -157,6 +158,7 @@ def tune(
     options = options or TuningOptions()
     if any(model.dt for model in models):
         raise ValueError("models must be in continuous time, got discrete ones: tune_discrete takes them")
+    required_period(structure, 0.0)
     # a little below, so that the upper side of the certificate is not above
     options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()

@@ -96,6 +96,8 @@ class AffineStructure:
         Names of the parameters; default: those of the first entries that they stand in, ``A[0,1]``, ``D[0,0]``.
     bounds : Bounds, optional
         Of the parameters; default: none.
+    dt : float, optional
+        Sampling period [s] that the entries are made for, 0 for continuous time; default: they are as good for any.
     """
 
     inputs: tuple[Port, ...]
@@ -109,6 +111,7 @@ class AffineStructure:
     spread: float = 1.0
     names: tuple[str, ...] = ()
     bounds: Bounds | None = None
+    dt: float | None = None
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -318,8 +321,12 @@ def gain(inputs: Sequence[Any], outputs: Sequence[Any]) -> AffineStructure:
     return state_space(inputs, outputs, 0)
 
 
-def pid(measurement: str, command: str, *, derivative_filter: float, terms: str = "PID") -> AffineStructure:
+def pid(
+    measurement: str, command: str, *, derivative_filter: float, terms: str = "PID", dt: float = 0.0
+) -> AffineStructure:
     """``u = (Kp + Ki / s + Kd s / (derivative_filter s + 1)) y`` with parameters Kp, Ki, Kd, those in `terms`.
+
+    With a sampling period `dt` [s] it is discrete, by the trapezoidal rule: ``s = (2 / dt) (z - 1) / (z + 1)``.
 
     Examples
     --------
@@ -330,10 +337,16 @@ def pid(measurement: str, command: str, *, derivative_filter: float, terms: str 
         raise ValueError(f"derivative_filter must be a positive time constant [s], got {derivative_filter}")
     if not terms or set(terms) - set("PID"):
         raise ValueError(f"terms must be letters of 'PID', got {terms!r}")
-    tau = derivative_filter
-    # states: integral of y, filtered y; Kd s / (tau s + 1) = Kd / tau (1 - 1 / (tau s + 1))
-    base = np.array([[0.0, 0.0, 1.0], [0.0, -1.0 / tau, 1.0 / tau], [0.0, 0.0, 0.0]])
-    entries = {"P": [(2, 2, 1.0)], "I": [(2, 0, 1.0)], "D": [(2, 2, 1.0 / tau), (2, 1, -1.0 / tau)]}
+    if not (dt >= 0 and np.isfinite(dt)):
+        raise ValueError(f"dt must be a sampling period [s], or 0 for continuous time, got {dt}")
+    tau, half = derivative_filter, 0.5 * dt
+    # states: integral of y; filtered y, of which Kd s / (tau s + 1) = Kd / tau (1 - 1 / (tau s + 1)). With a period
+    # 1 / s = half + dt / (z - 1) and s / (tau s + 1) = rate (1 - (1 - pole) / (z - pole)), the states those of y
+    rate, pole = 1.0 / (tau + half), (tau - half) / (tau + half)
+    into, decay = ((dt, 1.0 - pole), (1.0, pole)) if dt else ((1.0, 1.0 / tau), (0.0, -1.0 / tau))
+    base = np.array([[decay[0], 0.0, into[0]], [0.0, decay[1], into[1]], [0.0, 0.0, 0.0]])
+    integral = [(2, 0, 1.0), (2, 2, half)] if dt else [(2, 0, 1.0)]
+    entries = {"P": [(2, 2, 1.0)], "I": integral, "D": [(2, 2, rate), (2, 1, -rate)]}
     listed = [(r, c, k, v) for k, t in enumerate(terms) for r, c, v in entries[t]]
     rows, columns, parameters = (np.array([e[i] for e in listed], dtype=np.intp) for i in range(3))
     keep = [s for s, term in ((0, "I"), (1, "D")) if term in terms]
@@ -349,6 +362,7 @@ def pid(measurement: str, command: str, *, derivative_filter: float, terms: str 
         parameters,
         np.array([e[3] for e in listed]),
         names=tuple(f"K{term.lower()}" for term in terms),
+        dt=dt,
     )
 
 

@@ -14,6 +14,7 @@ from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
     ConicSector,
+    Decentralised,
     Goal,
     H2Gain,
     HinfGain,
@@ -24,6 +25,7 @@ from lftkit.tuning import (
     Overshoot,
     Requirement,
     Sensitivity,
+    StableStateSpace,
     StepTracking,
     TuningOptions,
     gain,
@@ -35,6 +37,8 @@ from lftkit.tuning import (
 from lftkit.tuning.certificate import certify
 from lftkit.tuning.discrete import certified, image_of, image_of_requirement, sampled_from_image
 from lftkit.tuning.goals.goal import resolved
+from lftkit.tuning.structures.on_image import StructureOnImage
+from lftkit.tuning.structures.structures import Structure, controller
 
 OPTIONS = TuningOptions(starts=1)
 
@@ -127,8 +131,19 @@ def test_an_image_has_the_response_of_its_system_and_leads_back() -> None:
 
 def test_what_has_no_discrete_form_is_refused_in_one_line() -> None:
     plant, static = delayed_lag(), gain([("y", 1)], [("u", 1)])
-    with pytest.raises(ValueError, match="must have all entries free"):
-        tune_discrete([plant], [HinfGain("w", "z")], pid("y", "u", derivative_filter=0.1))
+    for law, got in ((0.0, "continuous time"), (0.2, r"sampling period 0\.2 s")):
+        part = pid("y", "u", derivative_filter=0.1, dt=law)
+        for structure in (part, Decentralised((part,))):
+            with pytest.raises(
+                ValueError, match=rf"^structure of u must be made for sampling period 0\.1 s, got {got}$"
+            ):
+                tune_discrete([plant], [HinfGain("w", "z")], structure)
+    with pytest.raises(
+        ValueError, match=r"^structure of u must be made for continuous time, got sampling period 0\.1 s$"
+    ):
+        tune([System.static([[1.0]], [("u", 1)], [("y", 1)])], [], pid("y", "u", derivative_filter=0.1, dt=0.1))
+    with pytest.raises(ValueError, match="must have entries of discrete matrices, got StableStateSpace"):
+        tune_discrete([plant], [HinfGain("w", "z")], StableStateSpace([("y", 1)], [("u", 1)], 1))
     with pytest.raises(ValueError, match=r"sampling period must be 0\.1 s, got 0\.2 s$"):
         tune_discrete([plant, delayed_lag(0.2)], [HinfGain("w", "z")], static)
     with pytest.raises(ValueError, match=r"band must begin below pi / T = 31\.4159 rad/s, got 40$"):
@@ -269,3 +284,80 @@ def test_a_short_period_has_the_values_of_continuous_time() -> None:
         differences.append(certified(models, replace(K, dt=dt), needs, dt).values[:, 0] - continuous)
     assert np.abs(differences[1]).max() < 2e-2
     assert np.abs(differences[1]).max() < 0.6 * np.abs(differences[0]).max()
+
+
+def test_a_discrete_pid_is_the_continuous_one_by_the_trapezoidal_rule() -> None:
+    dt, x = 0.1, [2.0, 0.5, 0.1]
+    slow = controller(pid("y", "u", derivative_filter=0.03), x)
+    fast = StructureOnImage(pid("y", "u", derivative_filter=0.03, dt=dt), dt).sampled(np.array(x))
+    z = np.exp(1j * np.array([0.3, 1.0, 2.5]))
+    here = [(fast.C @ np.linalg.solve(p * np.eye(2) - fast.A, fast.B) + fast.D).item() for p in z]
+    there = [
+        (slow.C @ np.linalg.solve(p * np.eye(2) - slow.A, slow.B) + slow.D).item() for p in 2 / dt * (z - 1) / (z + 1)
+    ]
+    assert here == pytest.approx(there, rel=1e-12)
+
+
+def held_structures() -> list[Structure]:
+    """A PID; a state space with fixed and bounded entries; both kinds side by side."""
+    law = pid("y", "u", derivative_filter=0.3, dt=0.1)
+    free = state_space([("y", 1)], [("v", 1)], 2).with_fixed({"A[0,1]": 0.3, "D[0,0]": 0.0})
+    return [law, free.with_bounds({"A[0,0]": (-0.5, 0.5)}), Decentralised((law, free))]
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_slopes_by_the_parameters_of_a_discrete_controller_are_differences(number: int) -> None:
+    structure, rng = StructureOnImage(held_structures()[number], 0.1), np.random.default_rng(2)
+    x = 0.3 * structure.start(rng)
+    G = rng.standard_normal(structure.gain_matrix(x).shape)
+    steps = 1e-6 * np.eye(len(x))
+    change = [np.sum(G * (structure.gain_matrix(x + h) - structure.gain_matrix(x - h))) / 2e-6 for h in steps]
+    assert structure.pullback(x, G) == pytest.approx(change, rel=1e-6)
+    image, K = controller(structure, x), structure.sampled(x)
+    for first, second in zip(image_of(K).matrices, image.matrices):
+        assert second == pytest.approx(first, rel=1e-9, abs=1e-12)
+
+
+def peak_with_pi(kp: float, ki: float, dt: float = 0.1) -> float:
+    """Norm from w to (x, u / 2) of `delayed_lag` under a PI, on a grid of the circle; infinite where unstable.
+
+    x = (w + K x / z) / (z - 0.9) with K = kp + ki (dt / 2) (z + 1) / (z - 1).
+    """
+    if np.abs(np.roots([1.0, -1.9, 0.9 - kp - 0.5 * ki * dt, kp - 0.5 * ki * dt])).max() >= 1.0:
+        return np.inf
+    z = np.exp(1j * np.linspace(1e-3, np.pi, 3000))
+    K = kp + 0.5 * ki * dt * (z + 1) / (z - 1)
+    return float((np.abs(1.0 / (z - 0.9 - K / z)) * np.sqrt(1.0 + 0.25 * np.abs(K) ** 2)).max())
+
+
+def test_no_pi_of_a_scan_is_better() -> None:
+    """Both gains scanned; the integral gain is held at -0.5 at most."""
+    plant = delayed_lag()
+    law = pid("y", "u", derivative_filter=1.0, terms="PI", dt=0.1).with_bounds({"Ki": (-np.inf, -0.5)})
+    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.2, -0.7]], options=TuningOptions(starts=0))
+    best = min(peak_with_pi(kp, ki) for ki in (-0.8, -0.65, -0.55, -0.5) for kp in np.linspace(-0.5, 0.1, 61))
+    assert result.certificate is not None and result.certificate.stable
+    assert -0.5005 < result.x[1] <= -0.5 and result.at_bounds == ("Ki",)
+    assert result.soft == pytest.approx(peak_with_pi(*result.x), rel=1e-4)
+    assert result.soft < 1.0005 * best
+    assert result.controller.poles() == pytest.approx([1.0]) and law.values(result.x)["Ki"] == result.x[1]
+
+
+def test_fixed_entries_of_a_discrete_controller_stay() -> None:
+    """A filter of one sample, u+ = k y: the same loop as a gain on a plant that is one sample later."""
+    plant = lag_on_samples(0.9)
+    law = state_space([("y", 1)], [("u", 1)], 1).with_fixed({"A[0,0]": 0.0, "B[0,0]": 1.0, "D[0,0]": 0.0})
+    result = tune_discrete([plant], [HinfGain("w", "z")], law, initial=[[-0.1]], options=TuningOptions(starts=0))
+    later = System(
+        [[0.9, 1.0], [0.0, 0.0]],
+        [[1, 0], [0, 1]],
+        [[1, 0], [1, 0]],
+        np.zeros((2, 2)),
+        plant.inputs,
+        plant.outputs,
+        dt=0.1,
+    )
+    other = tune_discrete([later], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]), options=OPTIONS)
+    assert result.controller.A.item() == 0.0 and result.controller.B.item() == 1.0 and result.controller.D.item() == 0.0
+    assert result.soft == pytest.approx(other.soft, rel=1e-4)
+    assert result.x.item() == pytest.approx(other.controller.D.item(), rel=1e-2)
