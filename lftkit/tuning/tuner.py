@@ -19,10 +19,10 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
-from lftkit.tuning.descent.grid_source import FEASIBLE
+from lftkit.tuning.descent.grid_source import FEASIBLE, point_at
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult, tune_from
-from lftkit.tuning.descent.start_runner import MAX_BATCHES, StartSearch, run_starts
+from lftkit.tuning.descent.start_runner import CARRIED, FIRST, MAX_BATCHES, StartSearch, run_first, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
@@ -190,10 +190,13 @@ def _search(
     deadline: float,
     progress: Progress,
     batches: int = MAX_BATCHES,
+    *,
+    asked: bool = True,
 ) -> StartSearch:
     """Given starts, the best controller of one order less (found in the same way), batches of random starts.
 
-    Beside the one of lower order stand reduced full-order controllers.
+    Beside the one of lower order stand reduced full-order controllers. In problems of few states a first look at the
+    order that is asked for comes before the lower ones, at which there is none.
     """
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
@@ -201,10 +204,34 @@ def _search(
     ended = any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in first.results)
     if not options.starts or ended or not first.complete:
         return first
+    reduced = reduced_starts(problem)
+    own = _own_order_first(problem, reduced, options, deadline, progress) if asked else StartSearch((), True)
+    if any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in own.results):
+        return StartSearch(first.results + own.results, own.complete)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
-    starts = given_starts([*nested, *reduced_starts(problem)], options.seed)
+    points = [*nested, *reduced]
+    if own.results and own.best.rank[0] < 2:
+        points = sorted([own.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
+    starts = given_starts(points, options.seed)
     rest = run_starts(problem, starts, lambda n: random_starts(options.starts, options.seed, n), *common, batches)
-    return StartSearch(first.results + rest.results, all_of_it and rest.complete)
+    return StartSearch(first.results + own.results + rest.results, own.complete and all_of_it and rest.complete)
+
+
+def _own_order_first(
+    problem: Problem, reduced: Sequence[FloatArray], options: TuningOptions, deadline: float, progress: Progress
+) -> StartSearch:
+    """Some starts of a dynamic controller of few states before those of lower orders, in half of the time left.
+
+    Descents of few seconds come near the best values of all where the search of the lower orders takes minutes.
+    """
+    few = options.starts <= CARRIED or lower_order(problem.structure) is None
+    if few or not ExactValue.suits(problem):
+        return StartSearch((), True)
+    now = time.monotonic()
+    limits = limits_of(options, now + 0.5 * (deadline - now))
+    random = random_starts(FIRST, options.seed, MAX_BATCHES)  # those of a batch of their own
+    starts = [*given_starts(reduced, options.seed), *random]
+    return run_first(problem, starts, limits, options.band, options.workers, progress)
 
 
 def _from_lower_order(
@@ -221,7 +248,7 @@ def _from_lower_order(
     smaller.limit = limits_from(options, start_sizes(smaller, [], options.seed))
     now = time.monotonic()
     batches = LOWER_BATCHES if lower.order and ExactValue.suits(smaller) else MAX_BATCHES
-    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches)
+    search = _search(smaller, [], options, now + 0.5 * (deadline - now), progress, batches, asked=False)
     if search.best.rank[0] == 2:
         return [], search.complete
     assert isinstance(problem.structure, AffineStructure)

@@ -52,7 +52,16 @@ def direct_screen(problem: Problem, start: Start, limits: DescentOptions, band: 
 
 
 def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """Descend to the end, then from points of more gain."""
+    return _polished(problem, start, limits, follow=True)
+
+
+def direct_cycles(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
     """Descend to the end: exact value and smooth phase in turn until neither lowers the value."""
+    return _polished(problem, start, limits, follow=False)
+
+
+def _polished(problem: Problem, start: Start, limits: DescentOptions, *, follow: bool) -> StartResult:
     run = _Direct(problem, limits)
     stable = run.stabilised(start.parameters(problem), start.seed)
     if isinstance(stable, StartResult):
@@ -66,7 +75,8 @@ def direct_polish(problem: Problem, start: Start, limits: DescentOptions, band: 
         run.smooth()
         if not run.point.better_than(before, VISIBLE):
             break
-    run.follow_gain()
+    if follow:
+        run.follow_gain()
     return run.result()
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from lftkit.support.progress import Progress
 from lftkit.support.workers import Workers
 from lftkit.tuning.descent.direct_search import (
+    direct_cycles,
     direct_polish,
     direct_restarts,
     direct_screen,
@@ -39,6 +40,7 @@ VANISHING = 10.0  # times the value that counts as zero: below it the infimum is
 PERTURBATIONS = -2.0, 0.0  # decades of the relative size of a perturbation of the best point
 BETTER = 1e-4  # relative decrease that counts as something better
 FIRST = 8  # starts of the first batch that are screened before the others
+PORTION, CARRIED_OF_PORTION = 4, 2  # starts of a first look that are screened together, and those carried on
 AGREED = 0.5, 4  # part of the screened random starts, or number of those carried on, whose ends make further ones idle
 SAME = 1e-4  # relative difference of values after the screening up to which two starts count as one
 
@@ -111,6 +113,25 @@ def run_starts(
     return StartSearch(tuple(runner.results), runner.complete)
 
 
+def run_first(
+    problem: Problem,
+    starts: Sequence[Start],
+    limits: DescentOptions,
+    band: float,
+    workers: int,
+    progress: Progress,
+) -> StartSearch:
+    """A few starts at a time are screened and the best of them carried on, on the exact value.
+
+    So the best value falls soon, also where one start takes seconds. Parameters are those of :func:`run_starts`.
+    """
+    runner = _Runner(problem, limits, band, workers, progress)
+    for begin in range(0, len(starts), PORTION):
+        own = starts[begin : begin + PORTION]
+        runner.run(direct_cycles, _carried(own, runner.run(direct_screen, own), CARRIED_OF_PORTION))
+    return StartSearch(tuple(runner.results), runner.complete)
+
+
 def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
     """The starts of a batch, every second one replaced by a perturbed copy of the best point so far."""
     best = min(results, key=lambda run: run.rank, default=None)
@@ -136,17 +157,22 @@ def _run_batch(runner: _Runner, starts: Sequence[Start], first: Work, second: Wo
         screened += runner.run(first, starts[portion:])
     if not runner.going_on:
         return False
+    ends = runner.run(second, _carried(starts, screened))
+    return _most_agree(runner, starts, screened) or _agreeing(runner, ends) >= AGREED[1]
+
+
+def _carried(starts: Sequence[Start], screened: Sequence[StartResult], most: int = CARRIED) -> list[Start]:
+    """The best that differ, at most so many, from where their screening ended."""
     carried: list[Start] = []
     ranks: list[tuple[int, float]] = []
     for k in sorted(range(len(screened)), key=lambda k: (screened[k].rank, k)):
         kind, value = screened[k].rank
-        if len(carried) < CARRIED and not any(
+        if len(carried) < most and not any(
             kind == other[0] and abs(value - other[1]) <= SAME * abs(value) for other in ranks
         ):
             ranks.append((kind, value))
             carried.append(Start(starts[k].seed, screened[k].x))
-    ends = runner.run(second, carried)
-    return _most_agree(runner, starts, screened) or _agreeing(runner, ends) >= AGREED[1]
+    return carried
 
 
 def _most_agree(runner: _Runner, starts: Sequence[Start], screened: Sequence[StartResult]) -> bool:

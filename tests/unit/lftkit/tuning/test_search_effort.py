@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from lftkit.support.progress import Progress
-from lftkit.tuning import HinfGain, TuningOptions, TuningStatus, gain, tune
+from lftkit.tuning import HinfGain, TuningOptions, TuningStatus, gain, state_space, tune
 from lftkit.tuning.descent import start_runner
+from lftkit.tuning.descent.grid_source import point_at
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.single_start import StartResult
 from lftkit.tuning.descent.start_runner import run_starts
-from lftkit.tuning.descent.starts import random_starts
+from lftkit.tuning.descent.starts import Start, random_starts
+from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import published_plant
+from lftkit.tuning.tuner import _own_order_first, _search
 
 PLANT = published_plant("AC17")
 STRUCTURE = gain([PLANT.outputs[1]], [PLANT.inputs[1]])
@@ -65,3 +70,41 @@ def test_search_ends_where_the_value_vanishes() -> None:
     result = tune([plant], [HinfGain("w", "z")], gain([plant.outputs[1]], [plant.inputs[1]]))
     assert result.soft < 1e-6
     assert len(result.starts) <= 4, "no random start after that"
+
+
+def test_the_order_asked_for_is_looked_at_before_the_lower_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four starts at a time, the best two carried on; the lowest point of all goes first in the search that follows."""
+    work: list[tuple[str, int, float]] = []
+
+    def fake(name: str) -> Callable[..., StartResult]:
+        def run(problem: Problem, start: Start, limits: object, band: object) -> StartResult:
+            x = np.full(problem.structure.size, 0.01 * len(work))
+            given = np.inf if start.x is None else point_at(problem, start.x).soft
+            work.append((name, problem.structure.order, given))
+            return StartResult(TuningStatus.ITERATIONS, x, 1.0 + 0.1 * (len(work) % 7), -np.inf, -1.0, np.inf, 1, 0)
+
+        return run
+
+    for name in ("screen", "cycles", "polish", "restarts"):
+        monkeypatch.setattr(start_runner, f"direct_{name}", fake(name))
+    monkeypatch.setattr(start_runner, "_full", fake("full"))
+    problem = Problem([PLANT], [HinfGain("w", "z")], state_space([PLANT.outputs[1]], [PLANT.inputs[1]], 1))
+    options = TuningOptions()
+    problem.limit = np.full(problem.structure.size, 1e8)
+    found = _search(problem, [], options, np.inf, Progress("", False))
+    count = len(reduced_starts(problem)) + 8
+    names = "".join(name[0] for name, order, _ in work[: work.index(next(w for w in work if w[1] == 0))])
+    assert names == "sssscc" * (count // 4) + "s" * (count % 4) + "c" * min(count % 4, 2)
+    begin = max(k for k, w in enumerate(work) if w[1] == 0) + 1
+    after = work[begin : begin + 4 + len(reduced_starts(problem))]
+    assert {name for name, _, _ in after} == {"polish"} and np.isfinite(after[0][2])
+    assert [value for _, _, value in after] == sorted(value for _, _, value in after), "unstable ones are last"
+    assert found.complete and found.best.soft == pytest.approx(1.0)
+
+
+def test_no_first_look_with_few_starts_or_without_a_state() -> None:
+    for order, starts in ((0, 24), (1, 6)):
+        structure = state_space([PLANT.outputs[1]], [PLANT.inputs[1]], order)
+        problem = Problem([PLANT], [HinfGain("w", "z")], structure)
+        found = _own_order_first(problem, [], TuningOptions(starts=starts), np.inf, Progress("", False))
+        assert found.results == () and found.complete
