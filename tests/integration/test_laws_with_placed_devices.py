@@ -319,3 +319,13 @@ def test_a_device_has_no_name_of_the_loop(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text('[[sensor]]\nname = "accel_M1"\nplace = "M1"\n')
     with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must be none of accel_Ip, .*, got 'accel_M1'"):
         load_parameters(tmp_path / "own.toml")
+
+
+def test_proofs_of_a_design_with_devices_are_refused_before_the_design(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = Path(__file__).parents[2] / "examples" / "spacecraft" / "damper_at_an_array.toml"
+    with pytest.raises(SystemExit) as ended:
+        app.main(["design", "all", "--certify", "--parameters", str(file), "--output", str(tmp_path / "mine")])
+    assert ended.value.code == 2 and not (tmp_path / "mine").exists()
+    assert "got root, damper" in capsys.readouterr().err

@@ -115,15 +115,19 @@ def design_all(
 ) -> None:
     """See ALL_EXAMPLES."""
     from los_design import redesign
+    from los_loop.spec import NO_DEVICES, Placed
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
     from titop_plant.telescope.tables.uncertain import with_uncertain
 
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    own = load_parameters(parameters)
+    if certify and (devices := Placed.of(own)) != NO_DEVICES:
+        names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
+        raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
     check_output(output, parameters, uncertain or ())
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
-    own = load_parameters(parameters)
     until = time.monotonic() + time_limit
     kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
     with cluster.workers() as pool, kept:
