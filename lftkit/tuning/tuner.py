@@ -204,12 +204,11 @@ def _search(
     ended = any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in first.results)
     if not options.starts or ended or not first.complete:
         return first
-    reduced = reduced_starts(problem)
-    own = _own_order_first(problem, reduced, options, deadline, progress) if asked else StartSearch((), True)
+    own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
     if any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in own.results):
         return StartSearch(first.results + own.results, own.complete)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
-    points = [*nested, *reduced]
+    points = [*nested, *reduced_starts(problem)]
     if own.results and own.best.rank[0] < 2:
         points = sorted([own.best.x, *points], key=lambda x: point_at(problem, x).soft)  # unstable: last
     starts = given_starts(points, options.seed)
@@ -217,10 +216,8 @@ def _search(
     return StartSearch(first.results + own.results + rest.results, own.complete and all_of_it and rest.complete)
 
 
-def _own_order_first(
-    problem: Problem, reduced: Sequence[FloatArray], options: TuningOptions, deadline: float, progress: Progress
-) -> StartSearch:
-    """Some starts of a dynamic controller of few states before those of lower orders, in half of the time left.
+def _own_order_first(problem: Problem, options: TuningOptions, deadline: float, progress: Progress) -> StartSearch:
+    """Random starts of a dynamic controller of few states before those of lower orders, in half of the time left.
 
     Descents of few seconds come near the best values of all where the search of the lower orders takes minutes.
     """
@@ -230,8 +227,7 @@ def _own_order_first(
     now = time.monotonic()
     limits = limits_of(options, now + 0.5 * (deadline - now))
     random = random_starts(FIRST, options.seed, MAX_BATCHES)  # those of a batch of their own
-    starts = [*given_starts(reduced, options.seed), *random]
-    return run_first(problem, starts, limits, options.band, options.workers, progress)
+    return run_first(problem, random, limits, options.band, options.workers, progress)
 
 
 def _from_lower_order(
