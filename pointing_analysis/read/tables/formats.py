@@ -62,7 +62,7 @@ def format_of(path: Path) -> Format:
         No such file, where the name is that of no table.
     """
     if path.is_dir():
-        return Format.BAG
+        return _folder(path)
     if not path.is_file():
         if path.suffix.lower() in ("", ".mcap", ".db3", ".bag", ".zstd"):
             raise BagError(f"{path}: no such bag")
@@ -84,6 +84,14 @@ def format_of(path: Path) -> Format:
         kind = kind or f"a file that begins with {head[:8]!r}"
         raise TableError(f"{path}: file must be one of {FORMATS}; got {kind}")
     return found
+
+
+def _folder(path: Path) -> Format:
+    """A bag, if anything in the folder is of one; a bag that lost some of its files is told by its reader."""
+    names = [entry.name for entry in path.iterdir()]
+    if not any(name == "metadata.yaml" or ".mcap" in name or ".db3" in name for name in names):
+        raise TableError(f"{path}: recording must be one of {FORMATS}; got a folder without metadata.yaml or .mcap")
+    return Format.BAG
 
 
 def _without_digits(path: Path) -> bool:

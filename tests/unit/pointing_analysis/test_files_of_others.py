@@ -151,6 +151,15 @@ def test_what_is_not_read_is_one_line(tmp_path: Path, name: str, content: bytes,
     assert "\n" not in str(caught.value)
 
 
+def test_a_folder_that_is_no_bag_lists_the_formats(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("1 2 3\n")
+    with pytest.raises(ValueError, match="recording must be one of bag .*NumPy.*; got a folder without metadata.yaml"):
+        open_los(tmp_path)
+    (tmp_path / "metadata.yaml").write_text("{}")
+    with pytest.raises(ValueError, match="a rosbag2 folder must hold .mcap files"):
+        open_los(tmp_path)
+
+
 def test_hdf5_without_h5py_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
