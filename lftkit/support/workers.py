@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import connection, get_context, parent_process
 from types import TracebackType
 from typing import TypeVar
@@ -59,6 +59,9 @@ class Workers:
         if pool is None or stop is None:
             return
         if kind is not None:
+            # Nobody reads any more what is on its way to the processes: Python up to 3.10 waits for the thread that
+            # writes it, for ever where the pipe is full.
+            pool._call_queue.cancel_join_thread()  # type: ignore[attr-defined]
             stop.close()
         pool.shutdown(wait=True, cancel_futures=True)
         stop.close()
@@ -76,7 +79,18 @@ class Workers:
             stopped, self._stop = context.Pipe(duplex=False)
             self._pool = ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(stopped,))
         with _interrupts_waiting():
-            return self._pool.map(function, items)
+            return _results([self._pool.submit(function, item) for item in items])
+
+
+def _results(futures: list[Future[Result]]) -> Iterator[Result]:
+    """Results in order. None is ever cancelled, as `ProcessPoolExecutor.map` does when its iterator is left.
+
+    Up to 3.11 an executor whose processes end at once does not get past a cancelled one (InvalidStateError), leaves
+    its pipes open and waits for ever at the end of the program.
+    """
+    futures.reverse()
+    while futures:
+        yield futures.pop().result()
 
 
 @contextlib.contextmanager

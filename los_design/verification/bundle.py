@@ -200,6 +200,21 @@ class Bundle:
         """The proof of a figure as its file has it."""
         return read_loop_proof(self.folder / member_of(stage, figure))
 
+    def noise_proof(self, stage: str) -> NoiseProof:
+        """The proof of a stage's noise as its file has it."""
+        return NoiseProof.from_file(self.folder / member_of(stage, NOISE))
+
+    def count_strips(self) -> int:
+        """Strips of all proofs.
+
+        Raises
+        ------
+        ProofError
+            A proof cannot be read.
+        """
+        of_tones = sum(len(self.proof(*which).strips) for which in self.figures)
+        return of_tones + sum(len(part.strips) for stage in self.noise for part in self.noise_proof(stage).parts)
+
 
 def member_of(stage: str, figure: str) -> str:
     """Name of a proof in a bundle."""
@@ -358,11 +373,7 @@ def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
     }
 
 
-def check_bundle(
-    bundle: Bundle,
-    each: Callable[..., Iterable[int | str]] = map,
-    report: Callable[[int, int], None] = lambda done, of: None,
-) -> CheckedBundle:
+def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map) -> CheckedBundle:
     """Verify all proofs of a bundle with models made anew of its telescope and controllers.
 
     Parameters
@@ -370,8 +381,6 @@ def check_bundle(
     bundle : Bundle
     each : callable
         Maps a function over the strips of a proof; they may be checked in several processes.
-    report : callable
-        Told how many proofs are checked, and of how many.
 
     Raises
     ------
@@ -384,8 +393,7 @@ def check_bundle(
         stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
         loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
         found, stable, box = [], dict.fromkeys(loops, 0.0), {}
-        for number, (stage, figure) in enumerate(bundle.figures):
-            report(number, len(bundle.figures))
+        for stage, figure in bundle.figures:
             proof = proof_of_loop(bundle.proof(stage, figure), loops[stage], figure)
             first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
             checked = _checked(proof, each, first)
@@ -417,7 +425,7 @@ def checked_noise(
 ) -> tuple[NoiseBound, NoiseBound]:
     """Bounds of a stage's noise; of unstable members there are none."""
     stage = loop.stage
-    proof = noise_of_loop(NoiseProof.from_file(bundle.folder / member_of(stage, NOISE)), loop)
+    proof = noise_of_loop(bundle.noise_proof(stage), loop)
     window = float(loop.parameters["weights"]["rpe_window"])
     try:
         checked = check_noise_proof(proof, each, not math.isinf(stable[stage]), window)

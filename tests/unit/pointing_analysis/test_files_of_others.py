@@ -153,10 +153,10 @@ def test_what_is_not_read_is_one_line(tmp_path: Path, name: str, content: bytes,
 
 def test_a_folder_that_is_no_bag_lists_the_formats(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("1 2 3\n")
-    with pytest.raises(ValueError, match="recording must be one of bag .*NumPy.*; got a folder without metadata.yaml"):
+    with pytest.raises(ValueError, match=r"recording must be one of bag .*NumPy.*; got a folder without metadata"):
         open_los(tmp_path)
     (tmp_path / "metadata.yaml").write_text("{}")
-    with pytest.raises(ValueError, match="a rosbag2 folder must hold .mcap files"):
+    with pytest.raises(ValueError, match="a rosbag2 folder must hold"):
         open_los(tmp_path)
 
 

@@ -117,6 +117,41 @@ def test_no_process_outlives_its_parent(end: signal.Signals, tmp_path: Path) -> 
     assert not any(alive(pid) for pid in children)
 
 
+LEFT = """
+import time
+from concurrent.futures import ProcessPoolExecutor
+from lftkit.support.workers import Workers
+
+class Late(ProcessPoolExecutor):  # on a busy machine the pool sees first that its processes ended
+
+    def shutdown(self, **options):
+        time.sleep(1.0)
+        super().shutdown(**options)
+
+def slow(item):
+    time.sleep(0.1)
+    return len(item)
+
+if __name__ == "__main__":
+    import lftkit.support.workers as module
+    module.ProcessPoolExecutor = Late
+    with Workers(2) as workers:
+        results = workers.each(slow, [bytes(3 << 20)] * 40)  # more than a pipe holds
+        next(results)
+        results.close()
+        raise KeyboardInterrupt
+"""
+
+
+def test_a_program_ends_that_leaves_large_items_behind(tmp_path: Path) -> None:
+    """A pipe to ended processes must not keep it, nor a result that nobody asks for any more."""
+    script = tmp_path / "script.py"
+    script.write_text(LEFT)
+    ended = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=120, check=False)
+    assert ended.stderr.splitlines()[-1] == "KeyboardInterrupt"
+    assert "InvalidStateError" not in ended.stderr
+
+
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +19,8 @@ from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
+    from lftkit.support.progress import Progress
+    from lftkit.support.workers import Workers
     from los_design.verification.bundle import CheckedBundle
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
@@ -120,13 +123,7 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
     if of is not None and other:
         raise ProofError(f"it is not of {whose}: other {other}")
     with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
-
-        def each(function: Callable[[Any], int | str], strips: Sequence[Any]) -> Iterator[int | str]:
-            for done, outcome in enumerate(pool.each(function, strips)):
-                bar.report(done + 1, len(strips))
-                yield outcome
-
-        checked = check_loop_proof(proof, each)
+        checked = check_loop_proof(proof, _counted(pool, bar, len(proof.strips)))
     if json_:
         below = checked.stable_below if math.isfinite(checked.stable_below) else None
         mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
@@ -145,14 +142,27 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
 
 
+def _counted(pool: Workers, bar: Progress, total: int) -> Callable[..., Iterator[int | str]]:
+    """Map of a check over the strips of one proof after the other, of `total` in all, which shows how far it is."""
+    done = itertools.count(1)
+
+    def each(function: Callable[[Any], int | str], strips: Sequence[Any]) -> Iterator[int | str]:
+        for outcome in pool.each(function, strips):
+            bar.report(next(done), total)
+            yield outcome
+
+    return each
+
+
 def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
     """Check all proofs of a bundle and print what they prove, of what, and what they do not."""
     from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
     from los_design.verification.bundle import as_mapping, check_bundle, open_bundle
 
-    with open_bundle(file) as bundle, one_thread(), cluster.workers() as pool, Progress(file.name) as bar:
-        checked = check_bundle(bundle, pool.each, bar.report)
+    shown = Progress(f"{file.name} [strips]")
+    with open_bundle(file) as bundle, one_thread(), cluster.workers() as pool, shown as bar:
+        checked = check_bundle(bundle, _counted(pool, bar, bundle.count_strips()))
     if json_:
         print_json(as_mapping(checked))
         return
