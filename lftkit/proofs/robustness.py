@@ -9,6 +9,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
+from lftkit.proofs.disk_performance import BELOW, LESS, STEPS, disk_performance
 from lftkit.proofs.state_space.bounds import (
     SHARE,
     WHOLE,
@@ -21,7 +22,6 @@ from lftkit.proofs.state_space.bounds import (
     stability_by_cells,
 )
 from lftkit.proofs.state_space.disks import disks_of, real_first
-from lftkit.proofs.state_space.performance import BELOW, LESS, STEPS, performance_by_cells
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
@@ -70,8 +70,8 @@ def worst_case_gain(
     progress : bool
     method : {"cells", "axis"}, optional
         Cells of parameters and frequency, or scalings over the frequency axis. By default cells up to
-        :data:`FEW_STATES` states, and where the other cannot be used: it needs parameters, and a nominal member in the
-        box that is stable with separate poles.
+        :data:`FEW_STATES` states, and where the other cannot be used: it needs uncertain elements, and a nominal member
+        in the box that is stable with separate poles.
 
     Returns
     -------
@@ -116,10 +116,9 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
         raise ValueError(f"method must be cells or axis, got {method!r}")
     if method == "axis":
         system.require_continuous()
-        system.require_real()
     if method is not None:
         return method == "axis"
-    return usual and not system.dt and not disks_of(system) and system.order > FEW_STATES and axis_takes(system, box)
+    return usual and not system.dt and system.order > FEW_STATES and axis_takes(system, box)
 
 
 def robust_stability(
@@ -238,7 +237,8 @@ def robust_performance(
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     with one_thread():
         if disks_of(chosen):
-            return performance_by_cells(chosen, ends, level, largest, gap, until, seed)
+            over_axis = _over_axis(chosen, ends, None)
+            return disk_performance(chosen, ends, level, largest, gap, until, seed, over_axis)
         worst = _too_large(chosen, ends, level, largest, seed)
         lower, proof = 0.0, None
         aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)

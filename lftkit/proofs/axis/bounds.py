@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,15 +18,17 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
 from lftkit.proofs.sampled_loop.bounds import prove_level
-from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, least_level
+from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
+from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
+from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
 from lftkit.proofs.state_space.search import (
     Member,
     climbed,
     member_gain,
     scaled_box,
-    smallest_unstable_factor,
     worst_member,
 )
 from lftkit.proofs.trusted.proof import Interval, Strip
@@ -53,36 +55,45 @@ class _Axis:
     """The proof of one claim as far as it is: strips on both sides of the border, and the pieces that are left."""
 
     proof: AxisProof
+    disks: list[DiskChannels]
     pieces: list[Piece]
     strips: dict[bool, list[Strip]] = field(default_factory=lambda: {False: [], True: []})
-    worst: Member | None = None
+    worst: DiskMember | None = None
 
     @classmethod
-    def of(cls, system: System, kind: str, box: Sequence[Interval], band: Interval) -> _Axis:
-        """An empty proof for a system whose channels are sorted.
+    def of(
+        cls,
+        system: System,
+        kind: str,
+        box: Sequence[Interval],
+        band: Interval,
+        radii: Mapping[str, float] | None = None,
+    ) -> _Axis:
+        """An empty proof for a system whose channels are sorted, those of real elements first.
+
+        `radii`: of complex numbers and dynamics by name, in the place of their own.
 
         Raises
         ------
         ValueError
-            There is no parameter; the nominal member is not in the box, or not stable, or its poles can't be separated.
+            There is no element, or a matrix of dynamics occurs more than once; the nominal member is not in the box,
+            not stable, or its poles can't be separated.
         """
-        if not system.parameters:
-            raise ValueError("the system must have parameters, got none")
-        q = len(system.channels)
+        if not system.elements:
+            raise ValueError("the system must have uncertain elements, got none")
+        q, disks = len(system.channels), disks_of(system, radii)
         inner = slice(0, q if kind == "stability" else None)
-        groups, at = [], 0
-        for size in system.occurrences().values():
-            groups.append(tuple(range(at, at + size)))
-            at += size
+        names = [p.name for p in system.parameters]
+        groups = [tuple(i for i, channel in enumerate(system.channels) if channel == name) for name in names]
         poles, T, X = modal_form(system.A)
         fastest = 4.0 * float(np.abs(poles).max(initial=0.25))
         border = 2.0 ** math.ceil(math.log2(max(fastest, band[0], 1e-100)))
         proof = AxisProof(
             kind,
             None,
-            tuple(p.name for p in system.parameters),
-            tuple(p.nominal for p in system.parameters),
-            tuple((float(low), float(high)) for low, high in box),
+            (*names, *(disk.name for disk in disks)),
+            (*(p.nominal for p in system.parameters), *(0.0 for _ in disks)),
+            (*((float(low), float(high)) for low, high in box), *((-disk.radius, disk.radius) for disk in disks)),
             band,
             np.array(system.A),
             np.array(system.B[:, inner]),
@@ -91,17 +102,19 @@ class _Axis:
             poles,
             T,
             X,
-            tuple(groups),
+            (*groups, *(disk.channels for disk in disks)),
+            (*(REAL for _ in names), *(FULL if disk.full else COMPLEX for disk in disks)),
             border,
         )
         if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.model(False).nominal_stable():
             raise ValueError(SEPARATE)
-        whole = tuple(_widened(ends, p.upper - p.lower) for ends, p in zip(proof.deviations, system.parameters))
+        widths = [p.upper - p.lower for p in system.parameters]
+        whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
         high = min(band[1], border) if math.isinf(band[1]) else band[1]
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
         if math.isinf(band[1]):
             pieces.append((True, whole, (0.0, 1.0 / border)))
-        return cls(proof, pieces)
+        return cls(proof, disks, pieces)
 
     def prove(self, level: float, until: float, seed: int) -> bool:
         """Prove the pieces that are left; True if none is left now."""
@@ -114,9 +127,16 @@ class _Axis:
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
-                point = np.clip(found.point + np.array(self.proof.nominal), *np.array(self.proof.box).T)
-                self.worst = Member(found.lower, point, 1.0 / found.omega if beyond else found.omega)
+                self.worst = self._member(found.lower, found.point, 1.0 / found.omega if beyond else found.omega)
         return not self.pieces
+
+    def _member(self, gain: float, deviations: FloatArray, omega: float) -> DiskMember:
+        """A member that was met, in which complex and dynamic elements have real values."""
+        values = np.clip(deviations + np.array(self.proof.nominal), *np.array(self.proof.box).T)
+        count = len(values) - len(self.disks)
+        of_disks = zip(self.disks, values[count:])
+        disks = {disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks}
+        return DiskMember(gain, values[:count], omega, disks)
 
     def _model(self, beyond: bool) -> AxisModel:
         return self.proof.model(beyond)
@@ -131,8 +151,9 @@ class _Axis:
     def uncovered(self) -> tuple[Cell, ...]:
         """Pieces that are left, as cells."""
         cells = []
+        real = len(self.proof.box) - len(self.disks)
         for beyond, box, (low, high) in self.pieces:
-            ends = tuple((at + a, at + b) for at, (a, b) in zip(self.proof.nominal, box))
+            ends = tuple((at + a, at + b) for at, (a, b) in zip(self.proof.nominal[:real], box))
             above = 1.0 / low if low > 0.0 else math.inf
             cells.append(Cell(ends, (1.0 / high, above) if beyond else (low, high)))
         return tuple(cells)
@@ -141,7 +162,7 @@ class _Axis:
 def axis_takes(system: System, box: Sequence[Interval]) -> bool:
     """Whether a box of a system is one for this method: the nominal member in it, stable, with separate poles."""
     try:
-        _Axis.of(system.sorted_channels(), "stability", box, WHOLE)
+        _Axis.of(real_first(system), "stability", box, WHOLE)
     except ValueError:
         return False
     return True
@@ -166,14 +187,14 @@ def gain_over_axis(
         The nominal member is not in the box, is not stable, or its poles can't be separated; no parameter.
     """
     start = time.monotonic()
-    worst = worst_member(system, box, band, seed=seed)
+    disks = disks_of(system)
+    worst = DiskSearch(system, box, band, seed).worst_member() if disks else worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
 
     def bounds(upper: float, status: str) -> Bounds:
         proof = axis.finished(upper) if axis is not None and np.isfinite(upper) else None
         left = axis.uncovered() if axis is not None and proof is None and status == "out_of_time" else ()
-        point = {p.name: float(v) for p, v in zip(system.parameters, worst.point)}
-        return Bounds(worst.gain, upper, point, worst.frequency, proof, status, left)
+        return Bounds(worst.gain, upper, named_member(system, worst), worst.frequency, proof, status, left)
 
     if axis is None:
         return bounds(np.inf, "unstable")
@@ -184,7 +205,7 @@ def gain_over_axis(
         closed = axis.prove(target, start + FIRST * wall_limit, seed)
         if axis.worst is None or axis.worst.gain <= worst.gain:
             break
-        worst, before = _improved(system, box, band, axis.worst, worst), worst
+        worst, before = _improved(system, box, band, seed, axis.worst, worst), worst
         if np.isinf(worst.gain):
             return bounds(np.inf, "unstable")
         if closed or worst.gain <= before.gain * (1.0 + 1e-6) or time.monotonic() - start > FIRST * wall_limit:
@@ -204,8 +225,11 @@ def gain_over_axis(
     return bounds(upper, "closed" if done else "out_of_time")
 
 
-def _improved(system: System, box: list[Interval], band: Interval, met: Member, worst: Member) -> Member:
+def _improved(system: System, box: list[Interval], band: Interval, seed: int, met: DiskMember, worst: Member) -> Member:
     """The better of the worst member and one that was met in a proof, climbed."""
+    if met.disks:
+        climbing = DiskSearch(system, box, band, seed).climbed(met)
+        return climbing if climbing.gain > worst.gain else worst
     member = member_gain(system, met.point, band)
     if not np.isinf(member.gain):
         member = climbed(system, box, band, member)
@@ -217,27 +241,25 @@ def stability_over_axis(
 ) -> Bounds:
     """Factor of the box that stays stable; system, box and errors as for :func:`gain_over_axis`."""
     nominal = np.array([p.nominal for p in system.parameters])
-
-    def named(point: FloatArray) -> dict[str, float]:
-        return {p.name: float(v) for p, v in zip(system.parameters, point)}
-
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):
-        return Bounds(0.0, 0.0, named(nominal), first.frequency, None, "unstable")
-    factor, point, frequency = smallest_unstable_factor(system, box, largest, seed=seed)
+        return Bounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
+    factor, worst = smallest_unstable(system, box, largest, seed)
+    point = named_member(system, worst)
     aim = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     left: tuple[Cell, ...] = ()
     for number, part in enumerate(LOWERED):
-        axis = _Axis.of(system, "stability", scaled_box(system, box, part * aim), WHOLE)
+        scaled = scaled_box(system, box, part * aim), WHOLE, scaled_radii(system, part * aim)
+        axis = _Axis.of(system, "stability", *scaled)
         now = time.monotonic()
         share = FIRST if number == 0 else 0.5
         if axis.prove(1.0, now + share * (until - now), seed):
             lower = part * aim
             closed = (np.isinf(factor) and part == 1.0) or factor <= (1.0 + gap) * lower
             status = "closed" if closed else "out_of_time"
-            return Bounds(lower, factor, named(point), frequency, axis.finished(None), status)
+            return Bounds(lower, factor, point, worst.frequency, axis.finished(None), status)
         left = axis.uncovered()
-    return Bounds(0.0, factor, named(point), frequency, None, "out_of_time", left)
+    return Bounds(0.0, factor, point, worst.frequency, None, "out_of_time", left)
 
 
 def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
 from lftkit.proofs.trusted.premises import require_strip
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.strips import check_strip
@@ -61,7 +62,10 @@ def _checked(proof: AxisProof, each: Callable[..., Iterable[int | str]]) -> Chec
     stable = proof.band == (0.0, math.inf) and inside and proof.model(False).nominal_stable()
     if proof.kind == "stability" and not stable:
         raise ProofError("a proof of stability needs the whole axis and a stable nominal member in the box")
-    return CheckedProof(proof.kind, proof.level, dict(zip(proof.names, proof.box)), proof.band, windows, 1.0, stable)
+    named = list(zip(proof.names, proof.kinds, proof.box))
+    box = {name: ends for name, kind, ends in named if kind == REAL}
+    disks = {name: ends[1] for name, kind, ends in named if kind != REAL}
+    return CheckedProof(proof.kind, proof.level, box, proof.band, windows, 1.0, stable, disks)
 
 
 def _check_part(
@@ -78,6 +82,7 @@ def _check_part(
         return 0
     for number, strip in enumerate(strips):
         require_strip(number, strip, model)
+        _require_disks(number, strip, model.kinds)
     require_cover(strips, box, band, unit)
     windows = 0
     for number, outcome in enumerate(each(check_strip, [(model, strip, level) for strip in strips])):
@@ -85,6 +90,21 @@ def _check_part(
             raise ProofError(f"strip {number}: {outcome}")
         windows += outcome
     return windows
+
+
+def _require_disks(number: int, strip: Strip, kinds: Sequence[str]) -> None:
+    """Scalings of complex and dynamic elements, whose terms are not negative for any value in the whole disk.
+
+    In an interval [-r, r] the term of a strip is ``2 (r^2 z* D z - w* D w)`` and what G adds. Without G it holds for
+    ``w = delta z`` with every complex delta up to r; where D is a number, for ``w = Delta z`` with every matrix of norm
+    up to r.
+    """
+    for kind, (low, high), D, G in zip(kinds, strip.box, strip.D, strip.G):
+        if kind == REAL:
+            continue
+        single = kind == COMPLEX or np.array_equal(D, D[:, :1, :1] * np.eye(D.shape[-1]))
+        if low != -high or np.any(G) or not single:
+            raise ProofError(f"strip {number} must have a whole disk, G zero and D of its kind for {kind} elements")
 
 
 def _require_claim(proof: AxisProof) -> float:
@@ -103,10 +123,18 @@ def _require_claim(proof: AxisProof) -> float:
     count = len(proof.groups)
     if not len(proof.names) == len(set(proof.names)) == len(proof.nominal) == len(proof.box) == count:
         raise ProofError("each parameter must have a name of its own, a nominal value and an interval")
+    disks = [ends == (-ends[1], ends[1]) and at == 0.0 for ends, at, kind in _disks_of(proof)]
+    if len(proof.kinds) != count or not {*proof.kinds} <= {REAL, COMPLEX, FULL} or not all(disks):
+        raise ProofError("each element must be real, or a disk about zero")
     numbers = [*proof.nominal, *(end for ends in proof.box for end in ends)]
     if not all(map(math.isfinite, numbers)) or not all(low <= high for low, high in proof.box):
         raise ProofError(f"intervals must be finite with lower <= upper, got {proof.box}")
     return level
+
+
+def _disks_of(proof: AxisProof) -> list[tuple[Interval, float, str]]:
+    """Interval, nominal value and kind of the elements that are not real."""
+    return [each for each in zip(proof.box, proof.nominal, proof.kinds) if each[2] != REAL]
 
 
 def _require_matrices(proof: AxisProof) -> None:

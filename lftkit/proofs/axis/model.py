@@ -35,7 +35,10 @@ class AxisModel:
     T, X : ndarray, complex, shape (n, n)
         About the eigenvectors of A and their inverse.
     groups : tuple of tuple of int
-        Channels of each parameter.
+        Channels of each element.
+    kinds : tuple of str
+        ``real``, ``complex`` (a number) or ``full`` (a matrix) for each element; the latter two are bounded by the ends
+        of an interval about zero.
     beyond : bool
         Whether the variable is the inverse of the frequency.
     """
@@ -48,6 +51,7 @@ class AxisModel:
     T: ComplexArray
     X: ComplexArray
     groups: tuple[tuple[int, ...], ...]
+    kinds: tuple[str, ...]
     beyond: bool
 
     @cached_property

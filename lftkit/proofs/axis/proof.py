@@ -11,6 +11,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
+from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.trusted.proof import Interval, Strip
 
@@ -30,11 +31,11 @@ class AxisProof:
     level : float or None
         The gain from all inputs to all outputs is below it; None for stability.
     names : tuple of str
-        Of the parameters.
+        Of the parameters and of complex and dynamic elements.
     nominal : tuple of float
-        Their nominal values.
+        Their nominal values; zero for complex and dynamic elements.
     box : tuple of (low, high)
-        Their intervals, physical values.
+        Their intervals, physical values; minus and plus the radius of complex numbers, the bound of dynamics.
     band : (low, high)
         Frequencies [rad/s]; high may be infinite.
     A, B, C, D : ndarray
@@ -43,7 +44,9 @@ class AxisProof:
     poles, T, X : ndarray, complex
         As of :class:`~lftkit.proofs.axis.model.AxisModel`.
     groups : tuple of tuple of int
-        Channels of each parameter.
+        Channels of each element.
+    kinds : tuple of str
+        Of each element, as of :class:`~lftkit.proofs.axis.model.AxisModel`: all real in files without them.
     border : float
         Power of two: frequency [rad/s] from which strips are over the inverse of the frequency.
     below, above : tuple of Strip
@@ -64,6 +67,7 @@ class AxisProof:
     T: ComplexArray
     X: ComplexArray
     groups: tuple[tuple[int, ...], ...]
+    kinds: tuple[str, ...]
     border: float
     below: tuple[Strip, ...] = field(default=())
     above: tuple[Strip, ...] = field(default=())
@@ -75,7 +79,8 @@ class AxisProof:
 
     def model(self, beyond: bool) -> AxisModel:
         """Responses over the frequencies below or beyond the border."""
-        return AxisModel(self.A, self.B, self.C, self.D, self.poles, self.T, self.X, self.groups, beyond)
+        matrices = self.A, self.B, self.C, self.D, self.poles, self.T, self.X
+        return AxisModel(*matrices, self.groups, self.kinds, beyond)
 
     @property
     def deviations(self) -> tuple[Interval, ...]:
@@ -93,6 +98,7 @@ class AxisProof:
             "box": self.box,
             "band": [self.band[0], None if math.isinf(self.band[1]) else self.band[1]],
             "groups": self.groups,
+            "kinds": self.kinds,
             "border": self.border,
         }
         arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
@@ -122,6 +128,7 @@ class AxisProof:
                 box=box,
                 band=(float(low), math.inf if high is None else float(high)),
                 groups=tuple(tuple(map(int, group)) for group in header["groups"]),
+                kinds=tuple(map(str, header.get("kinds", [REAL] * len(box)))),
                 border=float(header["border"]),
                 below=below,
                 above=above,

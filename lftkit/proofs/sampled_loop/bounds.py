@@ -18,6 +18,7 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop.branching import Branching
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
 from lftkit.proofs.trusted.given import Responses
@@ -186,7 +187,7 @@ class _State:
             axis = int(np.argmax(losses))
         if reached >= high:
             return
-        if depth == DEEPEST:
+        if depth == DEEPEST or self.model.kinds[axis] != REAL:
             self.found.uncovered.append((box, (reached, high)))
             return
         if not wide:
@@ -230,11 +231,12 @@ class _State:
             if reached >= high:
                 return
             end = min(high, reached * (1.0 + self.part))
-            if depth >= self.deepest:
+            axis = self.branching.axis(box, root, reached, losses) if depth < self.deepest else None
+            if axis is None:
                 self.found.uncovered.append((box, (reached, end)))
             else:
                 self._look(box, reached, end)
-                for half in _halves(box, self.branching.axis(box, root, reached, losses)):
+                for half in _halves(box, axis):
                     self.prove(half, reached, end, depth + 1, root)
             at = end
 

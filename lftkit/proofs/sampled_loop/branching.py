@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
 from lftkit.proofs.trusted.given import Responses
 from lftkit.proofs.trusted.proof import Interval
@@ -53,8 +54,8 @@ class Branching:
     until: float = math.inf
     known: list[tuple[Box, float, FloatArray | None]] = field(default_factory=list)
 
-    def axis(self, box: Box, root: Box, omega: float, losses: FloatArray) -> int:
-        """Parameter to bisect.
+    def axis(self, box: Box, root: Box, omega: float, losses: FloatArray) -> int | None:
+        """Parameter to bisect; None where all elements are disks, which are whole.
 
         Parameters
         ----------
@@ -67,11 +68,14 @@ class Branching:
         losses : ndarray
             Of the parameters, which decide where holding one of them gains nothing in `root`.
         """
+        real = np.array([kind == REAL for kind in self.model.kinds])
+        if not np.any(real):
+            return None
         gains = self._gains(root, omega)
         if gains is None or not np.any(gains):
             return int(np.argmax(_without_circles(losses, box)))
         left = [(b - a) / (high - low) if high > low else 0.0 for (a, b), (low, high) in zip(box, root)]
-        return int(np.argmax((gains + SMALL) * left))
+        return int(np.argmax(np.where(real, (gains + SMALL) * left, -np.inf)))
 
     def _gains(self, root: Box, omega: float) -> FloatArray | None:
         """Levels gained by holding each parameter; None where none can be proven of the box."""
@@ -88,6 +92,8 @@ class Branching:
             return None
         gains = np.zeros(len(root))
         for axis, (low, high) in enumerate(root):
+            if self.model.kinds[axis] != REAL:
+                continue
             worst = -BELOW
             for point in POINTS if high > low else ():
                 at, width = low + point * (high - low), HELD * (high - low)

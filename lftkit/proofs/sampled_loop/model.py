@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop import coordinates
 from lftkit.proofs.trusted.given import GivenLoop
 from lftkit.proofs.trusted.loop import CHANGE
@@ -18,6 +19,11 @@ from lftkit.proofs.trusted.proof import Box, Strip
 @dataclass(frozen=True)
 class LoopModel(GivenLoop):
     """The loop of a proof, for those who search proofs and for the checker; fields are those of :class:`Loop`."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """All parameters are real."""
+        return (REAL,) * len(self.groups)
 
     @property
     def slowest(self) -> float:

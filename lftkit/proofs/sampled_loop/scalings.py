@@ -80,25 +80,46 @@ class ScalingTest:
         weight, amplitude = model.amplitudes(omega)
         maps = np.vstack([inner, out * (weight / level)])
         maps[:, q:] *= amplitude
-        self.scale = balanced(maps, q)
+        self.scale = self._scale(maps)
         maps = maps / np.concatenate([self.scale[:q], np.full(d, self.scale[q])])
         maps[:q] *= self.scale[:q, None]
         maps[q:] *= self.scale[q]
         inputs = np.eye(q + d, dtype=complex)
         self.factors = [_factors(angle, *ends) for angle, ends in zip(model.angle, box)]
-        kind = COMPLEX if static else REAL
-        kinds = [ANY_REAL if angle and is_circle(*ends) else kind for angle, ends in zip(model.angle, box)]
-        blocks = [BarrierBlock(kind, maps[group], inputs[group]) for kind, group in zip(kinds, self.groups)]
+        real = [
+            ANY_REAL if angle and is_circle(*ends) else COMPLEX if static else REAL
+            for angle, ends in zip(model.angle, box)
+        ]
+        self.kinds = [of_real if kind == REAL else kind for kind, of_real in zip(model.kinds, real)]
+        blocks = [BarrierBlock(kind, maps[group], inputs[group]) for kind, group in zip(self.kinds, self.groups)]
         self.gain = d > 0
         if self.gain:
             blocks.append(BarrierBlock(FULL, maps[q:], inputs[q:]))
         self.problem = barrier_problem(blocks, PENALTY)
+
+    def _scale(self, maps: ComplexArray) -> FloatArray:
+        """Scales of the channels, and that of the gain last, that balance the maps; those of a matrix are equal."""
+        if FULL not in self.model.kinds:
+            return balanced(maps, self.model.sizes[0])
+        units = [[i] for g, kind in zip(self.groups, self.model.kinds) if kind != FULL for i in g]
+        units += [g for g, kind in zip(self.groups, self.model.kinds) if kind == FULL]
+        q = self.model.sizes[0]
+        member = np.zeros((q, len(units)))
+        for number, unit in enumerate(units):
+            member[unit, number] = 1.0
+        power = np.abs(maps) ** 2
+        inner = np.hstack([member.T @ power[:q, :q] @ member, member.T @ power[:q, q:]])
+        outer = np.hstack([power[q:, :q] @ member, power[q:, q:]])
+        scale = balanced(np.sqrt(np.vstack([inner, outer])), len(units))
+        return np.concatenate([member @ scale[:-1], scale[-1:]])
 
     def scalings(self, y: FloatArray) -> NodeScalings:
         """Scalings of the problem's variables."""
         D, G = [], []
         for k, group in enumerate(self.groups):
             d, g = self.problem.matrices(y, k)
+            if self.kinds[k] == FULL:
+                d, g = (part[0, 0] * np.eye(len(group)) for part in (d, g))
             size = np.outer(self.scale[group], self.scale[group])
             square, single = self.factors[k]
             D.append(_hermitian(size * d / square))
@@ -114,8 +135,9 @@ class ScalingTest:
         for k, group in enumerate(self.groups):
             size = np.outer(self.scale[group], self.scale[group])
             square, single = self.factors[k]
-            D.append(scalings.D[k] * square / size)
-            G.append(scalings.G[k] * single / size)
+            own = slice(0, 1 if self.kinds[k] == FULL else None)
+            D.append((scalings.D[k] * square / size)[own, own])
+            G.append((scalings.G[k] * single / size)[own, own])
         if self.gain:
             D.append(np.array([[scalings.factor / self.scale[-1] ** 2]], dtype=complex))
             G.append(np.zeros((1, 1), complex))
@@ -160,8 +182,9 @@ class ScalingTest:
         return y
 
     def losses(self, y: FloatArray) -> FloatArray:
-        """What the interval of each parameter costs: the largest is the one to bisect."""
-        return self.problem.result(y).losses[: len(self.groups)]
+        """What the interval of each parameter costs: the largest is the one to bisect. None of a disk is."""
+        losses = self.problem.result(y).losses[: len(self.groups)]
+        return np.where([kind == REAL for kind in self.model.kinds], losses, -np.inf)
 
 
 def _opened(ends: Interval, own: ComplexArray) -> Interval:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.checker import Inequality, frequencies
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
@@ -286,13 +286,8 @@ class DiskGainByCells(GainByCells):
 
     def searched(self) -> Member:
         """The worst member that a search finds, values of complex and dynamic elements included."""
-        search = self._search = DiskSearch(self.axis, self.box, self.over, self.seed)
-        middle = np.array([0.5 * (low + high) for low, high in self.box])
-        real = member_gain(self.axis, middle, self.over)
-        if np.isinf(real.gain):
-            return real
-        unstable = search.unstable(1.0) if self.over == WHOLE else None
-        return search.largest_gain() if unstable is None else unstable[1]
+        self._search = DiskSearch(self.axis, self.box, self.over, self.seed)
+        return self._search.worst_member()
 
     def _at_middle(self, cell: Cell) -> Member:
         low, high = cell.band
@@ -314,7 +309,7 @@ def stability_by_cells(
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
         return Bounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
-    factor, worst = _smallest_unstable(axis, box, largest, seed)
+    factor, worst = smallest_unstable(axis, box, largest, seed)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
     left: tuple[Cell, ...] = ()
@@ -351,7 +346,7 @@ def stability_by_cells(
     return Bounds(lower, factor, named_member(system, worst), worst.frequency, proof, status, left)
 
 
-def _smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
+def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
     """Smallest factor of the box that is found to have an unstable member, infinite if none was, and the member."""
     factor, point, frequency = smallest_unstable_factor(without_disks(axis), box, largest, seed=seed)
     worst = Member(np.inf, point, frequency)
@@ -390,3 +385,21 @@ def named_member(system: System, member: Member) -> dict[str, Any]:
             deviation = np.zeros((e.outputs, e.inputs), complex) if deviation is None else deviation
             values[e.name] = dynamics_with(deviation, member.frequency, system.dt)
     return values
+
+
+def member_named(system: System, bounds: Bounds) -> DiskMember:
+    """The member of a system in continuous time that bounds name, with the values of its elements there."""
+    point = np.array([bounds.point[p.name] for p in system.parameters])
+    disks = {}
+    for e in system.elements:
+        if isinstance(e, RealParameter):
+            continue
+        value: Any = bounds.point[e.name]
+        there = value - e.nominal if isinstance(e, ComplexParameter) else _at(value, bounds.frequency)
+        disks[e.name] = np.atleast_2d(np.asarray(there, complex))
+    return DiskMember(bounds.lower, point, bounds.frequency, disks)
+
+
+def _at(dynamics: System, omega: float) -> ComplexArray:
+    """Value of dynamics at a frequency, which may be infinite."""
+    return np.asarray(dynamics.D if np.isinf(omega) else dynamics(1j * omega), complex)

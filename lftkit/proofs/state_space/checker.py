@@ -36,7 +36,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -154,13 +154,6 @@ class Disk:
             raise ProofError(f"disk {name!r} must have a positive radius, sizes and channels for each occurrence")
         places = [own[at : at + width] for at in range(0, len(own), width)]
         return cls(name, radius, [place[:inputs] for place in places], places)
-
-
-@dataclass(frozen=True)
-class CheckedCells(CheckedProof):
-    """What a proof by cells guarantees; `disks`: radii of complex numbers and bounds of dynamics by name."""
-
-    disks: dict[str, float] = field(default_factory=dict)
 
 
 class Inequality:
@@ -301,7 +294,7 @@ def digest(proof: dict[str, Any]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def check_proof(proof: Any) -> CheckedCells:
+def check_proof(proof: Any) -> CheckedProof:
     """Verify a proof; a ProofError says why it is refused.
 
     Parameters
@@ -326,7 +319,7 @@ def _band(ends: Any) -> tuple[float, float]:
     return band
 
 
-def _checked(proof: dict[str, Any]) -> CheckedCells:
+def _checked(proof: dict[str, Any]) -> CheckedProof:
     if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
         raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
     if proof["sha256"] != digest(proof):
@@ -351,7 +344,7 @@ def _checked(proof: dict[str, Any]) -> CheckedCells:
         raise ProofError("a proof of stability must have a stable member and a band from zero to infinity")
     named, omega = dict(zip(inequality.names, box)), frequencies(band, inequality.dt)
     disks = {disk.name: disk.radius for disk in inequality.disks}
-    return CheckedCells(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable, disks)
+    return CheckedProof(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable, disks)
 
 
 def _smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:

@@ -20,7 +20,7 @@ from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
 from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
-from lftkit.proofs.state_space.search import Member
+from lftkit.proofs.state_space.search import Member, member_gain
 from lftkit.systems.lft import response
 from lftkit.systems.system import System
 
@@ -202,6 +202,21 @@ class DiskSearch:
         value, omega, found = self.worst(self._gain_at)
         point, values = found
         return DiskMember(value, point, omega, values)
+
+    def worst_member(self) -> Member:
+        """The member with the largest gain found: infinite where one is unstable."""
+        middle = np.array([0.5 * (low + high) for low, high in self.box])
+        real = member_gain(self.system, middle, self.band)
+        if np.isinf(real.gain):
+            return real
+        unstable = self.unstable(1.0) if self.band == (0.0, np.inf) else None
+        return self.largest_gain() if unstable is None else unstable[1]
+
+    def climbed(self, member: DiskMember) -> DiskMember:
+        """That of an ascent from a member at its frequency."""
+        nominal = np.array([p.nominal for p in self.system.parameters])
+        value, found = self._ascent(self.response(member.frequency), member.point - nominal, dict(member.disks))
+        return DiskMember(value, found[0], member.frequency, found[1])
 
     def gain(self, M: ComplexArray, real: FloatArray, values: dict[str, ComplexArray]) -> float:
         """Gain of the member with deviations `real` (p,) and `values`, by the response `M` of all channels."""

@@ -37,6 +37,11 @@ class Responses(Protocol):
         ...
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """``real`` for each parameter; else ``complex`` or ``full``, whose intervals are never bisected."""
+        ...
+
+    @property
     def slowest(self) -> float:
         """Value of the variable well below which all responses are nearly real."""
         ...
@@ -67,6 +72,11 @@ class GivenLoop(Loop):
 
     def at(self, omega: float, /) -> tuple[ComplexArray, ComplexArray]:
         """``z`` and the bounded output by (w, d) at one frequency, without bounds."""
+        raise NotImplementedError
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """As of :class:`Responses`."""
         raise NotImplementedError
 
     @property

@@ -19,6 +19,7 @@ from lftkit.proofs import robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof, check_axis_proof
 from lftkit.proofs.axis.bounds import axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
+from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.trusted.proof import ProofError
 
 LONG = 3600.0
@@ -51,9 +52,8 @@ def test_windows_contain_the_responses_of_the_given_matrices() -> None:
     for seed in range(4):
         system = random_system(seed)
         for beyond in (False, True):
-            model = AxisModel(
-                system.A, system.B, system.C, system.D, *modal_form(system.A), ((0,), (1, 3), (2,)), beyond
-            )
+            matrices = system.A, system.B, system.C, system.D, *modal_form(system.A)
+            model = AxisModel(*matrices, ((0,), (1, 3), (2,)), (REAL,) * 3, beyond)
             assert model.nominal_stable()
             V = rng.normal(size=(5, 4)) + 1j * rng.normal(size=(5, 4))
             for width in (1e-6, 0.02):
@@ -74,7 +74,8 @@ def test_an_inexact_basis_of_eigenvectors_is_within_the_bound() -> None:
     poles, T, X = modal_form(system.A)
     for size, passes in ((1e-6, True), (1e-3, True), (3.0, False)):
         wrong = X + size * rng.normal(size=X.shape) * np.abs(X)
-        model = AxisModel(system.A, system.B, system.C, system.D, poles, T, wrong, ((0,), (1, 3), (2,)), False)
+        matrices = system.A, system.B, system.C, system.D, poles, T, wrong
+        model = AxisModel(*matrices, ((0,), (1, 3), (2,)), (REAL,) * 3, False)
         if not passes:
             with pytest.raises(ArithmeticError):
                 model.responses(0.7, 1e-3, np.eye(5, dtype=complex))
@@ -198,7 +199,7 @@ def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
     B[6], C[0, 6], C[1, 0] = 1.0, 1.0, 1.0
     chain = System(A, B, C, np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
     certain = System([[-1.0]], [[1.0]], [[1.0]], [[0.0]], *ports)
-    for system, message in ((chain, "separate poles"), (certain, "must have parameters")):
+    for system, message in ((chain, "separate poles"), (certain, "must have uncertain elements")):
         with pytest.raises(ValueError, match=message):
             axis_gain(system)
         with pytest.raises(ValueError, match=message):

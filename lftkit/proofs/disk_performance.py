@@ -1,7 +1,8 @@
 """Robust performance of systems with complex or dynamic elements: the factor of all uncertainty that keeps a gain.
 
 The box of the real elements is scaled about the nominal values, disks and bounds of the others about zero. What exceeds
-the level is looked for along rays to members that searches find; what stays below it is a proof by cells.
+the level is looked for along rays to members that searches find; what stays below it is a proof, by cells or over the
+frequency axis.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, DiskGainByCells, named_member
-from lftkit.proofs.state_space.circle import over_axis, reached
+from lftkit.proofs.axis.bounds import gain_over_axis
+from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, DiskGainByCells, member_named, named_member
+from lftkit.proofs.state_space.circle import over_axis as axis_system
+from lftkit.proofs.state_space.circle import reached
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.search import Member, member_gain, scaled_box
 from lftkit.systems.system import System
@@ -33,8 +36,8 @@ RAY, PRECISION = 64, 1e-7
 Box = list[tuple[float, float]]
 
 
-def performance_by_cells(
-    system: System, box: Box, level: float, largest: float, gap: float, until: float, seed: int
+def disk_performance(
+    system: System, box: Box, level: float, largest: float, gap: float, until: float, seed: int, over_axis: bool
 ) -> Bounds:
     """Largest factor of all elements that keeps the gain below a level; ``time.monotonic()`` ends it.
 
@@ -44,6 +47,8 @@ def performance_by_cells(
         With the channels of its real elements first, and inputs and outputs.
     box : list of (low, high)
         Of its real elements.
+    over_axis : bool
+        Whether proofs are those of the frequency axis.
 
     Raises
     ------
@@ -53,7 +58,7 @@ def performance_by_cells(
     nominal = np.array([p.nominal for p in system.parameters])
     if not all(low <= p.nominal <= high for p, (low, high) in zip(system.parameters, box)):
         raise ValueError("box must contain the nominal values, got another")
-    first = member_gain(over_axis(system), nominal, WHOLE)
+    first = member_gain(axis_system(system), nominal, WHOLE)
     if np.isinf(first.gain):
         raise ValueError(f"{system.name}: the nominal member must be stable, got an unstable one")
     if first.gain >= level:
@@ -65,12 +70,11 @@ def performance_by_cells(
         left = until - time.monotonic()
         if left <= 0.0:
             break
-        cells = _scaled_cells(system, box, aim, level, gap, PART * left, seed)
-        found = cells.run()
+        found, member = _attempt(system, box, aim, level, gap, PART * left, seed, over_axis)
         if found.status == "closed":
             lower, proof = aim, found.proof
             break
-        met = _on_ray(system, box, aim, level, cells.worst, seed) if found.status in ("violated", "unstable") else None
+        met = _on_ray(system, box, aim, level, member, seed) if found.status in ("violated", "unstable") else None
         if met is not None:
             worst, aim = met, met[0] / (1.0 + SHARE * gap)
         else:
@@ -99,18 +103,24 @@ def scaled_elements(system: System, factor: float) -> System:
     return replace(system, elements=elements)
 
 
-def _scaled_cells(
-    system: System, box: Box, factor: float, level: float, gap: float, seconds: float, seed: int
-) -> DiskGainByCells:
+def _attempt(
+    system: System, box: Box, factor: float, level: float, gap: float, seconds: float, seed: int, over_axis: bool
+) -> tuple[Bounds, Member]:
+    """Try to prove the level for a factor; the bounds and the member that they name."""
     scaled, ends = scaled_elements(system, factor), scaled_box(system, box, factor)
-    return DiskGainByCells(scaled, ends, WHOLE, level, gap, seconds, MAX_CELLS, seed, False)
+    if over_axis:
+        found = gain_over_axis(scaled, ends, WHOLE, level, gap, seconds, seed)
+        return found, member_named(scaled, found)
+    cells = DiskGainByCells(scaled, ends, WHOLE, level, gap, seconds, MAX_CELLS, seed, False)
+    return cells.run(), cells.worst
 
 
 def _least_found(system: System, box: Box, level: float, largest: float, seed: int) -> tuple[float, Member] | None:
     """The smallest factor at which a search finds a member that reaches the level, and that member; or None."""
     worst, factor = None, min(1.0, largest)
     for _ in range(STEPS):
-        member = _scaled_cells(system, box, factor, level, 1.0, 1.0, seed).searched()
+        scaled, ends = axis_system(scaled_elements(system, factor)), scaled_box(system, box, factor)
+        member = DiskSearch(scaled, ends, WHOLE, seed).worst_member()
         met = _on_ray(system, box, factor, level, member, seed)
         if met is not None:
             worst, factor = met, met[0] * BELOW
@@ -128,7 +138,7 @@ def _on_ray(
 
     `factor`: that of the uncertainty which `member` is one of. None where the level is not reached there.
     """
-    axis = over_axis(system)
+    axis = axis_system(system)
     search = DiskSearch(axis, box, WHOLE, seed)
     M = search.response(member.frequency)
     nominal = np.array([p.nominal for p in system.parameters])
