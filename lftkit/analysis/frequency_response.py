@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from lftkit.analysis.compensated import halves, matrix_product, two_sum
+from lftkit.analysis.compensated import matrix_product, refined_solution
 from lftkit.analysis.eigenvectors import (
     EPS,
     NEWTON_CONVERGED,
@@ -24,6 +24,7 @@ from lftkit.analysis.eigenvectors import (
     complex_columns,
     complex_rows,
     corrected_modes,
+    finely_corrected,
     modes,
 )
 from lftkit.analysis.modal_form import ModalForm
@@ -33,7 +34,6 @@ from lftkit.systems.system import System
 
 MAX_CONDITION = 1e8
 AGREEMENT = 1e-9  # largest relative difference from direct solutions, for the block of a pair of ports
-MAX_REFINEMENTS, REFINED = 8, 1e-9  # of a direct solution; relative correction at which the next would be rounding
 SAMPLED_CONVERGED = 1e-7  # relative change of a sampled system's eigenvectors by the last correction
 MAX_ENTRIES = 2_000_000  # of the numerators that are held at once
 BLOCK = 15_000  # entries of the arrays of one product, so that they stay in the cache
@@ -75,7 +75,15 @@ class FrequencyResponse:
 
     @classmethod
     def of(
-        cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, rounding: float = 0.0, check: bool = True
+        cls,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        *,
+        rounding: float = 0.0,
+        check: bool = True,
+        fine: bool = False,
     ) -> FrequencyResponse:
         """Bring (A, B, C, D), shapes (n, n), (n, m), (p, n), (p, m), to modal or Schur form.
 
@@ -87,6 +95,9 @@ class FrequencyResponse:
         check : bool
             Compare the modal form with direct solutions at three frequencies; leave it out only where the caller
             compares.
+        fine : bool
+            Correct eigenvectors and poles by residuals with seven digits more: for decays that are below the rounding
+            of twice the precision.
         """
         a, b, c, d = (np.asarray(x, dtype=float) for x in (A, B, C, D))
         if len(a) == 0:
@@ -96,6 +107,8 @@ class FrequencyResponse:
         found = modes(a)
         if EPS * np.abs(found.poles).max() > rounding * found.reciprocal_condition * np.abs(found.poles.real).min():
             found = corrected_modes(a, found, max(NEWTON_CONVERGED, 0.01 * np.sqrt(rounding)))
+        if fine:
+            found = finely_corrected(a, found)
         form = cls._with_modes(found, a, b, c, d)
         if form.modal and check and not _reproduces(form, a, b, c, d):
             return cls._with_schur(a, b, c, d)
@@ -365,29 +378,20 @@ def refined_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     """As :func:`direct_response`, with iterative refinement.
 
     The residuals are computed in twice the working precision, so that the solution has the digits that the matrices
-    determine, up to a condition of about 1e14. The matrices should be balanced.
+    determine, up to a condition of about 1e14. Where the LU factors are too coarse for that, near poles of little
+    decay, eigenvectors and poles with seven digits more take their place. The matrices should be balanced.
     """
     if not np.isfinite(omega) or len(A) == 0:
         return np.asarray(D, dtype=complex)
     factors, m = _factors(A, omega), B.shape[1]
     right = np.hstack([B, np.zeros_like(B)])
-    omega1, omega2 = halves(np.array(omega))
-    X, last = np.zeros(right.shape), np.inf  # real parts beside imaginary parts
-    correction = _solved(factors, right)
-    for _ in range(MAX_REFINEMENTS):
-        X = X + correction
-        total, low = matrix_product(A, X)
-        first, second = halves(np.hstack([X[:, m:], -X[:, :m]]))
-        for part in (first * omega1, right):
-            total, error = two_sum(total, part)
-            low += error
-        correction = _solved(factors, total + (low + first * omega2 + second * omega))
-        change, size = np.abs(correction).max(initial=0.0), np.abs(X).max(initial=0.0)
-        if change >= 0.5 * last:  # rounding is all that is left
-            correction = np.zeros_like(X)
-        if change >= 0.5 * last or change <= REFINED * size:
-            break
-        last = change
+    X, correction, settled = refined_solution(A, omega, right, lambda rest: _solved(factors, rest))
+    if not settled:
+        found = finely_corrected(A, corrected_modes(A, modes(A)))
+        if found.reciprocal_condition > EPS:
+            with np.errstate(all="ignore"):  # what is not finite does not settle
+                other = refined_solution(A, omega, right, lambda rest: found.resolvent(omega, rest), fine=True)
+            X, correction = other[:2] if other[2] else (X, correction)
     high, low = matrix_product(C, X)
     value = high + (low + C @ correction)
     return np.asarray(value[:, :m] + 1j * value[:, m:] + D, dtype=complex)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lftkit.analysis.compensated import matrix_product, two_product, two_sum
+from lftkit.analysis.compensated import fine_product, matrix_product, two_product, two_sum
 from lftkit.analysis.eigenvectors import complex_columns, complex_rows, corrected_modes, eigenpairs, modes
 
 NUMBERS = st.floats(-1e50, 1e50).filter(lambda x: x == 0.0 or abs(x) > 1e-50)
@@ -26,7 +26,7 @@ def test_rounding_errors_of_sums_and_products_are_exact(a: float, b: float) -> N
 
 
 @pytest.mark.parametrize("k", [1, 2, 7, 300])
-def test_product_has_seven_digits_more(k: int) -> None:
+def test_products_have_seven_and_fourteen_digits_more(k: int) -> None:
     rng = np.random.default_rng(k)
     A, X = rng.normal(size=(3, k)), rng.normal(size=(k, 2))
     high, low = matrix_product(A, X)
@@ -35,6 +35,9 @@ def test_product_has_seven_digits_more(k: int) -> None:
             exact = sum((Fraction(a) * Fraction(x) for a, x in zip(A[i].tolist(), X[:, j].tolist())), Fraction(0))
             error = abs(Fraction(high[i, j].item()) + Fraction(low[i, j].item()) - exact)
             assert error <= Fraction(k * 2.0**-70 * np.abs(A[i]).max() * np.abs(X[:, j]).max())
+            parts, rest = fine_product(A, X)
+            found = sum((Fraction(part[i, j].item()) for part in (*parts, rest)), Fraction(0))
+            assert abs(found - exact) <= Fraction(k * 2.0**-92 * np.abs(A[i]).max() * np.abs(X[:, j]).max())
 
 
 def spread(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import control
+import mpmath
 import numpy as np
 import pytest
 import scipy.linalg
@@ -14,6 +15,7 @@ from lftkit import Port, System, state_space
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
+from lftkit.analysis.norms import hinf_norm
 
 
 def oscillators(n: int, zeta: float, rng: np.random.Generator):
@@ -134,6 +136,34 @@ def test_refined_solution_has_the_digits_that_the_matrices_determine() -> None:
     exact = exact_static_gain(A, B, C)
     assert float(abs(exact / compliance - 1)) < 1e-5
     assert refined_response(A, B, C, D, 0.0).item() == pytest.approx(float(exact), rel=1e-15)
+
+
+def lightly_damped(seed: int) -> tuple[np.ndarray, ...]:
+    """Pairs over six decades, damping ratios down to 1e-10, in coordinates that mix them: (A, B, C, D)."""
+    rng = np.random.default_rng(seed)
+    pairs = [(10.0 ** rng.uniform(-3, 3), 10.0 ** rng.uniform(-10, -2)) for _ in range(4)]
+    A = scipy.linalg.block_diag(*([[0.0, 1.0], [-w * w, -2.0 * zeta * w]] for w, zeta in pairs))
+    T = np.linalg.qr(rng.standard_normal(A.shape))[0] * np.linspace(1.0, 8.0, len(A))
+    A = np.linalg.solve(T, A @ T)
+    return A, rng.standard_normal((len(A), 1)), rng.standard_normal((1, len(A))), np.zeros((1, 1))
+
+
+def response_of_50_digits(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: float) -> complex:
+    with mpmath.workdps(50):
+        shifted = mpmath.mpc(0, omega) * mpmath.eye(len(A)) - mpmath.matrix(A.tolist())
+        return complex((mpmath.matrix(C.tolist()) * mpmath.lu_solve(shifted, mpmath.matrix(B.tolist())))[0])
+
+
+@pytest.mark.parametrize("seed", [0, 16, 27, 28, 35])
+def test_a_peak_whose_decay_is_below_the_rounding_of_the_matrix_has_its_digits(seed: int) -> None:
+    """LU factors have no digit of the solution there: the norm had been wrong by a factor of up to a hundred."""
+    A, B, C, D = lightly_damped(seed)
+    norm = hinf_norm(A, B, C, D)
+    exact = response_of_50_digits(A, B, C, norm.omega)
+    assert norm.value == pytest.approx(abs(exact), rel=1e-9) and norm.upper == pytest.approx(norm.value, rel=1.1e-7)
+    omega = np.sort([0.1 * norm.omega, norm.omega, 10.0 * norm.omega])
+    found = frequency_response(System(A, B, C, D, [Port("u", 1)], [Port("y", 1)]), omega)[1, 0, 0]
+    assert abs(found - exact) <= 1e-8 * abs(exact)
 
 
 def exact_static_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> Fraction:
