@@ -158,11 +158,11 @@ class Arithmetic:
         return NotImplemented if self._operand(other) is None else self.inverse().__rmul__(other)
 
     def __pow__(self: S, exponent: int) -> S:
-        if not isinstance(exponent, int) or exponent == 0:
+        if not isinstance(exponent, int | np.integer) or exponent == 0:
             raise ValueError(f"exponent must be an integer other than 0, got {exponent!r}")
         base = self if exponent > 0 else self.inverse()
         result = base
-        for _ in range(abs(exponent) - 1):
+        for _ in range(abs(int(exponent)) - 1):
             result = result @ base
         return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, IntArray
+
+
+def as_integer(value: Any, what: str) -> int:
+    """An integer, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{what} must be an integer, got {value!r}") from None
 
 
 @dataclass(frozen=True)
@@ -37,10 +46,14 @@ class Port:
     unit: str = "1"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name of a port must be text, got {self.name!r}")
         if not self.name:
             raise ValueError("name of a port must not be empty, got ''")
-        if self.size < 1:
-            raise ValueError(f"size of port {self.name!r} must be at least 1, got {self.size}")
+        size = as_integer(self.size, f"size of port {self.name!r}")
+        if size < 1:
+            raise ValueError(f"size of port {self.name!r} must be at least 1, got {size}")
+        object.__setattr__(self, "size", size)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -56,14 +69,22 @@ def as_ports(ports: Iterable[Any], what: str) -> tuple[Port, ...]:
     Raises
     ------
     ValueError
-        A name that is used twice; the message begins with `what`.
+        Another form, or a name that is used twice; the message begins with `what`.
     """
-    made = tuple(p if isinstance(p, Port) else Port(*p) for p in ports)
+    made = tuple(_as_port(p, what) for p in ports)
     names = [p.name for p in made]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise ValueError(f"{what}: port names must be unique, got {', '.join(map(repr, twice))} twice")
     return made
+
+
+def _as_port(given: Any, what: str) -> Port:
+    if isinstance(given, Port):
+        return given
+    if not (isinstance(given, tuple | list) and 2 <= len(given) <= 3):
+        raise ValueError(f"{what}: a port must be a Port or (name, size), got {given!r}")
+    return Port(*given)
 
 
 def read_only(array: ArrayLike) -> FloatArray:

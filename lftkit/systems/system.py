@@ -20,7 +20,7 @@ from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.ports import Port, as_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.uncertainty.parameters import RealParameter, as_number
 
 if TYPE_CHECKING:
     import control
@@ -91,6 +91,7 @@ class System(Arithmetic):
         for side in ("inputs", "outputs"):
             object.__setattr__(self, side, as_ports(getattr(self, side), f"{self.name}, {side}"))
         object.__setattr__(self, "channels", tuple(self.channels))
+        object.__setattr__(self, "dt", as_number(self.dt, f"{self.name}: dt"))
         if not (np.isfinite(self.dt) and self.dt >= 0):
             raise ValueError(f"{self.name}: dt must be 0 (continuous time) or positive, got {self.dt}")
         q = len(self.channels)

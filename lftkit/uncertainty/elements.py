@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lftkit.uncertainty.parameters import RealParameter
+from lftkit.systems.ports import as_integer
+from lftkit.uncertainty.parameters import RealParameter, as_number
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,9 @@ class ComplexParameter:
 
     def __post_init__(self) -> None:
         _check_name(self.name)
-        if isinstance(self.nominal, complex) or not math.isfinite(self.nominal):
+        for key in ("nominal", "radius"):
+            object.__setattr__(self, key, as_number(getattr(self, key), f"element {self.name!r}: {key}"))
+        if not math.isfinite(self.nominal):
             raise ValueError(f"element {self.name!r}: nominal must be a finite real number, got {self.nominal}")
         if not (math.isfinite(self.radius) and self.radius > 0):
             raise ValueError(f"element {self.name!r}: radius must be positive, got {self.radius}")
@@ -79,6 +82,9 @@ class DynamicElement:
 
     def __post_init__(self) -> None:
         _check_name(self.name)
+        for key in ("outputs", "inputs"):
+            object.__setattr__(self, key, as_integer(getattr(self, key), f"element {self.name!r}: {key}"))
+        object.__setattr__(self, "bound", as_number(self.bound, f"element {self.name!r}: bound"))
         if self.outputs < 1 or self.inputs < 1:
             raise ValueError(f"element {self.name!r}: sizes must be at least 1, got {self.outputs} x {self.inputs}")
         if not (math.isfinite(self.bound) and self.bound > 0):

@@ -5,6 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
+
+
+def as_number(value: object, what: str) -> float:
+    """A real number as one of Python, which files can keep; a ValueError that begins with `what` for anything else."""
+    if isinstance(value, int | float):
+        return value
+    if isinstance(value, Real):  # of numpy
+        return float(value)
+    raise ValueError(f"{what} must be a finite real number, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,8 @@ class RealParameter:
     def __post_init__(self) -> None:
         if not self.name:
             raise ValueError("name of a parameter must not be empty, got ''")
+        for key in ("nominal", "lower", "upper"):
+            object.__setattr__(self, key, as_number(getattr(self, key), f"parameter {self.name!r}: {key}"))
         bounds = (self.lower, self.nominal, self.upper)
         if not all(math.isfinite(v) for v in bounds):
             raise ValueError(f"parameter {self.name!r}: lower, nominal and upper must be finite, got {bounds}")

@@ -12,7 +12,7 @@ from lftkit.arrays import FloatArray
 from lftkit.systems import lft
 from lftkit.systems.exchange import as_system
 from lftkit.systems.operand import common_period, same_size
-from lftkit.systems.ports import Port, port_indices, port_slices, total_size
+from lftkit.systems.ports import Port, as_ports, port_indices, port_slices, total_size
 from lftkit.systems.system import System
 
 Source = str | tuple[str, ...]
@@ -23,7 +23,7 @@ def connect(
     systems: Mapping[str, System],
     connections: Iterable[Connection],
     *,
-    inputs: Sequence[Port] = (),
+    inputs: Sequence[Port | tuple[str, int]] = (),
     outputs: Mapping[str, Source],
 ) -> System:
     """Connect systems into one.
@@ -35,7 +35,7 @@ def connect(
     connections : iterable of (source, target)
         Target: an input port. Source: an output port or a port of `inputs` (by its bare name), or a
         tuple of such names, which is their sum; a leading ``-`` changes the sign.
-    inputs : sequence of Port
+    inputs : sequence of Port (or of (name, size))
         External inputs.
     outputs : mapping
         External output name to its source (same form as above).
@@ -68,7 +68,8 @@ def connect(
     [2.0, 2.0]
     """
     systems = {name: as_system(system) for name, system in systems.items()}
-    wiring = _Wiring(systems, inputs)
+    external = as_ports(inputs, "connect, inputs")
+    wiring = _Wiring(systems, external)
     drivers: dict[str, Source] = {}
     for source, target in connections:
         wiring.target(target)
@@ -85,7 +86,7 @@ def connect(
     out_ports = tuple(Port(name, *wiring.shape_of(source)) for name, source in outputs.items())
     So, Eo = wiring.selection(list(outputs.values()), out_ports)
     closed = lft.close_loop(whole.lft, len(whole.channels), S, E, So, Eo)
-    return whole.with_lft(closed, inputs=tuple(inputs), outputs=out_ports)
+    return whole.with_lft(closed, inputs=external, outputs=out_ports)
 
 
 class _Wiring:

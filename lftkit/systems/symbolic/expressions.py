@@ -196,13 +196,13 @@ class Expression:
         return _combined(other, self, operator.truediv, lambda a, b: _product(a, b.inverse()))
 
     def __pow__(self, exponent: int) -> Expression:
-        if not isinstance(exponent, int):
+        if not isinstance(exponent, int | np.integer):
             raise ValueError(f"exponent must be an integer, got {exponent!r}")
         if exponent == 0:
             return constant(np.eye(self.shape[0]), self.dt)
         base = self if exponent > 0 else self.inverse()
         result = base
-        for _ in range(abs(exponent) - 1):
+        for _ in range(abs(int(exponent)) - 1):
             result = _series(base, result)
         return result
 

@@ -33,6 +33,8 @@ def resolved(
     """Models with the ports of all goals, and the requirements that the goals are."""
     if not models:
         raise ValueError("a design needs at least one model, got none")
+    for model in models:
+        model.require_certain()
     ready = tuple(_prepared(model, goals) for model in models)
     requirements: list[Requirement] = []
     for goal in goals:

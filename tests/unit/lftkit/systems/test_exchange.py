@@ -168,3 +168,35 @@ def test_connections_take_whatever_is_a_system() -> None:
     )
     assert whole.occurrences() == {"k": 1} and abs(whole.at(k=1.1)(0) - 1.1) < 1e-12
     assert lk.append(theirs.copy(), lk.as_system(3.0, "v", "w")).D.tolist() == [[0.0, 0.0], [0.0, 3.0]]
+
+
+def test_numbers_of_numpy_are_numbers_of_a_file() -> None:
+    elements = (
+        RealParameter("k", np.float32(1.0), np.int64(0), 2.0),  # type: ignore[arg-type]
+        ComplexParameter("c", np.float32(0.5), np.int64(2)),  # type: ignore[arg-type]
+        DynamicElement("d", np.int64(1), np.int64(1), np.float32(0.5)),  # type: ignore[arg-type]
+    )
+    ports = [("u", np.int64(1))], [Port("y", np.int32(1))]  # type: ignore[arg-type]
+    D = np.ones((4, 4)) - np.eye(4)
+    given = System([], [], [], D, *ports, dt=np.float32(0.5), channels=("k", "c", "d"), elements=elements)
+    back = lk.from_json(lk.to_json(given))
+    same(given, back)
+    assert back.dt == 0.5 and back.elements == elements and (lk.s ** np.int64(2))(2.0) == 4.0  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: Port("u", 2.5), "size of port 'u' must be an integer, got 2.5"),
+        (lambda: Port("u", "2"), "size of port 'u' must be an integer, got '2'"),
+        (lambda: Port(3, 1), "name of a port must be text, got 3"),
+        (lambda: System([], [], [], [[1.0]], ["u"], ["y"]), r"a port must be a Port or \(name, size\), got 'u'"),
+        (lambda: System([], [], [], [[1.0]], [("u", 1)], [("y", 1)], dt="0.1"), "dt must be a finite real number"),
+        (lambda: RealParameter("k", "1", 0.0, 2.0), "'k': nominal must be a finite real number, got '1'"),
+        (lambda: ComplexParameter("c", 1j, 2.0), "'c': nominal must be a finite real number, got 1j"),
+        (lambda: DynamicElement("d", 1.5), "'d': outputs must be an integer, got 1.5"),
+    ],
+)
+def test_sizes_and_numbers_of_another_kind_are_named(made: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made()

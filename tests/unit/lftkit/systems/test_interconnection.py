@@ -280,3 +280,11 @@ def test_series_keeps_the_ports_of_its_ends(make) -> None:
     swap = np.eye(3)[[1, 2, 0]]
     np.testing.assert_allclose(response(chain), response(b) @ swap @ response(a), rtol=1e-11)
     assert [p.name for p in chain.inputs] == ["u", "w"] and [p.name for p in chain.outputs] == ["y"]
+
+
+def test_external_inputs_may_be_pairs_of_name_and_size() -> None:
+    gain = static_gain([[2.0, 1.0]], [Port("a", 2)], [Port("b", 1)])
+    made = connect({"g": gain}, [("r", "g.a")], inputs=[("r", 2)], outputs={"b": "g.b"})
+    assert made.inputs == (Port("r", 2),) and made.D.tolist() == [[2.0, 1.0]]
+    with pytest.raises(ValueError, match="connect, inputs: a port must be a Port"):
+        connect({"g": gain}, [("r", "g.a")], inputs=["r"], outputs={"b": "g.b"})  # type: ignore[list-item]

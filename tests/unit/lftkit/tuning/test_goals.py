@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lftkit import real, s
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
 from lftkit.tuning import (
@@ -191,3 +192,9 @@ def test_goals_hold_over_a_box_of_parameters() -> None:
     worst = worst_case(build, box, result.controller, goals, options=search)
     assert worst[1].value == pytest.approx(1.0, abs=0.02)
     assert worst[1].parameters["gain"] == pytest.approx(2.0)
+
+
+def test_goal_on_an_uncertain_model_names_its_elements() -> None:
+    k = real("k", 1.0, percent=10)
+    with pytest.raises(ValueError, match=r"must be certain.*got elements k"):
+        tune([(k / (s**2 + s + k)).system("u", "y")], [Sensitivity("u")], gain([("y", 1)], [("u", 1)]))
