@@ -7,7 +7,7 @@ then on twice as many, so that each place is known to a part of a period before 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class TimeGrid:
     Attributes
     ----------
     period : [s]
-    place : (n,) of each sample on the grid, the first one at 0
+    place : (n,) of each sample on the grid, the first one of the array at 0; negative before it
     jitter : rms of the times about the grid [s]
     largest : largest distance of a time from the grid [s]
     resolution : decimal step that all times are rounded to [s]; 0 where there is none above 1 ns
@@ -70,7 +70,17 @@ def time_grid(times: FloatArray) -> TimeGrid | None:
     """
     if times.size < 2:
         return None
-    since = times - times[0]
+    order = np.argsort(times, kind="stable")
+    grid = _grid_of_sorted(times[order] - times[order[0]])
+    if grid is None:
+        return None
+    place = np.empty_like(grid.place)
+    place[order] = grid.place
+    return replace(grid, place=place - place[0])
+
+
+def _grid_of_sorted(since: FloatArray) -> TimeGrid | None:
+    """Grid of ascending times [s] from the first one: its line is followed from one end to the other."""
     steps = np.diff(since)
     middle = float(np.median(steps))
     usual = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]

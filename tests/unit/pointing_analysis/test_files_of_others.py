@@ -209,6 +209,24 @@ def test_any_rate_is_found_from_rounded_times(rate: float, decimals: int) -> Non
     assert abs(1 / grid.period / rate - 1) < 1e-6
 
 
+@pytest.mark.parametrize("order", ["newest first", "any"])
+def test_the_order_of_the_rows_does_not_count(tmp_path: Path, order: str) -> None:
+    n = 30_000
+    there = np.delete(np.arange(n), slice(9000, 9003))
+    rows = there[::-1] if order == "newest first" else np.random.default_rng(3).permutation(there)
+    values = 0.1 * np.random.default_rng(2).standard_normal((n, 2))
+    text = [f"{i / 512:.6f},{values[i, 0]:.6f},{values[i, 1]:.6f}" for i in rows.tolist()]
+    (tmp_path / "a.csv").write_text("t,x,y\n" + "\n".join(text) + "\n")
+    asked = parse("prob(rms RPE(31.25 ms) < 1 mas) >= 0.9 at 90 % confidence")
+    run = open_los(tmp_path / "a.csv", unit="mas")
+    found = summarise(run, requirements=[asked])
+    assert found.sampling.startswith("512 Hz from the times, jitter 0.29 us rms")
+    assert found.ticks == n and found.samples_lost == 3 and found.verdicts[0].status == "compliant"
+    expected = values.round(6) * RAD_PER_MAS
+    expected[9000:9003] = np.nan
+    np.testing.assert_array_equal(run["truth/los"].values, expected[there])
+
+
 def test_jitter_beyond_rounding_is_no_grid() -> None:
     times = np.arange(5000) / 512 + 2e-4 * np.random.default_rng(1).standard_normal(5000)
     grid = time_grid(times)
