@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,59 @@ def test_tables_of_one_file(tmp_path: Path) -> None:
     assert thruster.place == "bus" and not thruster.signal.lines.size
 
 
+def of_table(tmp_path: Path, header: str, rows: object) -> Any:
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="")
+    (found,) = make_sources(entries_of([f"{tmp_path / 'a.csv'}@wheel_1"]), load_parameters(), RUN)
+    return found.signal
+
+
+@pytest.mark.parametrize(
+    ("header", "frequency", "density"),
+    [
+        ("frequency (rad/s),Tz (Nm^2/Hz)", 2 * np.pi, 1.0),
+        ("frequency (kHz),Tz", 1e-3, 1.0),
+        ("frequency [Hz],Tz [mNm²/Hz]", 1.0, 1e6),
+    ],
+)
+def test_units_of_a_density(tmp_path: Path, header: str, frequency: float, density: float) -> None:
+    f, p = np.array([10.0, 300.0]), np.array([1e-4, 1e-6])
+    expected = of_table(tmp_path, "frequency,Tz", np.column_stack([f, p]))
+    found = of_table(tmp_path, header, np.column_stack([f * frequency, p * density]))
+    assert np.sqrt(np.mean(expected.values[:, 5] ** 2)) > 0.04
+    np.testing.assert_allclose(found.values, expected.values, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "factor"), [("order,Fx (mN s^2)", 1e-3), ("order,Fx (N/rpm^2)", (30 / np.pi) ** 2), ("order,Fx", 1.0)]
+)
+def test_units_of_harmonics(tmp_path: Path, header: str, factor: float) -> None:
+    found = of_table(tmp_path, header, [[1.0, 1e-6]])
+    assert abs(found.amplitude[0, 0]) == pytest.approx(factor * 1e-6 * 200.0**2)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("frequency (Hz),Tz (Nm/rtHz)", r"Tz \(Nm/rtHz\) must be N\^2/Hz, .*, got 'nm/rthz'"),
+        ("frequency (Hz),Tz (Nm)", "must be N.2/Hz, .*, got 'Nm'"),
+        ("frequency (MHz),Tz", "frequency .* must be Hz, kHz or rad/s, got 'mhz'"),
+        ("order,Fx (N)", r"must be N s\^2/rad\^2, .* \(squared = false takes N and Nm\), got 'N'"),
+        ("time (ticks),Fx", "unit of the time must be one of s, ms, us, ns, min, h, got 'ticks'"),
+    ],
+)
+def test_units_of_another_quantity_are_refused(tmp_path: Path, header: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        of_table(tmp_path, header, [[1.0, 1e-6], [2.0, 1e-6]])
+
+
+def test_a_series_may_have_dates(tmp_path: Path) -> None:
+    rows = "\n".join(f"2026-01-01T00:00:{t:012.9f},{force}" for t, force in zip(T, WRENCH[:, 0]))
+    (tmp_path / "a.csv").write_text(f"time,Fx\n{rows}\n")
+    (found,) = make_sources(entries_of([str(tmp_path / "a.csv")]), load_parameters(), RUN)
+    signal: Any = found.signal
+    assert signal.rate == RATE and np.allclose(signal.values[:, 0], WRENCH[:, 0])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -105,6 +159,10 @@ def test_tables_of_one_file(tmp_path: Path) -> None:
             "kind must be one of series, harmonics, waterfall, psd, cooler, pulses, got 'wind'",
         ),
         ('name = "a"\nkind = "cooler"\nfrequncy = 45.0', "keys must be of .*frequency.*, got frequncy"),
+        (
+            'name = "a"\nkind = "cooler"\nfrequency = 45.0\nharmonics = [{order = 1, forces = [1.0, 0.0, 0.0]}]',
+            "keys of a harmonic must be of order, force, torque, got forces",
+        ),
         ('name = "a"\nkind = "cooler"\nfrequency = -1.0\nharmonics = [{order = 1}]', "frequency must be .* got -1.0"),
         ('name = "a"\nkind = "pulses"\nplace = "moon"\nperiod = 1.0\nwidth = 0.1', "place must be one of bus, wheels"),
         (

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
+from los_testbed.disturbance_units import DENSITY, FORCE, FREQUENCY, PER_SPEED_SQUARED, Units
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.read.series import stamps_of
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
-from pointing_analysis.read.tables.times import UNITS, time_column
-from pointing_analysis.read.time_grid import time_grid
+from pointing_analysis.read.tables.times import column_stamps, time_column
+from pointing_analysis.read.time_grid import NANO, time_grid
 from titop_plant.interface import DT
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ AXES = (
     ("tz", "mz", "torque_z", "torque.z"),
 )
 """Names of the columns of the six axes, in any case; an array of six columns is ``wrench``."""
-NEWTON = MappingProxyType({"": 1.0, "N": 1.0, "Nm": 1.0, "mN": 1e-3, "mNm": 1e-3})
 LARGEST = 1e7
 """[N, Nm] Larger values are no force on a spacecraft."""
 
@@ -100,8 +99,8 @@ def _rng(entry: Entry, run: Run) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(98, key)))
 
 
-def _axes(entry: Entry, table: Table, n: int, squared_units: bool = False) -> FloatArray:
-    """Values (n, 6) [N, Nm] of a table."""
+def _axes(entry: Entry, table: Table, n: int, units: Units = FORCE) -> FloatArray:
+    """Values (n, 6) of a table, in SI units."""
     values = np.zeros((n, 6))
     bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
     whole = [f"wrench.{i + 1}" for i in range(6)]
@@ -110,10 +109,7 @@ def _axes(entry: Entry, table: Table, n: int, squared_units: bool = False) -> Fl
         for base in (*names, whole[axis]):
             column = next((bases[key] for key in bases if key == base or key.endswith(f".{base}")), None)
             if column is not None:
-                unit = table.unit(column)
-                if not squared_units and unit not in NEWTON:
-                    raise entry.error(f"unit of {column} must be N, mN, Nm or mNm, got {unit!r}")
-                values[:, axis] = np.asarray(table.columns[column], dtype=float) * NEWTON.get(unit, 1.0)
+                values[:, axis] = _scaled(entry, table, column, units)
                 found += 1
                 break
     if not found:
@@ -125,10 +121,19 @@ def _axes(entry: Entry, table: Table, n: int, squared_units: bool = False) -> Fl
     return values
 
 
-def _column(entry: Entry, table: Table, *names: str) -> FloatArray:
+def _scaled(entry: Entry, table: Table, column: str, units: Units) -> FloatArray:
+    """Values of a column in SI units."""
+    unit = table.unit(column)
+    scale = units.scale(unit)
+    if scale is None:
+        raise entry.error(f"unit of {column} must be {units.expected}, got {unit!r}")
+    return np.asarray(table.columns[column], dtype=float) * scale
+
+
+def _column(entry: Entry, table: Table, *names: str, units: Units | None = None) -> FloatArray:
     for name in table.columns:
         if split_unit(name)[0].lower() in names:
-            return np.asarray(table.columns[name], dtype=float)
+            return np.asarray(table.columns[name], dtype=float) if units is None else _scaled(entry, table, name, units)
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
 
@@ -143,16 +148,7 @@ def _series(entry: Entry, run: Run) -> Made:
     values, remarks = _axes(entry, table, n), list(table.left_out)
     when = time_column(table.of_length(n), [])
     if when is not None:
-        seconds = np.asarray(table.columns[when], dtype=float) * UNITS.get(table.unit(when), 1.0)
-        stamps_of(seconds, n, None)
-        grid = time_grid(seconds)
-        if grid is None or not grid.fits or not np.array_equal(grid.place, np.arange(n)):
-            steps = np.diff(seconds) if n > 1 else np.zeros(1)
-            raise entry.error(
-                f"times of {table.path} must be uniform and without gaps, "
-                f"got steps of {steps.min():g} to {steps.max():g} s"
-            )
-        rate = 1.0 / grid.period
+        rate = _rate(entry, table, when)
     else:
         rate = table.rate or entry.number("rate", None, 0.0)
     length = n / rate
@@ -171,18 +167,38 @@ def _series(entry: Entry, run: Run) -> Made:
     return SampledSignal(values, rate, DT), tuple(remarks)
 
 
+def _rate(entry: Entry, table: Table, when: str) -> float:
+    """Sampling rate [Hz] by a column of times."""
+    unit = table.unit(when)
+    try:
+        stamps = column_stamps(when, table.columns[when], None, "" if FORCE.scale(unit) else unit)
+    except ValueError as error:
+        raise entry.error(f"{table.path}: {error}") from None
+    seconds = (stamps - stamps.min()) / NANO
+    grid = time_grid(seconds)
+    if grid is None or not grid.fits or not np.array_equal(grid.place, np.arange(stamps.size)):
+        steps = np.diff(seconds) if stamps.size > 1 else np.zeros(1)
+        raise entry.error(
+            f"times of {table.path} must be uniform and without gaps, got steps of {steps.min():g} to {steps.max():g} s"
+        )
+    return 1.0 / grid.period
+
+
 def _listed(values: FloatArray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def _harmonics(entry: Entry) -> list[tuple[float, FloatArray]]:
+def _harmonics(entry: Entry, units: Units = FORCE) -> list[tuple[float, FloatArray]]:
     """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
     tables = entry.table.get("harmonics")
     if tables is None:
         table = entry.file()
         order = _column(entry, table, "order", "harmonic")
-        rows = list(zip(order.tolist(), _axes(entry, table, len(order))))
+        rows = list(zip(order.tolist(), _axes(entry, table, len(order), units)))
     elif isinstance(tables, list) and tables and all(isinstance(one, dict) and "order" in one for one in tables):
+        unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})
+        if unknown:
+            raise entry.error(f"keys of a harmonic must be of order, force, torque, got {', '.join(unknown)}")
         rows = [(float(one["order"]), np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
     else:
         raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
@@ -216,7 +232,8 @@ def _wheel(entry: Entry, run: Run) -> Made:
     if not isinstance(squared, bool):
         raise entry.error(f"squared must be true or false, got {squared!r}")
     sense, size = float(np.sign(speed)) or 1.0, speed**2 if squared else 1.0
-    rows = [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in _harmonics(entry)]
+    found = _harmonics(entry, PER_SPEED_SQUARED if squared else FORCE)
+    rows = [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in found]
     return _audible(tone_signal, rows)
 
 
@@ -238,7 +255,7 @@ def _waterfall(entry: Entry, run: Run) -> Made:
     scale = {"rpm": 1 / 60, "rad/s": 1 / (2 * np.pi), "Hz": 1.0, "hz": 1.0}.get(table.unit(name))
     if scale is None:
         raise entry.error(f"unit of {name} must be rpm, rad/s or Hz (speed [rpm]), got {table.unit(name)!r}")
-    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, "frequency")
+    at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, "frequency", units=FREQUENCY)
     speeds, bins = np.unique(at), np.unique(frequency)
     values = _axes(entry, table, at.size)
     if speeds.size < 2 or speeds.size * bins.size != at.size:
@@ -260,8 +277,8 @@ def _psd(entry: Entry, run: Run) -> Made:
     from titop_plant.simulation.sources.signals import NOISE_SECONDS, PASSES, noise_of_density
 
     table = entry.file()
-    frequency = _column(entry, table, "frequency", "f")
-    density = _axes(entry, table, frequency.size, squared_units=True)
+    frequency = _column(entry, table, "frequency", "f", units=FREQUENCY)
+    density = _axes(entry, table, frequency.size, units=DENSITY)
     if frequency.size < 2 or not (np.diff(frequency) > 0).all() or frequency[0] < 0 or (density < 0).any():
         raise entry.error(
             f"{table.path} must have two or more ascending frequencies and no negative density, got {frequency.size} "
