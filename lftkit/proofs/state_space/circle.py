@@ -71,8 +71,23 @@ def reached(system: System, found: Member) -> Member:
     if not system.dt:
         return found
     omega = 2.0 / system.dt * math.atan(found.frequency)
+    if np.isinf(found.gain) and not isinstance(found, DiskMember):
+        return replace(found, frequency=_least_stable(system, found, omega))
     if np.isinf(found.gain) or not (system.inputs and system.outputs) or isinstance(found, DiskMember):
         return replace(found, frequency=omega)
     values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
     response = system.at(values, beyond_range=True).response(omega)[0]
     return Member(float(linalg.norm(response, 2)), found.point, omega)
+
+
+def _least_stable(system: System, found: Member, omega: float) -> float:
+    """Frequency [rad/s] of the pole of a member that is farthest out; `omega` where it is not well posed or has none.
+
+    A pole near z = -1 is a large real one over the axis, whose imaginary part says nothing.
+    """
+    values = {p.name: float(v) for p, v in zip(system.parameters, found.point)}
+    try:
+        poles = system.at(values, beyond_range=True).poles()
+    except ValueError:
+        return omega
+    return float(abs(np.angle(poles[np.argmax(np.abs(poles))]))) / system.dt if len(poles) else omega

@@ -16,8 +16,11 @@ from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
 from lftkit.uncertainty.parameters import RealParameter
 
-REAL, NEAR = 1e-9, 1e-9
-"""Phase [rad] that counts as zero; frequency [rad/s] in the place of zero, and one over that of infinity."""
+REAL, REAL_AT_ENDS = 1e-9, 1e-5
+"""Phase [rad] that counts as zero, and at the ends of the axis, where dynamics are real."""
+NEAR, NEAR_OF_SAMPLES = 1e-9, 1e-6
+"""Frequency [rad/s] in the place of zero, and one over that of infinity; the same times half the period of samples,
+where poles must differ from z = 1 and -1."""
 
 
 @dataclass(frozen=True)
@@ -119,9 +122,10 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     (True, 1)
     """
     where = 2.0 / dt * math.tan(0.5 * omega * dt) if dt else omega
+    ends = (2.0 / dt * NEAR_OF_SAMPLES, 2.0 / dt / NEAR_OF_SAMPLES) if dt else (NEAR, 1.0 / NEAR)
     given = np.atleast_2d(np.asarray(matrix, complex))
     left, sizes, right = linalg.svd(given)
-    (A, B, C, D), (E, F, G, H) = _all_passes(left[:, 0], where), _all_passes(right[0], where)
+    (A, B, C, D), (E, F, G, H) = _all_passes(left[:, 0], where, ends), _all_passes(right[0], where, ends)
     # b(s)' with an input for each entry, then a(s) with one
     first = E, G.T, F.T, H[None, :]
     dynamics = np.block([[first[0], np.zeros((len(E), len(A)))], [B @ first[2], A]])
@@ -131,17 +135,18 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     return discretise(member, dt) if dt else member
 
 
-def _all_passes(values: ComplexArray, omega: float) -> Matrices:
+def _all_passes(values: ComplexArray, omega: float, ends: tuple[float, float]) -> Matrices:
     """All-pass systems (k,) of one input with values of these phases at a frequency, times their magnitudes.
 
-    At the ends of the axis, where they are real, phases are those of a frequency near by.
+    At the `ends` of the axis and beyond, where they are real, phases are those of the frequency there.
     """
     size, phase = np.abs(values), np.angle(values)
-    real = np.minimum(np.abs(phase), np.pi - np.abs(phase)) < REAL
+    at = min(max(abs(omega), ends[0]), ends[1])
+    least = REAL if ends[0] < at < ends[1] else REAL_AT_ENDS
+    real = np.minimum(np.abs(phase), np.pi - np.abs(phase)) < least
     sign = np.where(real, np.where(np.abs(phase) < 1.0, 1.0, -1.0), np.where(phase > 0.0, 1.0, -1.0))
     # the phase of (s - c) / (s + c) is pi - 2 atan(omega / c)
     turned = np.where(phase > 0.0, phase, phase + np.pi)[~real]
-    at = min(max(omega, NEAR), 1.0 / NEAR)
     corner = at / np.tan(0.5 * (np.pi - turned))
     own, gain = np.flatnonzero(~real), sign * size
     out = np.zeros((len(values), len(own)))

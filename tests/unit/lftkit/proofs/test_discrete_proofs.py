@@ -36,6 +36,7 @@ def test_a_lag_by_hand(sign: float) -> None:
     assert checked.stable and checked.band == pytest.approx((0.0, np.pi / dt))
     margin = robust_stability(system)
     assert margin.status == "closed" and margin.upper == pytest.approx(0.7 / 0.3, rel=1e-6)
+    assert margin.frequency == pytest.approx(0.0 if sign > 0.0 else np.pi / dt, abs=1e-6)
     assert check_proof(margin.proof).stable
 
 

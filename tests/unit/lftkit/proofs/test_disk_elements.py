@@ -234,3 +234,15 @@ def test_real_and_complex_numbers_keep_a_gain_by_hand() -> None:
     assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-6)
     assert bounds.upper <= 1.05 * bounds.lower and check_proof(bounds.proof).level == 2.0
     assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("phase", [2e-9, 1e-6, 1e-3, 2.0, -1e-7, np.pi - 1e-7])
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_dynamics_of_samples_at_the_ends_of_the_circle_are_stable(phase: float, end: float) -> None:
+    """Their poles had been at 1 to rounding: the member that a bound names was no stable one."""
+    dt, value = 0.1, 0.4 * np.exp(1j * phase)
+    member = dynamics_with(np.array([[value]]), end * np.pi / dt, dt)
+    assert np.abs(member.poles()).max(initial=0.0) < 1.0 - 1e-13
+    assert hinf_norm(*member.matrices, dt=dt).value == pytest.approx(0.4, rel=1e-9)
+    near = abs(end * np.pi - 2e-6) / dt  # tan(omega dt / 2) is 1e-6, or one over it
+    assert abs(member.response([near])[0, 0, 0] - value) < 0.4 * 1.1e-5
