@@ -31,6 +31,7 @@ from lftkit.systems.matrices import checked_matrices
 
 MAX_ROUNDS = 40
 CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
+SCHUR_ROUNDING = 1e-6  # relative error of the slowest decay in a Schur form, from which on modes give the H2 norm
 CLIMBED = 3  # seeds from which a peak is searched
 RIVAL = 0.7  # of the largest gain: seeds below are not tried
 
@@ -163,6 +164,10 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
             return 0.0
         a, b, c = balanced(a, b, c)
         T, Q = linalg.schur(a, output="real", check_finite=False)
+        if EPS * np.abs(T).max() > SCHUR_ROUNDING * np.abs(np.diag(T)).min():
+            response = FrequencyResponse.of(a, b, c, d, check=False, fine=True)
+            if response.modal:
+                return _h2_of_modes(response)
         if np.diag(T).max() >= -EPS * np.abs(T).max():  # the diagonal of a real Schur form holds the real parts
             return float("inf")
         P, seen = schur_lyapunov(T, (drive := Q.T @ b) @ drive.T), c @ Q
@@ -171,6 +176,15 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
         return float(np.sqrt(np.sum(d * d)))
     norm = discrete_h2((a, b, c, d))
     return float("inf") if norm is None else norm
+
+
+def _h2_of_modes(response: FrequencyResponse) -> float:
+    """H2 norm of a modal form without feedthrough."""
+    poles, left, right = response.poles, response.left, response.right
+    if poles.real.max() >= 0.0 or response.on_axis.size:
+        return float("inf")
+    terms = (left.T @ left.conj()) * (right @ right.conj().T) / (poles[:, None] + poles.conj())
+    return float(np.sqrt(max(-terms.sum().real, 0.0)))
 
 
 def schur_lyapunov(T: FloatArray, W: FloatArray, *, transposed: bool = False) -> FloatArray:

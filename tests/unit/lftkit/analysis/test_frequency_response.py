@@ -15,7 +15,7 @@ from lftkit import Port, System, state_space
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
-from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.norms import h2_norm, hinf_norm
 
 
 def oscillators(n: int, zeta: float, rng: np.random.Generator):
@@ -138,6 +138,9 @@ def test_refined_solution_has_the_digits_that_the_matrices_determine() -> None:
     assert refined_response(A, B, C, D, 0.0).item() == pytest.approx(float(exact), rel=1e-15)
 
 
+SEEDS = [0, 16, 27, 28, 35]
+
+
 def lightly_damped(seed: int) -> tuple[np.ndarray, ...]:
     """Pairs over six decades, damping ratios down to 1e-10, in coordinates that mix them: (A, B, C, D)."""
     rng = np.random.default_rng(seed)
@@ -154,7 +157,7 @@ def response_of_50_digits(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: fl
         return complex((mpmath.matrix(C.tolist()) * mpmath.lu_solve(shifted, mpmath.matrix(B.tolist())))[0])
 
 
-@pytest.mark.parametrize("seed", [0, 16, 27, 28, 35])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_peak_whose_decay_is_below_the_rounding_of_the_matrix_has_its_digits(seed: int) -> None:
     """LU factors have no digit of the solution there: the norm had been wrong by a factor of up to a hundred."""
     A, B, C, D = lightly_damped(seed)
@@ -164,6 +167,19 @@ def test_a_peak_whose_decay_is_below_the_rounding_of_the_matrix_has_its_digits(s
     omega = np.sort([0.1 * norm.omega, norm.omega, 10.0 * norm.omega])
     found = frequency_response(System(A, B, C, D, [Port("u", 1)], [Port("y", 1)]), omega)[1, 0, 0]
     assert abs(found - exact) <= 1e-8 * abs(exact)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_h2_norm_of_decays_below_the_rounding_of_the_matrix(seed: int) -> None:
+    """By residues of 50 digits; the Lyapunov equation had made 0, infinity or half of it."""
+    A, B, C, D = lightly_damped(seed)
+    with mpmath.workdps(50):
+        poles, V = mpmath.eig(mpmath.matrix(A.tolist()))
+        driven, seen = mpmath.lu_solve(V, mpmath.matrix(B.tolist())), mpmath.matrix(C.tolist()) * V
+        terms = [(seen[k] * driven[k], pole) for k, pole in enumerate(poles)]
+        square = -sum(r * mpmath.conj(q) / (p + mpmath.conj(o)) for r, p in terms for q, o in terms)
+        exact = float(mpmath.sqrt(mpmath.re(square)))
+    assert h2_norm(A, B, C, D) == pytest.approx(exact, rel=1e-9)
 
 
 def exact_static_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> Fraction:
