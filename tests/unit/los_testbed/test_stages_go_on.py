@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.run import stages
+from los_testbed.run import stages, stages_tables
 from los_testbed.run.stages import PLAN, Plan, StageRun, finish, perform
 
 from los_design.synthesis.store import load_designs
@@ -61,6 +61,25 @@ def test_another_plan_does_not_go_on_in_the_folder(tmp_path: Path, monkeypatch: 
     finish(plan)
     with pytest.raises(ValueError, match="--output must be a new folder"):
         perform(plan)
+
+
+def test_a_ramp_that_leaves_the_family_leaves_no_folder(tmp_path: Path) -> None:
+    """From the speeds of the scenario imbalance it stays inside, from those of the worst case it does not."""
+    ramp = {"wheel_acceleration": [-8.0, 8.0, -8.0, 8.0], "ramp_duration": 100.0}
+    base = replace(PLANNED.base, wheel_speed=(30.0, -30.0, 30.0, -30.0), **ramp)  # type: ignore[arg-type]
+    plan = replace(PLANNED, base=base, folder=tmp_path / "s", scenarios=("worst_case",))
+    with pytest.raises(ValueError, match="at the end of the ramp"):
+        perform(plan)
+    assert not plan.folder.exists()
+
+
+def test_a_run_that_is_too_short_for_an_index_did_not_diverge(tmp_path: Path) -> None:
+    plan = replace(PLANNED, base=replace(PLANNED.base, duration=0.01), folder=tmp_path / "s")
+    results = perform(plan)
+    assert stages_tables.cell(results, "imbalance", "fsm", "all", "rpe_rms_mas") == "-"
+    assert float(stages_tables.cell(results, "imbalance", "fsm", "all", "ape_max_arcsec")) > 0
+    without = [replace(result, summary=None) for result in results]  # as one that diverged
+    assert stages_tables.cell(without, "imbalance", "fsm", "all", "rpe_rms_mas") == "diverged"
 
 
 @pytest.mark.slow

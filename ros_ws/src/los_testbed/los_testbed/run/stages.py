@@ -171,7 +171,7 @@ class StageResult:
     ----------
     run : StageRun
     metrics : mapping of str to float
-        By :data:`METRICS`; NaN where the loop diverged.
+        By :data:`METRICS`; NaN where the loop diverged, or the run is too short for it.
     transient : float
         Seconds of start-up left out.
     tones : tuple of StageTones
@@ -233,10 +233,11 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     """
     if MOVING in plan.scenarios and plan.samples > 1:
         raise ValueError(f"samples must be 1 in the scenario {MOVING}, got {plan.samples}")
-    for config in plan.members().values():
-        check_ranges(config, RunParts(config).parameters)
-        if MOVING in plan.scenarios:
+    if MOVING in plan.scenarios:
+        for config in plan.members().values():
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
+    for run in plan.runs():  # of all telescopes, those of the worst case, too: before there is a folder
+        check_ranges(run.config, RunParts(run.config).parameters)
     _begin(plan)
     results = []
     for run in plan.runs():

@@ -33,10 +33,10 @@ PART_METRICS = {"all": tuple(HEADS), "disturbance": ALONE, "noise": ALONE}
 """What is shown of each part of the error."""
 
 
-def digits(value: float) -> str:
-    """Three digits, no powers of ten where they can be avoided."""
+def digits(value: float, none: str = "diverged") -> str:
+    """Three digits, no powers of ten where they can be avoided; `none` where there is no number."""
     if not math.isfinite(value):
-        return "diverged"
+        return none
     if value == 0.0:
         return "0"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else f"{value:.1e}"
@@ -48,10 +48,11 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, me
     found = {name: r.metrics[metric] for name, r in chosen.items() if metric in r.metrics}
     if "nominal" not in found:
         return "-"
-    first = found["nominal"]
     sign = -1.0 if metric in LOWER else 1.0
-    worst = max(found.values(), key=lambda x: math.inf if math.isnan(x) else sign * x)
-    return digits(first) if len(found) == 1 else f"{digits(first)} ({digits(worst)})"
+    worst = max(found, key=lambda name: math.inf if math.isnan(found[name]) else sign * found[name])
+    # a run that is too short for an index has a summary without it, one that diverged has no summary
+    texts = [digits(found[name], "diverged" if chosen[name].summary is None else "-") for name in ("nominal", worst)]
+    return texts[0] if len(found) == 1 else f"{texts[0]} ({texts[1]})"
 
 
 def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
