@@ -261,3 +261,15 @@ def test_words_of_a_table_are_those_of_a_table(tmp_path: Path, capsys: pytest.Ca
     for where, words in shown.items():
         for alien in ("truth/los", "ticks", "simulated", "message", "bag"):
             assert alien not in words.partition("</style>")[2 if where == "page" else 0], (where, alien)
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_the_file_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of hours takes minutes to read."""
+    monkeypatch.setattr("pointing_analysis.read.los_source.open_los", lambda *_, **__: pytest.fail("was read"))
+    (tmp_path / "a.csv").write_text("t,x [mas],y [mas]\n0,1,2\n")
+    with pytest.raises(SystemExit) as stop:
+        main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "none" / "a.html")])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == f"los-testbed: the folder of the report must exist, got {tmp_path / 'none'}\n"

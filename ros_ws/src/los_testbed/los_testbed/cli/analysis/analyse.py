@@ -21,6 +21,7 @@ from los_testbed.cli.analysis.recordings import (
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
 from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen
+from pointing_analysis.files.atomic_output import check_output
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
@@ -69,6 +70,8 @@ def analyse(
     target = report
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"
+    if target is not None:
+        check_output(target, "the report")
     given = requirements_in(requirements)
 
     def opener(bag: Path, limit: int) -> Recording:
