@@ -30,7 +30,7 @@ Unit = Annotated[
 ]
 Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
 Requirements = Annotated[
-    Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those of the reference telescope.")
+    Path | None, typer.Option(help="TOML or YAML file of requirements. Default: those in the bag, of others none.")
 ]
 OpticsFile = Annotated[
     Path | None,
