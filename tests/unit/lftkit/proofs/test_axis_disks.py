@@ -70,7 +70,7 @@ def test_more_states_than_cells_take() -> None:
     """Members at random, with every value at its bound, stay below; the one that is named reaches the lower bound."""
     system = mixed(8)
     assert system.order > 7
-    bounds = worst_case_gain(system, gap=0.1, wall_limit=LONG)
+    bounds = worst_case_gain(system, gap=0.3, wall_limit=LONG)
     assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof) and check_proof(bounds.proof).stable
     rng = np.random.default_rng(0)
     gains = []
