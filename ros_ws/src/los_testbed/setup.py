@@ -46,6 +46,6 @@ setup(
         "console_scripts": [
             f"{node} = {NAME}.nodes.{node}:main" for node in ("plant", "estimator", "controller", "recorder", "live")
         ]
-        + [f"los-testbed = {NAME}.__main__:main"],
+        + [f"los-testbed = {NAME}.program:main"],
     },
 )

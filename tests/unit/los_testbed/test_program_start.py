@@ -18,7 +18,7 @@ class Sender:
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.meta_path.insert(0, Sender())
 sys.argv = ["los-testbed", "--version"]
-from los_testbed.__main__ import main
+from los_testbed.program import main
 sys.exit(main())
 """
 

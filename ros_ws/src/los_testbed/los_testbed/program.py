@@ -1,0 +1,30 @@
+"""Entry point of the program ``los-testbed``: a signal ends it in one line from the first import.
+
+The imports take the greater part of a second, in which the handlers of the command line are not there yet.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any, NoReturn
+
+from los_testbed.exit_codes import ExitCode
+
+
+def _end(number: int, frame: Any) -> NoReturn:
+    """Nothing is open yet; an exception in the midst of an import could become another one."""
+    os.write(2, b"los-testbed: interrupted\n")
+    os._exit(ExitCode.INTERRUPTED)
+
+
+def main() -> int:
+    """Entry point: that of the command line, see `los_testbed.cli.app.main`."""
+    interrupt = signal.getsignal(signal.SIGINT)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    from los_testbed.cli.app import main as command_line
+
+    signal.signal(signal.SIGINT, interrupt)
+    return command_line()
