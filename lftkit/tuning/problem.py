@@ -211,11 +211,14 @@ class Problem:
             )
 
     def abscissa(self, x: FloatArray) -> float:
-        """Largest real part of the closed-loop poles over all models [rad/s]; infinite beyond the limit."""
+        """Largest real part of the closed-loop poles over all models [rad/s].
+
+        Infinite beyond the limit, and where a loop has no solution (``I - D22 K`` is singular).
+        """
         if not self.inside(x):
             return np.inf
         K = self.structure.gain_matrix(x)
-        return max(spectrum(plant.closed(K), derivatives=False).abscissa for plant in self._bare)
+        return max(self.abscissa_of(k, K) for k in range(len(self._bare)))
 
     def order(self, k: int) -> int:
         """Order of the closed loop of model k."""
@@ -226,8 +229,11 @@ class Problem:
         return self._bare[k].closed(K)
 
     def abscissa_of(self, k: int, K: FloatArray) -> float:
-        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s]."""
-        return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
+        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s], infinite as above."""
+        try:
+            return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
+        except scipy.linalg.LinAlgError:
+            return np.inf
 
     def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
         """Pieces of the pole requirements of all models, and of what the problem itself asks for."""

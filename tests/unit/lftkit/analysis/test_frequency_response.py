@@ -138,17 +138,23 @@ def test_refined_solution_has_the_digits_that_the_matrices_determine() -> None:
     assert refined_response(A, B, C, D, 0.0).item() == pytest.approx(float(exact), rel=1e-15)
 
 
-SEEDS = [0, 16, 27, 28, 35]
+SEEDS = [0, 16, 27, 28, 31, 51]
 
 
 def lightly_damped(seed: int) -> tuple[np.ndarray, ...]:
-    """Pairs over six decades, damping ratios down to 1e-10, in coordinates that mix them: (A, B, C, D)."""
+    """Pairs over six decades, damping ratios down to 1e-10, in coordinates that mix them: (A, B, C, D).
+
+    Rounded once from 50 digits: the last bits decide which decay is left, and on every machine they are the same.
+    """
     rng = np.random.default_rng(seed)
     pairs = [(10.0 ** rng.uniform(-3, 3), 10.0 ** rng.uniform(-10, -2)) for _ in range(4)]
     A = scipy.linalg.block_diag(*([[0.0, 1.0], [-w * w, -2.0 * zeta * w]] for w, zeta in pairs))
-    T = np.linalg.qr(rng.standard_normal(A.shape))[0] * np.linspace(1.0, 8.0, len(A))
-    A = np.linalg.solve(T, A @ T)
-    return A, rng.standard_normal((len(A), 1)), rng.standard_normal((1, len(A))), np.zeros((1, 1))
+    with mpmath.workdps(50):
+        T = mpmath.qr(mpmath.matrix(rng.standard_normal(A.shape).tolist()))[0] * mpmath.diag(range(1, len(A) + 1))
+        mixed = mpmath.inverse(T) * mpmath.matrix(A.tolist()) * T
+    n = len(A)
+    B, C = rng.standard_normal((n, 1)), rng.standard_normal((1, n))
+    return np.array(mixed.tolist(), dtype=float), B, C, np.zeros((1, 1))
 
 
 def response_of_50_digits(A: np.ndarray, B: np.ndarray, C: np.ndarray, omega: float) -> complex:

@@ -124,3 +124,11 @@ def test_decay_that_no_static_gain_reaches_is_infeasible() -> None:
     result = tune([plant], needs, gain([("y", 1)], [("u", 1)]), options=TuningOptions(starts=1, iterations=60))
     assert not result.feasible and result.status in ("infeasible", "stalled", "iterations")
     assert result.abscissa == pytest.approx(-1.0, abs=0.02)
+
+
+def test_a_loop_without_a_solution_is_an_unstable_one() -> None:
+    """``y = x + u`` with u = y: which gain a search meets exactly depends on the last bits."""
+    matrices = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 1.0]]
+    plant = System(*matrices, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]))
+    assert problem.abscissa(np.array([1.0])) == np.inf and problem.abscissa(np.array([0.0])) == pytest.approx(-1.0)
