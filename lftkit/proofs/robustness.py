@@ -5,24 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from lftkit.arrays import FloatArray
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
-from lftkit.proofs.disk_performance import BELOW, LESS, STEPS, disk_performance
+from lftkit.proofs.performance import Performance
 from lftkit.proofs.state_space.bounds import (
-    SHARE,
     WHOLE,
     Bounds,
     DiskGainByCells,
     GainByCells,
     checked_band,
-    factor_of,
     intervals_of,
     stability_by_cells,
 )
 from lftkit.proofs.state_space.disks import disks_of, real_first
-from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
 
@@ -92,7 +86,7 @@ def worst_case_gain(
     >>> from lftkit.proofs import check_proof
     >>> k = RealParameter("stiffness", 1.0, 0.8, 1.2)
     >>> A, B, C = [[0, 1], [-1, -0.1]], [[0, 0], [-1, 1]], [[1, 0], [1, 0]]
-    >>> mode = System(A, B, C, np.zeros((2, 2)), [("force", 1)], [("x", 1)], channels=("stiffness",), elements=(k,))
+    >>> mode = System(A, B, C, [[0, 0], [0, 0]], [("force", 1)], [("x", 1)], channels=("stiffness",), elements=(k,))
     >>> bounds = worst_case_gain(mode)
     >>> bounds.status, bounds.lower < bounds.upper < 1.05 * bounds.lower, round(bounds.point["stiffness"], 3)
     ('closed', True, 0.8)
@@ -105,7 +99,7 @@ def worst_case_gain(
     over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
     with one_thread():
         if over_axis:
-            return gain_over_axis(chosen, ends, band, level, gap, wall_limit, seed)
+            return gain_over_axis(chosen, ends, band, level, gap, wall_limit, seed)[0]
         by_cells = DiskGainByCells if disks_of(chosen) else GainByCells
         return by_cells(chosen, ends, band, level, gap, wall_limit, max_tests, seed, progress).run()
 
@@ -222,7 +216,7 @@ def robust_performance(
 
     >>> from lftkit import Port, RealParameter
     >>> p, u, y = RealParameter("p", 0.0, -0.5, 0.5), (Port("u", 1),), (Port("y", 1),)
-    >>> lag = System([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), u, y, channels=("p",), elements=(p,))
+    >>> lag = System([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0, 0], [0, 0]], u, y, channels=("p",), elements=(p,))
     >>> bounds = robust_performance(lag, level=2.0)
     >>> bounds.lower <= 1.0 <= bounds.upper <= 1.05 * bounds.lower
     True
@@ -235,64 +229,6 @@ def robust_performance(
     system.require_continuous()
     chosen = real_first(system)
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
+    over_axis = (chosen.order > FEW_STATES or not disks_of(chosen)) and axis_takes(chosen, ends)
     with one_thread():
-        if disks_of(chosen):
-            over_axis = _over_axis(chosen, ends, None)
-            return disk_performance(chosen, ends, level, largest, gap, until, seed, over_axis)
-        worst = _too_large(chosen, ends, level, largest, seed)
-        lower, proof = 0.0, None
-        aim = largest if worst is None else worst[0] / (1.0 + SHARE * gap)
-        for _ in range(STEPS):
-            left = until - time.monotonic()
-            if left <= 0.0 or aim <= 0.0:
-                break
-            found = gain_over_axis(chosen, scaled_box(chosen, ends, aim), WHOLE, level, gap, 0.6 * left, seed)
-            if found.status == "closed":
-                lower, proof = aim, found.proof
-                break
-            if found.status == "out_of_time":
-                aim *= LESS
-                continue
-            point = np.array([found.point[p.name] for p in chosen.parameters])
-            worst = _crossing(chosen, ends, level, point)
-            aim = worst[0] / (1.0 + SHARE * gap)
-    upper, member = (np.inf, None) if worst is None else worst
-    closed = proof is not None and (upper <= (1.0 + gap) * lower or (worst is None and lower >= largest))
-    status = "violated" if upper == 0.0 else "closed" if closed else "out_of_time"
-    point_of = {} if member is None else {p.name: float(v) for p, v in zip(chosen.parameters, member.point)}
-    return Bounds(lower, upper, point_of, 0.0 if member is None else member.frequency, proof, status)
-
-
-def _too_large(
-    system: System, ends: list[tuple[float, float]], level: float, largest: float, seed: int
-) -> tuple[float, Member] | None:
-    """A member that reaches the level and its factor of the box: the smallest that searches find, or None."""
-    worst, factor = None, min(1.0, largest)
-    for _ in range(STEPS):
-        member = worst_member(system, scaled_box(system, ends, factor), WHOLE, seed=seed)
-        if member.gain >= level:
-            worst = _crossing(system, ends, level, member.point)
-            factor = worst[0] * BELOW
-        elif worst is not None or factor >= largest:
-            break
-        else:
-            factor = min(2.0 * factor, largest)
-        if factor <= 0.0:
-            break
-    return worst
-
-
-def _crossing(system: System, ends: list[tuple[float, float]], level: float, point: FloatArray) -> tuple[float, Member]:
-    """First member on the way from the nominal one to a point that reaches the level, to 1e-6, and its factor."""
-    nominal = np.array([p.nominal for p in system.parameters])
-    low, high, reached = 0.0, 1.0, member_gain(system, point, WHOLE)
-    if member_gain(system, nominal, WHOLE).gain >= level:
-        return 0.0, member_gain(system, nominal, WHOLE)
-    while high - low > 1e-6 * high:
-        middle = 0.5 * (low + high)
-        member = member_gain(system, nominal + middle * (point - nominal), WHOLE)
-        if member.gain >= level:
-            high, reached = middle, member
-        else:
-            low = middle
-    return factor_of(system, ends, reached.point), reached
+        return Performance(chosen, ends, level, seed, over_axis).bounds(largest, gap, until)

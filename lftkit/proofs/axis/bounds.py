@@ -176,25 +176,25 @@ def gain_over_axis(
     gap: float,
     wall_limit: float,
     seed: int,
-) -> Bounds:
-    """Worst-case gain of a system with sorted channels.
+) -> tuple[Bounds, Member]:
+    """Worst-case gain of a system with sorted channels, and the worst member found.
 
     `box` has intervals in the order of the parameters, which may leave their ranges.
 
     Raises
     ------
     ValueError
-        The nominal member is not in the box, is not stable, or its poles can't be separated; no parameter.
+        The nominal member is not in the box, is not stable, or its poles can't be separated; no uncertain element.
     """
     start = time.monotonic()
     disks = disks_of(system)
     worst = DiskSearch(system, box, band, seed).worst_member() if disks else worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
 
-    def bounds(upper: float, status: str) -> Bounds:
+    def bounds(upper: float, status: str) -> tuple[Bounds, Member]:
         proof = axis.finished(upper) if axis is not None and np.isfinite(upper) else None
         left = axis.uncovered() if axis is not None and proof is None and status == "out_of_time" else ()
-        return Bounds(worst.gain, upper, named_member(system, worst), worst.frequency, proof, status, left)
+        return Bounds(worst.gain, upper, named_member(system, worst), worst.frequency, proof, status, left), worst
 
     if axis is None:
         return bounds(np.inf, "unstable")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.arrays import FloatArray
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.checker import Inequality, frequencies
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
@@ -385,21 +385,3 @@ def named_member(system: System, member: Member) -> dict[str, Any]:
             deviation = np.zeros((e.outputs, e.inputs), complex) if deviation is None else deviation
             values[e.name] = dynamics_with(deviation, member.frequency, system.dt)
     return values
-
-
-def member_named(system: System, bounds: Bounds) -> DiskMember:
-    """The member of a system in continuous time that bounds name, with the values of its elements there."""
-    point = np.array([bounds.point[p.name] for p in system.parameters])
-    disks = {}
-    for e in system.elements:
-        if isinstance(e, RealParameter):
-            continue
-        value: Any = bounds.point[e.name]
-        there = value - e.nominal if isinstance(e, ComplexParameter) else _at(value, bounds.frequency)
-        disks[e.name] = np.atleast_2d(np.asarray(there, complex))
-    return DiskMember(bounds.lower, point, bounds.frequency, disks)
-
-
-def _at(dynamics: System, omega: float) -> ComplexArray:
-    """Value of dynamics at a frequency, which may be infinite."""
-    return np.asarray(dynamics.D if np.isinf(omega) else dynamics(1j * omega), complex)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, chain_of_masses
 
-from lftkit import proofs
+from lftkit import proofs, real, s
 from lftkit.proofs import ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import FORMATS, proof_format
@@ -22,6 +22,7 @@ from lftkit.proofs.state_space import Proof
 LONG = 3600.0
 PROVERS = (
     "axis.bounds",
+    "performance",
     "robustness",
     "sampled_loop.bounds",
     "sampled_loop.branching",
@@ -121,3 +122,19 @@ def test_robust_performance_of_a_spring_by_hand() -> None:
     assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf
     nominal = robust_performance(system, level=9.0, wall_limit=LONG)
     assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
+
+
+def test_robust_performance_where_poles_are_not_separate() -> None:
+    """``1 / (s + 1)^2 / (1 - p)``, p within 0.5, where cells are what is left. 1.5 is reached at a third."""
+    system = (1 / ((s + 1) ** 2 * (1 - real("p", 0.0, plus_minus=0.5)))).system("u", "y")
+    bounds = robust_performance(system, level=1.5, wall_limit=LONG)
+    assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-5)
+    assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5) and check_proof(bounds.proof).level == 1.5
+
+
+def test_robust_performance_needs_a_stable_nominal_member_in_the_box() -> None:
+    p = real("p", 0.0, plus_minus=0.5)
+    with pytest.raises(ValueError, match="nominal member must be stable, got an unstable one"):
+        robust_performance((1 / (s - 1 + p)).system("u", "y"))
+    with pytest.raises(ValueError, match="box must contain the nominal values"):
+        robust_performance((1 / (s + 1 + p)).system("u", "y"), 2.0, {"p": (0.1, 0.2)})
