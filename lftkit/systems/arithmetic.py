@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.support.scalars import is_number
 from lftkit.systems import lft
-from lftkit.systems.operand import common_period, constant_matrix, is_number, same_size
+from lftkit.systems.operand import common_period, constant_matrix, same_size
 from lftkit.systems.ports import Port, total_size
 from lftkit.uncertainty.elements import Element
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.scalars import is_number
 from lftkit.systems.ports import Port, total_size
 
 
@@ -46,11 +46,6 @@ def same_size(first: Sequence[Port], second: Sequence[Port], where: str) -> None
     if total_size(first) != total_size(second):
         sides = (", ".join(f"{p.name}[{p.size}]" for p in side) or "none" for side in (first, second))
         raise ValueError(f"{where} must have the same number of signals, got {' and '.join(sides)}")
-
-
-def is_number(value: Any) -> bool:
-    """Whether the value is one real number."""
-    return isinstance(value, Real | np.number) and not isinstance(value, complex | np.complexfloating)
 
 
 def constant_matrix(value: Any) -> FloatArray | None:

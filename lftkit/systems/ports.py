@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,14 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray, IntArray
-
-
-def as_integer(value: Any, what: str) -> int:
-    """An integer, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise ValueError(f"{what} must be an integer, got {value!r}") from None
+from lftkit.support.scalars import as_integer
 
 
 @dataclass(frozen=True)

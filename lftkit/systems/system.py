@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
+from lftkit.support.scalars import as_number
 from lftkit.systems import lft
 from lftkit.systems.arithmetic import Arithmetic
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
@@ -20,7 +21,7 @@ from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.ports import Port, as_ports, port_indices, total_size
 from lftkit.systems.system_summary import html, lines, text
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element, description, element_table, width
-from lftkit.uncertainty.parameters import RealParameter, as_number
+from lftkit.uncertainty.parameters import RealParameter
 
 if TYPE_CHECKING:
     import control

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lftkit.systems.ports import as_integer
-from lftkit.uncertainty.parameters import RealParameter, as_number
+from lftkit.support.scalars import as_integer, as_number
+from lftkit.uncertainty.parameters import RealParameter
 
 
 @dataclass(frozen=True)

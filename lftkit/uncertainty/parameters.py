@@ -5,16 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
 
-
-def as_number(value: object, what: str) -> float:
-    """A real number as one of Python, which files can keep; a ValueError that begins with `what` for anything else."""
-    if isinstance(value, int | float):
-        return value
-    if isinstance(value, Real):  # of numpy
-        return float(value)
-    raise ValueError(f"{what} must be a finite real number, got {value!r}")
+from lftkit.support.scalars import as_number
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lftkit.systems.operand import is_number
+from lftkit.support.scalars import is_number
 from lftkit.systems.symbolic.expressions import OPERATOR, Expression
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, Element
 from lftkit.uncertainty.parameters import RealParameter

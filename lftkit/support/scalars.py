@@ -1,0 +1,29 @@
+"""Single numbers that users give: what counts as one, and as one of Python, which files can keep."""
+
+from __future__ import annotations
+
+import operator
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+
+def is_number(value: Any) -> bool:
+    """Whether the value is one real number."""
+    return isinstance(value, Real | np.number) and not isinstance(value, complex | np.complexfloating)
+
+
+def as_number(value: Any, what: str) -> float:
+    """A real number, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
+    if not is_number(value):
+        raise ValueError(f"{what} must be a finite real number, got {value!r}")
+    return value if isinstance(value, int | float) else float(value)
+
+
+def as_integer(value: Any, what: str) -> int:
+    """An integer, also one of numpy, as one of Python; a ValueError that begins with `what` for anything else."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{what} must be an integer, got {value!r}") from None
