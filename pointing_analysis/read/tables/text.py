@@ -38,6 +38,8 @@ def read_text(path: Path) -> Table:
     kept = [row for row, bare in zip(rows, empty) if not bare]
     columns = {name: _column(name, [row[i] for row in kept]) for i, name in enumerate(names)}
     notes = [f"{sum(empty)} rows without any value left out"] if any(empty) else []
+    if texts := [name for name, column in columns.items() if column is None]:
+        notes.append(f"columns of text left out: {', '.join(texts)}")
     return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, left_out=tuple(notes))
 
 

@@ -60,6 +60,29 @@ def test_a_series_is_the_same_from_every_format(tmp_path: Path, write: object, n
     signal = found.signal
     assert signal.rate == RATE and np.allclose(signal.values, WRENCH, atol=1e-12)  # type: ignore[attr-defined]
     assert np.allclose(signal.tick(100, INSIDE).shape, (3, 6))
+    assert found.remarks == (), "every column has its place"
+
+
+WATERFALL = ";".join(f"{rpm},{f},{9 if f == 5 else 1},3" for rpm in (1, 9000) for f in range(1, 11))
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "remarks"),
+    [
+        ("t,fx,Force Z [N],temperature", "0,1,2,3;0.0005,-1,2,3", ("columns not used: Force Z [N], temperature",)),
+        ("t,fx,fz,wheel.fz", "0,1,2,3;0.0005,-1,2,3", ("columns not used: wheel.fz",)),
+        ("t,fx,fz", "0,1,n/a;0.0005,-1,2", ("columns of text left out: fz",)),
+        ("frequency,fx,phase", "1,2,3;100,2,3", ("columns not used: phase",)),
+        ("order,fx,ty,comment", "1,2,3,a;2,1,1,b", ("columns of text left out: comment",)),
+        ("speed [rpm],frequency,fx,count", WATERFALL, ("columns not used: count",)),
+    ],
+)
+def test_what_has_no_effect_is_said(tmp_path: Path, header: str, rows: str, remarks: tuple[str, ...]) -> None:
+    (tmp_path / "a.csv").write_text(f"{header}\n" + rows.replace(";", "\n") + "\n")
+    entries = entries_of([f"{tmp_path / 'a.csv'}@wheel_2"])
+    for _ in range(2):
+        (found,) = make_sources(entries, load_parameters(), Run(RUN.speeds, 0.001, 1))
+        assert tuple(text for text in found.remarks if "columns" in text) == remarks
 
 
 TOML = """

@@ -115,6 +115,8 @@ def test_not_a_bag(call, tmp_path) -> None:
     refused(call, tmp_path / "text.mcap", words=["text.mcap", "must begin with"])
     (tmp_path / "empty").mkdir()
     refused(call, tmp_path / "empty", words=["rosbag2 folder"])
+    (tmp_path / "los.csv").write_text("t,x,y\n0,1,2\n")
+    refused(call, tmp_path / "los.csv", words=["must be a bag", "got CSV", "analyse FILE --report PAGE"])
 
 
 def test_no_truth_topic(call, tmp_path) -> None:

@@ -146,6 +146,7 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
         raise entry.error("name must be a text, got none")
     if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+    entry = replace(entry)
     make, keys = KINDS[kind]
     if unknown := sorted(set(table) - COMMON - keys):
         raise entry.error(f"keys must be of {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
@@ -158,7 +159,7 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
     limits = {one.name: one.authority for one in placed_actuators(parameters)}
     scale = entry.number("scale", 1.0)
     limit = limits[place] / max(abs(scale), 1e-300) if place in limits else math.inf
-    return PlacedSource(name, kind, place, scale * matrix, signal, remarks, limit)
+    return PlacedSource(name, kind, place, scale * matrix, signal, (*entry.ignored(), *remarks), limit)
 
 
 def _frame(frame: Any) -> FloatArray | None:

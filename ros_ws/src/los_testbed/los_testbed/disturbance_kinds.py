@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from los_testbed.disturbance_units import DENSITY, FORCE, FREQUENCY, PER_SPEED_SQUARED, Units
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
-from pointing_analysis.read.tables.table import Table, split_unit
+from pointing_analysis.read.tables.table import Column, Table, split_unit
 from pointing_analysis.read.tables.times import column_stamps, time_column
 from pointing_analysis.read.time_grid import NANO, time_grid
 from titop_plant.interface import DT
@@ -62,6 +62,8 @@ class Entry:
     table: Mapping[str, Any]
     folder: Path
     where: str
+    _tables: list[Table] = field(default_factory=list, init=False, compare=False, repr=False)
+    _used: set[str] = field(default_factory=set, init=False, compare=False, repr=False)
 
     def error(self, text: str) -> ValueError:
         """A ValueError that names file and source."""
@@ -91,7 +93,19 @@ class Entry:
         name = self.table.get("file")
         if not isinstance(name, str):
             raise self.error(f"file must be the name of a file, got {name!r}")
-        return read_table(self.folder / name)
+        self._tables.append(table := read_table(self.folder / name))
+        return table
+
+    def column(self, table: Table, name: str) -> Column:
+        """A column, which is noted as used."""
+        self._used.add(name)
+        return table.columns[name]
+
+    def ignored(self) -> tuple[str, ...]:
+        """What of the files that were read has no effect on the source, one sentence each."""
+        rows = [text for table in self._tables for text in table.left_out]
+        names = [name for table in self._tables for name in table.columns if name not in self._used]
+        return (*rows, *([f"columns not used: {', '.join(names)}"] if names else []))
 
 
 def _rng(entry: Entry, run: Run) -> np.random.Generator:
@@ -127,13 +141,15 @@ def _scaled(entry: Entry, table: Table, column: str, units: Units) -> FloatArray
     scale = units.scale(unit)
     if scale is None:
         raise entry.error(f"unit of {column} must be {units.expected}, got {unit!r}")
-    return np.asarray(table.columns[column], dtype=float) * scale
+    return np.asarray(entry.column(table, column), dtype=float) * scale
 
 
 def _column(entry: Entry, table: Table, *names: str, units: Units | None = None) -> FloatArray:
     for name in table.columns:
         if split_unit(name)[0].lower() in names:
-            return np.asarray(table.columns[name], dtype=float) if units is None else _scaled(entry, table, name, units)
+            if units is not None:
+                return _scaled(entry, table, name, units)
+            return np.asarray(entry.column(table, name), dtype=float)
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
 
@@ -145,7 +161,7 @@ def _series(entry: Entry, run: Run) -> Made:
 
     table = entry.file()
     n = max(len(column) for column in table.columns.values())
-    values, remarks = _axes(entry, table, n), list(table.left_out)
+    values, remarks = _axes(entry, table, n), []
     when = time_column(table.of_length(n), [])
     if when is not None:
         rate = _rate(entry, table, when)
@@ -171,7 +187,7 @@ def _rate(entry: Entry, table: Table, when: str) -> float:
     """Sampling rate [Hz] by a column of times."""
     unit = table.unit(when)
     try:
-        stamps = column_stamps(when, table.columns[when], None, "" if FORCE.scale(unit) else unit)
+        stamps = column_stamps(when, entry.column(table, when), None, "" if FORCE.scale(unit) else unit)
     except ValueError as error:
         raise entry.error(f"{table.path}: {error}") from None
     seconds = (stamps - stamps.min()) / NANO

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import MOST_BINS, PER_BIN, yield_curve
-from los_testbed.campaign.meanings import RANKED, meaning
+from los_testbed.campaign.meanings import MEANINGS, RANKED, meaning
 from los_testbed.campaign.overview import quantile_heads
 from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.campaign.verdict import LOST
@@ -76,7 +76,7 @@ def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray) -
     finite = metric[np.isfinite(metric)]
     if not finite.size:
         return []
-    name = summary["ranked_by"]
+    name = f"the {MEANINGS[summary['ranked_by']].rpartition(' [')[0]},"
     given = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
     limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
     made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
@@ -105,7 +105,7 @@ def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Pic
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=2)
 
     alt = f"Histogram of {name} over the members; dashed: limits."
-    return picture("distribution", f"Distribution of {name}", alt, 2.8, draw)
+    return picture("distribution", "Distribution of the relative error", alt, 2.8, draw)
 
 
 def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
@@ -155,7 +155,7 @@ def _effects(summary: dict[str, Any]) -> Picture:
         axis.set_xlabel("share of the variance [%]")
 
     alt = "Shares of the variance: " + ", ".join(f"{name} {100 * share:.1f} %" for name, share, _ in rows)
-    return picture("effects", f"What {summary['ranked_by']} depends on", alt, 1.2 + 0.24 * len(rows), draw)
+    return picture("effects", "What the relative error depends on", alt, 1.2 + 0.24 * len(rows), draw)
 
 
 def _words(parameter: str) -> str:

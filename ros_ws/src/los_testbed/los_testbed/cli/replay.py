@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
 from los_testbed.config import RunConfig
@@ -77,6 +78,7 @@ def replay(
     seconds("--transient", transient)
     number("--timeout", timeout, 0.0, 86400.0, "s")
     domain = RunConfig(domain=domain).domain
+    check_bag(bag)
     if output is not None:
         check_new_bag(output)
     run, console = Run.open(bag, max_chunk=chunk_limit(max_chunk)), Screen(stderr=json_)

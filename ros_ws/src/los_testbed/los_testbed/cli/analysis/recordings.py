@@ -65,6 +65,28 @@ def open_runs(
     return runs if seen is None else [with_optics(run, *seen) for run in runs]
 
 
+def check_bag(path: Path) -> None:
+    """Refuse a file of another format that is read elsewhere; what is not read at all is left to the reader of bags.
+
+    Raises
+    ------
+    ValueError
+        It names the format and the command that takes it.
+    """
+    from pointing_analysis.read.tables.formats import Format, format_of
+    from pointing_analysis.read.tables.table import TableError
+
+    try:
+        found = format_of(path) if path.is_file() else Format.BAG
+    except TableError:
+        return
+    if found is not Format.BAG:
+        kind = "CSV or other text" if found is Format.CSV else found.value
+        raise ValueError(
+            f"{path} must be a bag (folder or .mcap file), got {kind}; `analyse FILE --report PAGE` evaluates tables"
+        )
+
+
 def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
     """Requirements of ``--requirements``; None where none is given: those of each recording hold."""
     from pointing_analysis.requirements.text import load

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, open_runs, requirements_in
+from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
 from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen, numbers, say
@@ -62,6 +62,8 @@ def report(
         seconds(option, value)
     if not stop > start:
         raise ValueError(f"--stop must be after --start = {start:g} s, got {stop:g} s")
+    for bag in bags:
+        check_bag(bag)
     given = requirements_in(requirements)
     target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
     check_output(target, "--output")
