@@ -247,6 +247,10 @@ def _brackets(metric: LoopMetric, omega: FloatArray, found: Sweep, cube: FloatAr
     return brackets
 
 
+RESULTS = (Sweep, _Seen, Bracket, WorstPoint)
+"""Classes of what the workers of a check give."""
+
+
 def _worst_of(searches: Sequence[Search], item: tuple[int, str, Sequence[Bracket]]) -> WorstPoint:
     stage, name, brackets = item
     return worst_of(searches[stage], searches[stage].metrics[name], brackets)

@@ -161,11 +161,16 @@ def test_an_outage_of_the_line_brings_the_rig_to_zero_and_it_flies_again(rig):
 
 @pytest.mark.parametrize("rig", [("--fault=repeated", "--fault-at=0", "--watchdog=5000")], indirect=True)
 def test_repeated_packets_are_refused_and_counted(rig):
-    driver, given = UdpRig(), []
-    supervisor = Supervisor(driver, rig.config)
+    given: list[Sample] = []
+
+    class Watched(UdpRig):
+        def read(self, now_ns):
+            found = super().read(now_ns)
+            given.extend(found)
+            return found
+
+    supervisor = Supervisor(Watched(), rig.config)
     supervisor.open()
-    read = driver.read
-    driver.read = lambda now_ns: given.extend(found := read(now_ns)) or found
     complete, _ = fly(supervisor, 200)
     found = supervisor.statistics()
     assert complete > 20 and int(found["device_refused_repeated"]) > 100

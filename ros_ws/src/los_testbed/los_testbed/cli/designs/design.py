@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
-from rich.text import Text
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, verify_folder
+from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all
+from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
-from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope, Uncertain
+from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem
-    from lftkit.support.workers import Workers
     from los_design.synthesis.options import DesignOptions
 
 MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
@@ -49,12 +44,6 @@ Where it was interrupted, or ended by its time limit, the same command goes on i
 WITH_OBSERVER = """
     los-testbed design k-pma --k-fsm mine_observer.json --output mine.json  # on this observer
 """
-
-NOMINAL_POINTS = 60
-"""Parameter points at which `verify` looks at the nominal design."""
-
-VERIFIED = ("implemented", "implemented_nominal", "paper")
-"""Variants of the stored designs that `verify` evaluates."""
 
 design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
 
@@ -185,6 +174,7 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
 
 
 design_app.command("all", help=ALL_EXAMPLES)(design_all)
+design_app.command(help=VERIFY_EXAMPLES)(verify)
 
 
 @design_app.command()
@@ -220,104 +210,6 @@ def table(json_: Json = False) -> None:
         )
         shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
     Screen().print(shown)
-
-
-@design_app.command()
-@with_cluster
-def verify(
-    *,
-    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
-    samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
-    uncertain: Uncertain = None,
-    cluster: Cluster,
-    json_: Json = False,
-) -> None:
-    """Recompute all metrics of the stored designs: certified norms, and those of the implemented sampled loop.
-
-    The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The
-    exit code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
-    """
-    number("--samples", samples, 0, 1_000_000)
-    from lftkit.support.threads import one_thread
-
-    if folder is not None:
-        verify_folder(folder, samples, cluster, json_, uncertain or ())
-        return
-    with one_thread(), cluster.workers() as pool:
-        result, failed = _verified(samples, pool, uncertain or ())
-    if json_:
-        print_json({**result, "failures": failed})
-    else:
-        for name, content in result.items():
-            Screen().print(Text(name, style="bold"), json.dumps(content, indent=1))
-    for text in failed:
-        sys.stderr.write(f"verification failed: {text}\n")
-    if failed:
-        raise typer.Exit(1)
-
-
-def _verified(samples: int, workers: Workers, uncertain: Sequence[str] = ()) -> tuple[dict[str, Any], list[str]]:
-    from los_design.search.worst_points import load_adversarial
-    from los_design.synthesis.store import load_designs
-    from los_design.verification.verification import (
-        broken_requirements,
-        check_implemented,
-        check_paper,
-        failures,
-        verification_points,
-    )
-    from los_loop.margins import rounded
-    from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import control_loop_plant, telescope
-    from titop_plant.telescope.assembly import build_telescope
-    from titop_plant.telescope.parameters import design_basis, load_parameters, parameter_corners
-    from titop_plant.telescope.tables.uncertain import with_uncertain
-
-    parameters, assembled = with_uncertain(load_parameters(), uncertain), telescope()
-    if uncertain:
-        assembled = build_telescope(parameters)
-    for variant in VERIFIED:
-        warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
-    system = control_loop_plant(assembled, parameters)
-    at = verification_points(parameters, system, samples)
-    at += load_adversarial()
-    some = at[:: max(1, len(at) // NOMINAL_POINTS)]
-    with Progress("loops as implemented") as bar:
-        step = _counted(bar, 2 * (len(at) + len(some) + 1))
-        implemented = check_implemented(system, parameters, *load_designs("implemented"), at, step, workers=workers)
-        nominal = load_designs("implemented_nominal")
-        alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
-        spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=workers)
-    corners = parameter_corners(parameters)
-    paper_points: list[Any] = [{}, *corners[:: max(1, len(corners) // 8)], *system.sample_values(_rng(), 4)]
-    robust = load_designs("paper")
-    for design in robust:
-        paper_points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
-    with Progress("continuous loops of the paper"):
-        paper = check_paper(assembled, parameters, *robust, paper_points)
-    checks = {
-        "robust design": implemented,
-        "nominal design, nominal model": alone,
-        "nominal design, uncertain model": spread,
-    }
-    result = {
-        "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
-        "implemented": implemented.to_mapping(),
-        "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
-    }
-    return result, failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
-
-
-def _counted(bar: Progress, total: int) -> Callable[[], None]:
-    """Function that counts its calls on a progress bar."""
-    calls = count(1)
-    return lambda: bar.report(next(calls), total)
-
-
-def _rng() -> Any:
-    import numpy as np
-
-    return np.random.default_rng(1)
 
 
 @design_app.command()

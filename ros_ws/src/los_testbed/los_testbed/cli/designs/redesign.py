@@ -7,7 +7,6 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,9 +19,9 @@ from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures, sho
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
-from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.output import number, print_json
 from los_testbed.run.summary.screen import Screen, met, numbers
-from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS
+from los_testbed.variants import TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:
@@ -144,7 +143,7 @@ def design_all(
                 workers=pool,
             )
         bounds = _proven(output, pool, until) if certify else ()
-    _show(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds)
+    show_implemented(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds)
 
 
 def _proven(folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
@@ -157,40 +156,7 @@ def _proven(folder: Path, workers: Workers, until: float) -> Sequence[FigureBoun
     return prove_figures(chosen, loops, known, folder, workers, until)
 
 
-def verify_folder(folder: Path, samples: int, cluster: Cluster, json_: bool, uncertain: Sequence[str] = ()) -> None:
-    """Verify the pair of designs in a folder at nominal, corners, random points and the stored worst points.
-
-    Raises
-    ------
-    ValueError
-        A file is missing.
-    """
-    from lftkit.support.threads import one_thread
-    from los_design.search.worst_points import load_adversarial
-    from los_design.verification.verification import broken_requirements, check_implemented, verification_points
-    from los_loop.loop_plant import loop_plant
-    from los_loop.spec import Placed
-    from titop_plant.interface import design_warnings
-    from titop_plant.telescope.layout import mirror_stages
-    from titop_plant.telescope.parameters import design_basis
-    from titop_plant.telescope.tables.uncertain import with_uncertain
-
-    parameters, k_fsm, k_pma = designs_in(folder)
-    parameters = with_uncertain(parameters, uncertain)
-    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
-    with one_thread(), cluster.workers() as pool, Progress(f"{folder.name} as implemented") as bar:
-        placed = Placed.of(parameters, k_fsm, k_pma)
-        system = loop_plant(parameters, placed)
-        adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
-        at = [*verification_points(parameters, system, samples), *adversarial]
-        done, total = count(1), len(mirror_stages(parameters)) * len(at)
-        check = check_implemented(
-            system, parameters, k_fsm, k_pma, at, lambda: bar.report(next(done), total), workers=pool, placed=placed
-        )
-    _show(folder, check.to_mapping(), broken_requirements(check), json_)
-
-
-def _show(
+def show_implemented(
     folder: Path,
     implemented: dict[str, Any],
     not_met: list[str],

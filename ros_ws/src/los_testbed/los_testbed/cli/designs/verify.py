@@ -1,0 +1,223 @@
+"""Command ``los-testbed design verify``: all metrics of designs that are stored, recomputed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.text import Text
+
+from lftkit.support.progress import Progress
+from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.redesign import show_implemented
+from los_testbed.cli.interrupts import told_how_to_go_on
+from los_testbed.cli.options.cluster_options import Cluster, with_cluster
+from los_testbed.cli.options.options import Json, Uncertain
+from los_testbed.cli.output import number, print_json, warn
+from los_testbed.run.summary.screen import Screen
+from los_testbed.variants import WORST_POINTS
+from pointing_analysis.files.atomic_output import check_output, write_text
+
+if TYPE_CHECKING:
+    from lftkit import SampledSystem
+    from lftkit.support.workers import Workers
+    from titop_plant.telescope.parameters import Parameters
+
+VERIFY_EXAMPLES = """Recompute all metrics of stored designs: certified norms, and those of the loop as implemented.
+
+The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The exit
+code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
+
+With --output the result goes into a JSON file, and until it is there the parts that are done into FILE.parts: the
+same command goes on with them after an interrupt.
+
+**Examples**
+
+    los-testbed design verify                                   # the stored designs
+
+    los-testbed design verify designs/mine --output designs/mine/check.json
+"""
+
+NOMINAL_POINTS = 60
+"""Parameter points at which the nominal design is looked at."""
+
+VERIFIED = ("implemented", "implemented_nominal", "paper")
+"""Variants of the stored designs that are evaluated."""
+
+
+@with_cluster
+def verify(
+    *,
+    folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
+    samples: Annotated[int, typer.Option(help="Random parameter points beside nominal and corners.")] = 200,
+    uncertain: Uncertain = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON file of the result; parts that are done are kept by it.")
+    ] = None,
+    cluster: Cluster,
+    json_: Json = False,
+) -> None:
+    """See VERIFY_EXAMPLES."""
+    from lftkit.support.threads import one_thread
+
+    number("--samples", samples, 0, 1_000_000)
+    if output is not None:
+        check_output(output, "--output")
+    with one_thread(), cluster.workers() as pool:
+        if folder is None:
+            result, failed = _stored(samples, pool, uncertain or (), output)
+        else:
+            implemented, not_met = _of_folder(folder, samples, pool, uncertain or (), output)
+    if folder is not None:
+        show_implemented(folder, implemented, not_met, json_)
+        return
+    if json_:
+        print_json({**result, "failures": failed})
+    else:
+        for name, content in result.items():
+            Screen().print(Text(name, style="bold"), json.dumps(content, indent=1))
+    for text in failed:
+        sys.stderr.write(f"verification failed: {text}\n")
+    if failed:
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _going_on(
+    workers: Workers, output: Path | None, parameters: Parameters, designs: Sequence[SampledSystem], at: Sequence[Any]
+) -> Iterator[Workers]:
+    """Workers that keep their results beside the output until the verification is done."""
+    if output is None:
+        yield workers
+        return
+    from lftkit.support.kept_workers import KeptWorkers
+    from los_design.synthesis.provenance import commit, digest
+    from los_design.verification.stage_check import RESULTS
+    from los_testbed.campaign.cluster_work import versions
+
+    depends = [versions(), commit(), parameters, [digest(one) for one in designs], at]
+    job = hashlib.sha256(repr(depends).encode()).hexdigest()
+    parts, done = output.with_name(f"{output.name}.parts"), False
+    kept = KeptWorkers(workers, parts, job, RESULTS)
+    if kept.known:
+        sys.stderr.write(f"{kept.known} parts are taken from {parts}\n")
+    try:
+        with told_how_to_go_on("parts that are done", output, state=parts):
+            yield kept
+        done = True
+    finally:
+        kept.close(done)
+
+
+def _of_folder(
+    folder: Path, samples: int, workers: Workers, uncertain: Sequence[str], output: Path | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Values of the pair of a folder at nominal, corners, random and stored worst points, and what is not met."""
+    from los_design.search.worst_points import load_adversarial
+    from los_design.verification.verification import broken_requirements, check_implemented, verification_points
+    from los_loop.loop_plant import loop_plant
+    from los_loop.spec import Placed
+    from titop_plant.interface import design_warnings
+    from titop_plant.telescope.layout import mirror_stages
+    from titop_plant.telescope.parameters import design_basis
+    from titop_plant.telescope.tables.uncertain import with_uncertain
+
+    parameters, k_fsm, k_pma = designs_in(folder)
+    parameters = with_uncertain(parameters, uncertain)
+    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
+    with Progress(f"{folder.name} as implemented") as bar:
+        placed = Placed.of(parameters, k_fsm, k_pma)
+        system = loop_plant(parameters, placed)
+        adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
+        at = [*verification_points(parameters, system, samples), *adversarial]
+        step = _counted(bar, len(mirror_stages(parameters)) * len(at))
+        with _going_on(workers, output, parameters, (k_fsm, k_pma), at) as kept:
+            check = check_implemented(system, parameters, k_fsm, k_pma, at, step, workers=kept, placed=placed)
+            implemented, not_met = check.to_mapping(), broken_requirements(check)
+            _write(output, {"folder": str(folder), "implemented": implemented, "not_met": not_met})
+    return implemented, not_met
+
+
+def _stored(
+    samples: int, workers: Workers, uncertain: Sequence[str], output: Path | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Values of the stored designs, robust, nominal and without delay, and what fails."""
+    from los_design.search.worst_points import load_adversarial
+    from los_design.synthesis.store import load_designs
+    from los_design.verification.verification import (
+        broken_requirements,
+        check_implemented,
+        failures,
+        verification_points,
+    )
+    from los_loop.margins import rounded
+    from titop_plant.interface import design_warnings
+    from titop_plant.simulation.build import control_loop_plant, telescope
+    from titop_plant.telescope.assembly import build_telescope
+    from titop_plant.telescope.parameters import design_basis, load_parameters
+    from titop_plant.telescope.tables.uncertain import with_uncertain
+
+    parameters, assembled = with_uncertain(load_parameters(), uncertain), telescope()
+    if uncertain:
+        assembled = build_telescope(parameters)
+    for variant in VERIFIED:
+        warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
+    system = control_loop_plant(assembled, parameters)
+    at = [*verification_points(parameters, system, samples), *load_adversarial()]
+    some = at[:: max(1, len(at) // NOMINAL_POINTS)]
+    pair, nominal = load_designs("implemented"), load_designs("implemented_nominal")
+    with _going_on(workers, output, parameters, (*pair, *nominal), at) as kept:
+        with Progress("loops as implemented") as bar:
+            step = _counted(bar, 2 * (len(at) + len(some) + 1))
+            implemented = check_implemented(system, parameters, *pair, at, step, workers=kept)
+            alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
+            spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=kept)
+        paper = _without_delay(assembled, parameters, system)
+        checks = {
+            "robust design": implemented,
+            "nominal design, nominal model": alone,
+            "nominal design, uncertain model": spread,
+        }
+        result = {
+            "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
+            "implemented": implemented.to_mapping(),
+            "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
+        }
+        failed = failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
+        _write(output, {**result, "failures": failed})
+    return result, failed
+
+
+def _without_delay(assembled: Any, parameters: Parameters, system: Any) -> dict[str, list[float]]:
+    """Gammas of the continuous loops of the paper's problem, at some corners, random and stored worst points."""
+    import numpy as np
+
+    from los_design.synthesis.store import load_designs
+    from los_design.verification.verification import check_paper
+    from titop_plant.telescope.parameters import parameter_corners
+
+    corners, rng = parameter_corners(parameters), np.random.default_rng(1)
+    points: list[Any] = [{}, *corners[:: max(1, len(corners) // 8)], *system.sample_values(rng, 4)]
+    robust = load_designs("paper")
+    for design in robust:
+        points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
+    with Progress("continuous loops of the paper"):
+        return check_paper(assembled, parameters, *robust, points)
+
+
+def _write(output: Path | None, content: dict[str, Any]) -> None:
+    if output is not None:
+        write_text(output, json.dumps(content, indent=1) + "\n")
+
+
+def _counted(bar: Progress, total: int) -> Callable[[], None]:
+    """Function that counts its calls on a progress bar."""
+    calls = count(1)
+    return lambda: bar.report(next(calls), total)
