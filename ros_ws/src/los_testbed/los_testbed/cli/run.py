@@ -233,7 +233,8 @@ def _run_and_tell(
         raise typer.Exit(ExitCode.FAILED)
     if (share := missed_share(summaries.runs[0])) > max_missed:
         message = (
-            f"missed ticks must be at most {max_missed:g} % (--max-missed), got {share:.2f} %; the bag is whole: {bag}"
+            f"missed ticks must be at most {max_missed:g} % (--max-missed), got {share:.2f} %: this machine was too "
+            f"slow or too busy for the loop; --mode lockstep misses none on any; the bag is whole: {bag}"
         )
         raise RunError(message, ExitCode.MISSED_TICKS)
 
