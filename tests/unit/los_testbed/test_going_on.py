@@ -12,6 +12,8 @@ from los_testbed.cli.interrupts import remember_command, told_how_to_go_on
 @pytest.fixture(autouse=True)
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bags" / "a b").mkdir(parents=True)
+    (tmp_path / "bags" / "a b" / "rows").touch()
+    (tmp_path / "bags" / "empty").mkdir()
     monkeypatch.chdir(tmp_path)
 
 
@@ -48,3 +50,4 @@ def test_it_names_the_folder_and_the_options_that_go_on(
 def test_a_failure_says_nothing_of_it_and_nothing_is_kept_without_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert told(capsys, ["campaign"], ValueError) == ""
     assert told(capsys, ["campaign"], KeyboardInterrupt, "none yet") == ""
+    assert told(capsys, ["campaign"], KeyboardInterrupt, "bags/empty") == ""

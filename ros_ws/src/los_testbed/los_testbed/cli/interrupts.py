@@ -16,6 +16,10 @@ def remember_command(words: Sequence[str]) -> None:
     _words[:] = words
 
 
+def _has_content(path: Path) -> bool:
+    return any(path.iterdir()) if path.is_dir() else path.exists()
+
+
 @contextmanager
 def told_how_to_go_on(
     kept: str, output: Path, further: Sequence[str] = (), without: Sequence[str] = (), state: Path | None = None
@@ -37,7 +41,7 @@ def told_how_to_go_on(
     try:
         yield
     except BaseException as error:
-        if not isinstance(error, Exception) and (state or output).exists():
+        if not isinstance(error, Exception) and _has_content(state or output):
             words = [word for word in _words if word not in without]
             if not any(word.split("=")[0] == "--output" for word in words):
                 words += ["--output", str(output)]
