@@ -57,6 +57,7 @@ class KeptWorkers(Workers):
         self._workers, self._path, self._calls = workers, path, 0
         self._types = frozenset((one.__module__, one.__qualname__) for one in types)
         self._known: dict[tuple[int, int], bytes] = {}
+        self._added = 0
         try:
             self._file: BinaryIO = path.open("a+b")
         except OSError as error:
@@ -91,11 +92,12 @@ class KeptWorkers(Workers):
                 continue
             result = next(fresh)
             self._add(pickle.dumps((call, k, result), protocol=5))
+            self._added += 1
             yield result
 
     def close(self, done: bool) -> None:
-        """Let go of the file, and remove it where the job is done."""
-        if done:
+        """Let go of the file, and remove it where the job is done, or no result is in it."""
+        if done or not (self._known or self._added):
             self._path.unlink(missing_ok=True)
         self._file.close()
 

@@ -8,6 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+import lftkit
+import los_design
+import los_loop
+import titop_plant
 from lftkit.systems.sampled.sampled_system import SampledSystem
 
 
@@ -19,6 +23,15 @@ def commit() -> str:
     except (OSError, subprocess.SubprocessError):
         return "unknown"
     return result.stdout.strip()
+
+
+def source_digest() -> str:
+    """SHA-256 of the source files that designs and their verification are computed with, changed ones as they are."""
+    total = hashlib.sha256()
+    for package in (lftkit, titop_plant, los_loop, los_design):
+        for path in sorted(Path(package.__path__[0]).rglob("*.py")):
+            total.update(path.read_bytes())
+    return total.hexdigest()
 
 
 def digest(system: SampledSystem) -> str:

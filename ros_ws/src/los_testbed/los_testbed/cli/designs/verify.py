@@ -98,22 +98,25 @@ def _going_on(
         yield workers
         return
     from lftkit.support.kept_workers import KeptWorkers
-    from los_design.synthesis.provenance import commit, digest
+    from los_design.synthesis.provenance import source_digest
     from los_design.verification.stage_check import RESULTS
     from los_testbed.campaign.cluster_work import versions
+    from titop_plant.telescope.parameters import parameters_hash
 
-    depends = [versions(), commit(), parameters, [digest(one) for one in designs], at]
-    job = hashlib.sha256(repr(depends).encode()).hexdigest()
+    # the hash has the content of modal data files, the mapping what no design depends on
+    telescope = [parameters_hash(parameters), dict(parameters), [dict(values) for values in at]]
+    depends = [versions(), source_digest(), telescope, [one.to_json() for one in designs]]
+    job = hashlib.sha256(json.dumps(depends, default=repr).encode()).hexdigest()
     parts, done = output.with_name(f"{output.name}.parts"), False
     kept = KeptWorkers(workers, parts, job, RESULTS)
     if kept.known:
         sys.stderr.write(f"{kept.known} parts are taken from {parts}\n")
-    try:
-        with told_how_to_go_on("parts that are done", output, state=parts):
+    with told_how_to_go_on("parts that are done", output, state=parts):
+        try:
             yield kept
-        done = True
-    finally:
-        kept.close(done)
+            done = True
+        finally:
+            kept.close(done)
 
 
 def _of_folder(
