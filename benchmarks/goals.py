@@ -77,13 +77,19 @@ def entry(name: str, now: float, **more: float) -> dict[str, Any]:
     return found
 
 
-def command(*arguments: str, repeats: int = 3) -> dict[str, float]:
-    """Processor and wall seconds of a command, the least of some, and the most memory [MB] of its processes."""
+def command(*arguments: str, repeats: int = 3, **where: Any) -> dict[str, float]:
+    """Processor and wall seconds of a command, the least of some, and the most memory [MB] of its processes.
+
+    ``cwd`` and ``env`` of the process may be given.
+    """
     found = []
     for _ in range(repeats):
         begin = time.monotonic()
         process = subprocess.Popen(
-            [sys.executable, "-m", "los_testbed.cli.app", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            [sys.executable, "-m", "los_testbed.cli.app", *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            **where,
         )
         assert process.stderr is not None
         said = process.stderr.read()

@@ -15,13 +15,12 @@ import argparse
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-ENTRY = "import sys; from los_testbed.cli.app import main; sys.exit(main())"
+from goals import command
+
 HERE = Path(__file__).parents[1]
 RUN = ("run", "--mode", "inprocess", "--no-report", "--output", "{bag}", "--duration")
 CAMPAIGN = ("campaign", "--workers", "1", "--output", "{bag}", "--samples")
@@ -44,7 +43,7 @@ class Version:
 
     def __init__(self, checkout: Path, folder: Path) -> None:
         sources = [checkout, checkout / "ros_ws" / "src" / "los_testbed"]
-        self.variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources)), "OPENBLAS_NUM_THREADS": "1"}
+        self.variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources))}
         self.folder, self._count = folder, 0
         folder.mkdir()
 
@@ -53,22 +52,11 @@ class Version:
         self._count += 1
         new = self.folder / f"new{self._count}"
         filled = [word.format(bag=new, made=self.folder / "made") for word in words]
-        with tempfile.TemporaryFile() as said:
-            process = subprocess.Popen(
-                [sys.executable, "-c", ENTRY, *filled],
-                stdout=subprocess.DEVNULL,
-                stderr=said,
-                env=self.variables,
-                cwd=self.folder,  # which comes before all others on the path
-            )
-            _, status, used = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
-            said.seek(0)
-            if process.returncode:
-                raise SystemExit(f"{' '.join(filled)}: {said.read().decode()[-500:]}")
+        # the working directory comes before all others on the path
+        found = command(*filled, repeats=1, env=self.variables, cwd=self.folder)
         if new.is_dir():
             shutil.rmtree(new)
-        return used.ru_utime + used.ru_stime
+        return found["now"]
 
     def prepare(self) -> None:
         """Compile what is compiled once, and make the bag of the report."""
