@@ -76,7 +76,7 @@ def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray) -
     finite = metric[np.isfinite(metric)]
     if not finite.size:
         return []
-    name = f"the {MEANINGS[summary['ranked_by']].rpartition(' [')[0]},"
+    name = MEANINGS[summary["ranked_by"]]
     given = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
     limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
     made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
@@ -104,7 +104,7 @@ def _distribution(name: str, metric: FloatArray, limits: Sequence[float]) -> Pic
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=2)
 
-    alt = f"Histogram of {name} over the members; dashed: limits."
+    alt = f"Histogram over the members: {name}; dashed: limits."
     return picture("distribution", "Distribution of the relative error", alt, 2.8, draw)
 
 
@@ -123,7 +123,7 @@ def _yield(name: str, metric: FloatArray, limits: Sequence[float]) -> Picture:
         axis.set_ylabel("members [%]")
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper left", ncols=3, columnspacing=1.2)
 
-    return picture("yield", "Yield", f"Share of the members below each level of {name}; dashed: limits.", 2.8, draw)
+    return picture("yield", "Yield", f"Share of the members below each level: {name}; dashed: limits.", 2.8, draw)
 
 
 def _label(parameter: str) -> str:
@@ -184,5 +184,5 @@ def _main_effects(name: str, parameters: Sequence[str], points: FloatArray, metr
         axes[0].set_ylabel(ERROR)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
 
-    alt = f"Median and middle 80 % of {name} over {', '.join(parameters)}."
+    alt = f"Median and middle 80 % of the members over {', '.join(parameters)}: {name}."
     return picture("main-effects", "Over the parameters that matter most", alt, 2.8, draw)
