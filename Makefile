@@ -19,7 +19,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
-	@echo "make test       style, types, tests of ten minutes; at the end what was skipped and how to get it"
+	@echo "make test       style, types, tests of 10 to 20 minutes; at the end what was skipped and how to get it"
 	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"

@@ -146,7 +146,7 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
         raise entry.error("name must be a text, got none")
     if not isinstance(kind, str) or kind not in KINDS:
         raise entry.error(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    entry = replace(entry)
+    entry = replace(entry)  # without what an earlier run has noted of its files
     make, keys = KINDS[kind]
     if unknown := sorted(set(table) - COMMON - keys):
         raise entry.error(f"keys must be of {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
