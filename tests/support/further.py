@@ -1,4 +1,4 @@
-"""Tests of ordinary length that `make test` leaves to `make test-further`, so that it ends within ten minutes on a fast machine.
+"""Tests of ordinary length that `make test` leaves to `make test-further`: it ends within ten minutes on fast machines.
 
 Each file looks at a part that quicker tests look at, too: whole programs, pages that are followed, strangers and damage
 in many forms. `.ci/run` has them all.
