@@ -140,7 +140,7 @@ def _effects(summary: dict[str, Any]) -> Picture:
     ]
     rows = sorted(mains + pairs, key=lambda row: -row[1])
     rest = max(1.0 - sum(share for _, share, _ in rows), 0.0)
-    rows.append(("noise, phases, the rest", rest, "#999999"))
+    rows.append(("the rest" if summary["depth"] == "model" else "noise, phases, the rest", rest, "#999999"))
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
