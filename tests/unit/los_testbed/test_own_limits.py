@@ -32,6 +32,23 @@ MINE = "[weights]\nrpe_limit_fine = 4.848e-8\nape_limit = 4.848e-6\n"  # 10 mas,
 MAS = 4.84813681109536e-09
 
 
+def test_allowances_of_the_bag_are_no_part_of_other_limits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Limits that are given to a command: the budget of the RPE says its values, not those of 40 mas beside 10."""
+    given = tmp_path / "own.toml"
+    given.write_text(
+        '[[requirement]]\nname = "fine"\ntext = "prob(rms RPE(20 ms) < 10 mas) >= 0.9 at 95 % confidence"\n'
+    )
+    bag, page = str(Path(__file__).parents[3] / "bags" / "reference"), tmp_path / "page.html"
+    told = {}
+    for name, more in (("bag", []), ("own", [f"--requirements={given}"])):
+        assert main(["analyse", bag, f"--report={page}", "--json", *more]) == 0
+        text = capsys.readouterr()
+        line = next(one for one in text.err.splitlines() if one.startswith("budget of the RPE"))
+        allowed = json.loads(text.out)["budget_rpe_mas"]["allowances"]
+        told[name] = (" of 40" in line, bool(allowed), " of 40" in page.read_text().split("budget of the RPE")[1][:120])
+    assert told == {"bag": (True, True, True), "own": (False, False, False)}
+
+
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two seconds of a telescope with limits of its own; its bag, page and parameter file."""
