@@ -195,3 +195,33 @@ def test_a_function_that_makes_nothing_for_a_node_is_a_mistake_of_the_user(tmp_p
         Runner(config_for(tmp_path), lambda ticks: None, commands=commands).run()
     assert error.value.code == 2
     assert not (tmp_path / "bag").exists() or not len(Run.open(tmp_path / "bag").topics)
+
+
+SLOW_AT_FIRST = """
+import sys, time
+from los_testbed.nodes import {node}
+
+class SlowAtFirst:
+    compiled = False
+    def reset(self):
+        pass
+    def step(self, *vectors):
+        if not self.compiled:
+            time.sleep(0.3)
+            self.compiled = True
+        vectors[-1][:] = 0.0
+
+sys.exit({node}.main(sys.argv[1:], build=lambda config: SlowAtFirst()))
+"""
+
+
+@pytest.mark.parametrize("node", ["estimator", pytest.param("controller", marks=pytest.mark.slow)])
+def test_a_first_step_of_a_third_of_a_second_costs_no_more_than_that(tmp_path: Path, node: str) -> None:
+    """What comes after it is as late as it is; none of it is taken for a stamp of the future."""
+    file = tmp_path / "own_node.py"
+    file.write_text(SLOW_AT_FIRST.format(node=node))
+    commands = {"plant": PLANT, node: [sys.executable, str(file)]}
+    results = Runner(config_for(tmp_path, duration=2.0), lambda ticks: None, commands=commands).run()
+    run = Run.open(results.bag)
+    assert "rejected_future" not in results.statistics[node]
+    assert run["fsm/command"].stamp[-1] > run["truth/los"].stamp[-1] - 500_000_000, "it works to the end"

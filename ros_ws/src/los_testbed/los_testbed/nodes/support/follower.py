@@ -12,6 +12,7 @@ from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
+from los_testbed.nodes.support.plant_clock import PlantClock
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
 from titop_plant.interface import TICK_NS
@@ -22,9 +23,6 @@ DECISION_NS = 20_000_000
 
 CHANGE_REPORT_NS = 5_000_000
 """A change is reported this long after it was applied, in another tick than the answer to the request."""
-
-HORIZON_NS = 50_000_000
-"""A stamp may be this much ahead of the plant's clock."""
 
 Tick = Callable[[int, FloatArray, int], None]
 
@@ -77,25 +75,19 @@ class Follower:
         self._period = LatencyHistogram()
         self._health = LoopHealth(context.config.mode == "realtime")
         self._troubles = (0, 0)
-        self._ahead = 0
+        self._clock = PlantClock() if context.config.mode == "realtime" else None  # in lockstep no time is too early
         self.ticks = 0
 
     def run(self) -> int:
         """Work until a signal comes."""
-        context, synchronizer = self._context, self._synchronizer
+        context = self._context
         context.become_real_time()
         context.all_listed()
         context.event("ready")
-        paced = context.config.mode == "realtime"  # in lockstep no time is too early
         next_report, next_service, next_decision, last = time.monotonic_ns(), 0, 0, 0
         while not context.stop:
             gathering = self._wait()
             before = time.monotonic_ns()
-            if paced and synchronizer.last:
-                # the plant's clock seen from here: the sample that was least delayed tells best. After a stall
-                # old samples come first, and must not make the newer ones look early.
-                self._ahead = max(self._ahead or -(1 << 62), synchronizer.last - before)
-                synchronizer.horizon = before + self._ahead + HORIZON_NS
             if self._drain():
                 self._execution.add(time.monotonic_ns() - before + gathering)
                 if last:
@@ -142,6 +134,8 @@ class Follower:
         subscription = self._subscriptions[index]
         if (taken := subscription.take()) is None:
             return False
+        if self._clock is not None:
+            self._synchronizer.horizon = self._clock.horizon(steady)
         source = subscription.sort(taken, steady)
         self._put(index, taken[0], source)
         self._gathered[index] = stamp_of(taken[0]) if not source and len(taken[0]) >= 12 else -1
@@ -157,8 +151,13 @@ class Follower:
         trigger = len(self._subscriptions) - 1
         waiting, newest = [], -1
         while (taken := self._subscriptions[trigger].take()) is not None:
-            waiting.append(taken)
+            source = self._subscriptions[trigger].sort(taken, steady)
+            waiting.append((taken[0], source))
             newest = stamp_of(taken[0]) if len(taken[0]) >= 12 else newest
+            if self._clock is not None and not source and newest > HOLD_STAMP:
+                self._clock.note(newest, steady)
+        if self._clock is not None:
+            synchronizer.horizon = self._clock.horizon(steady)
         for index in range(trigger):
             period = synchronizer.parts[index].period_ns
             due = newest - newest % period if newest > 0 else newest
@@ -171,8 +170,8 @@ class Follower:
                     break
                 seen = stamp_of(taken[0]) if len(taken[0]) >= 12 else seen
                 done |= self._put(index, taken[0], subscription.sort(taken, steady))
-        for taken in waiting:
-            done |= self._put(trigger, taken[0], self._subscriptions[trigger].sort(taken, steady))
+        for data, source in waiting:
+            done |= self._put(trigger, data, source)
         return done
 
     def _put(self, index: int, data: bytes, source: str) -> bool:
@@ -192,8 +191,8 @@ class Follower:
         self._tick(stamp, vector, synchronizer.gap)
         if stamp != HOLD_STAMP:
             self.ticks += 1
-        else:  # another run begins, on another clock
-            self._ahead = 0
+        elif self._clock is not None:  # another run begins, on another clock
+            self._clock = PlantClock()
         return True
 
     def _begin_again(self) -> None:

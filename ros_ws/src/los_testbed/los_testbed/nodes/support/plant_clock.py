@@ -1,0 +1,63 @@
+"""The plant's clock as a node sees it, and how far ahead of it a stamp may be."""
+
+from __future__ import annotations
+
+HORIZON_NS = 50_000_000
+"""A stamp may be this much ahead of the plant's clock."""
+
+AGREED = 20
+"""So many samples in a row that are too early, each later than the one before, set the clock."""
+
+NO_HORIZON = 1 << 62
+
+
+class PlantClock:
+    """How far the plant's stamps are ahead of the steady clock of this machine: the least delayed sample tells best.
+
+    After a stall old samples come first, and must not make the newer ones look early; so the clock is never set back.
+    Nor may one false stamp far ahead set it forward: all true ones after it would come late. But when the samples that
+    set it were late themselves, every later one looks early. Those agree with each other, and set it anew.
+
+    Examples
+    --------
+    The first sample was 0.4 s late; those that follow are in time:
+
+    >>> clock = PlantClock()
+    >>> clock.note(5_000_000, 405_000_000)
+    >>> for tick in range(406, 426):
+    ...     clock.note(tick * 1_000_000, tick * 1_000_000)
+    >>> clock.horizon(426_000_000) // 1_000_000
+    476
+    """
+
+    def __init__(self) -> None:
+        self._lead: int | None = None
+        self._early: list[int] = []
+        self._last_early = 0
+
+    def note(self, stamp: int, now_ns: int) -> None:
+        """Note a sample of the plant.
+
+        Parameters
+        ----------
+        stamp : int
+            Its stamp [ns].
+        now_ns : int
+            Steady clock when it was taken [ns].
+        """
+        lead = stamp - now_ns
+        if self._lead is None:
+            self._lead = lead
+        elif lead <= self._lead + HORIZON_NS:
+            self._lead = max(self._lead, lead)
+            self._early.clear()
+        elif not self._early or stamp > self._last_early:
+            self._early.append(lead)
+            self._last_early = stamp
+            if len(self._early) == AGREED:
+                self._lead = min(self._early)
+                self._early.clear()
+
+    def horizon(self, now_ns: int) -> int:
+        """Largest stamp [ns] that may come now; before the first sample any."""
+        return NO_HORIZON if self._lead is None else now_ns + self._lead + HORIZON_NS
