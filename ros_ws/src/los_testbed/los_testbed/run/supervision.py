@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import signal
 from collections.abc import Sequence
@@ -55,7 +56,9 @@ def supervise(names: Sequence[str], bag: Path) -> None:
     for number in FORWARDED:
         signal.signal(number, signal.SIG_IGN)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if os.read(reading, 1):
-        raise SystemExit(code)
+    os.set_blocking(reading, False)  # a process that code of the user left behind may still have the other end
+    with contextlib.suppress(BlockingIOError):
+        if os.read(reading, 1):
+            raise SystemExit(code)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
     raise RunError(f"the process of the run ended in code of the user ({how}): {', '.join(names)}{recorded(bag)}")
