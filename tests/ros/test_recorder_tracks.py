@@ -76,6 +76,23 @@ def test_a_plant_that_holds_after_its_run_is_another_run():
     assert drained(made, HOLD, *plant)
 
 
+def test_answers_of_the_last_run_that_come_late_are_not_of_the_next_one():
+    """A controller that was held up answers ticks of the run that broke off, then holds."""
+    made, plant, followers = recorder()
+    for tick in range(1, 4):
+        drained(made, tick * TICK_NS, *plant)
+        drained(made, tick * TICK_NS, *followers)
+    assert drained(made, HOLD, *plant)
+    for track in made.tracks:
+        track.data = []
+        track.begin_again()
+    drained(made, 4 * TICK_NS, *followers)
+    drained(made, HOLD, *followers)
+    drained(made, 1000 * TICK_NS, *plant)
+    drained(made, 1000 * TICK_NS, *followers)
+    assert all((len(track.data), track.first, track.distinct) == (1, 1000 * TICK_NS, 1) for track in made.tracks)
+
+
 class Info:
     """What the graph tells of a publisher."""
 

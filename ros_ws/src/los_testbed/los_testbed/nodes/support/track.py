@@ -47,7 +47,7 @@ class Track:
         self.data: list[bytes] = []
         self.received: list[int] = []
         self.sent: list[int] = []
-        self.held = False
+        self.held = self._stale = False
         self.first = 0
         self.last = 0
         self.distinct = 0
@@ -83,7 +83,8 @@ class Track:
     def _keep(self, taken: Taken) -> None:
         message = taken.data
         self.held = bool(self.period_ns) and len(message) >= 12 and stamp_of(message) == HOLD_STAMP
-        if not self.held:
+        self._stale = self._stale and not self.held
+        if not self.held and not self._stale:
             self.data.append(message)
             self.received.append(taken.received)
             self.sent.append(taken.sent)
@@ -129,7 +130,11 @@ class Track:
         self._missing.update(range(max(self.last + self.period_ns, oldest), stamp, self.period_ns))
 
     def begin_again(self) -> None:
-        """Another run begins: what is known of the last one is forgotten."""
+        """Another run begins: what is known of the last one is forgotten.
+
+        What comes on a topic before its node holds, too, is still of the last one.
+        """
+        self._stale = not self.held
         self.first = self.last = self.distinct = self.unreadable = 0
         self._phase = None
         self._missing.clear()
