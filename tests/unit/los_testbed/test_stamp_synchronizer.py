@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
 from los_testbed.loop.slow_sensor import SlowSensor, frames_in_words
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, HORIZON_NS, NOT_KNOWN, StampSynchronizer, TickPart
 
 from pointing_analysis.read.messages.message_types import VECTOR3
 
@@ -96,7 +96,7 @@ def test_a_stamp_from_beyond_the_horizon_is_refused_and_does_no_harm():
     synchronizer = make()
     synchronizer.put(0, sample(5 * MS, 1.0))
     synchronizer.put(2, sample(5 * MS, 1.0))
-    synchronizer.horizon = 60 * MS
+    synchronizer.now = 60 * MS - HORIZON_NS
     assert synchronizer.put(0, sample(7001 * MS, 1.0)) is None
     assert synchronizer.rejected["future"] == 1
     synchronizer.put(0, sample(7 * MS, 1.0))
@@ -181,7 +181,7 @@ def test_a_rejected_message_counts_once_for_each_reason():
     for _ in range(2):
         synchronizer.put(0, sample(5 * MS, 1.0))
         synchronizer.put(0, sample(4 * MS, 1.0))
-        synchronizer.horizon = 6 * MS
+        synchronizer.now = 6 * MS - HORIZON_NS
         synchronizer.put(0, sample(7 * MS, 1.0))
     assert dict(synchronizer.rejected) == {"not_finite": 2, "off_grid": 2, "late": 4, "future": 2}
 
@@ -191,11 +191,10 @@ def complete(synchronizer, tick):
     return synchronizer.put(2, sample(tick * MS, 1.0))
 
 
-def test_the_horizon_itself_is_accepted_and_none_applies_before_the_first_tick():
+def test_the_horizon_itself_is_accepted_and_none_applies_before_the_time_is_known():
     synchronizer = make()
-    synchronizer.horizon = 3 * MS
-    assert complete(synchronizer, 5) is not None  # nothing is known of the time before the first tick
-    synchronizer.horizon = 7 * MS
+    assert complete(synchronizer, 5) is not None
+    synchronizer.now = 7 * MS - HORIZON_NS
     assert complete(synchronizer, 7) is not None
     assert complete(synchronizer, 9) is None
     assert synchronizer.gaps == 1
@@ -285,6 +284,7 @@ def test_what_is_done_with_an_old_frame_is_a_choice(old, seen):
 def test_irregular_frames_are_counted_by_name_and_said_in_words():
     synchronizer, camera = own_time()
     for k in range(20, 501):
+        synchronizer.now = k * MS
         if k in (20, 40, 80, 107, 460):  # 60 is absent, 107 comes 7 ms after its phase, then nothing until 460
             synchronizer.put(1, sample(k * MS, float(k)))
         if k == 110:
@@ -329,3 +329,69 @@ def test_a_silent_sensor_is_named():
     for k in range(41, 440):
         synchronizer.put(0, sample(k * MS, 1.0))
     assert synchronizer.silent() == [(2, 399 * MS)]
+
+
+def test_a_frame_of_the_far_future_costs_no_other_one():
+    """Not even the first of all, which comes before the time is known."""
+    synchronizer, camera = own_time()
+    synchronizer.put(1, sample(3_600_000 * MS, 9.0))
+    used = []
+    for k in range(20, 400):
+        synchronizer.now = k * MS if k > 20 else NOT_KNOWN
+        if k == 100:
+            synchronizer.put(1, sample(7_200_000 * MS, 9.0))
+        if k % 20 == 0:
+            synchronizer.put(1, sample(k * MS, 5.0))
+        if tick(synchronizer, k)[2] == 5.0:
+            used.append(k)
+    assert used == list(range(40, 400, 20)), "that of the first tick, too, comes after the false one"
+    assert camera.counts["out_of_order"] == 1 and camera.counts["early"] == 1
+    assert synchronizer.rejected == {"future": 1}
+
+
+def test_frames_that_come_before_the_other_samples_of_a_stall_wait_for_their_ticks():
+    synchronizer, camera = own_time()
+    used = []
+
+    def go_on(ticks, frames):
+        for k in ticks:
+            if k in frames:
+                synchronizer.put(1, sample(k * MS, float(k)))
+            row = tick(synchronizer, k)
+            if not np.isnan(row[2]):
+                used.append((k, row[2]))
+
+    go_on(range(20, 201), range(20, 201, 20))
+    synchronizer.now = 300 * MS
+    for k in range(220, 301, 20):
+        synchronizer.put(1, sample(k * MS, float(k)))
+    go_on(range(201, 301), ())
+    assert used == [(k, float(k)) for k in range(20, 301, 20)]
+    assert not {"frames_camera_early", "frames_camera_absent", "frames_camera_old"} & set(camera.statistics())
+
+
+@pytest.mark.parametrize("moved", [range(1), range(100, 3000)], ids=["the first frame", "the trigger, once"])
+def test_a_grid_of_frames_that_goes_on_beside_the_first_one_is_the_grid(moved):
+    _, camera = own_time()
+    for number in range(3000):
+        stamp = number * 20 * MS + (2 * MS if number in moved else 0)
+        camera.note(stamp, stamp, stamp, stamp)
+    assert 0 < camera.counts["off_phase"] <= 6
+
+
+def test_frames_beside_the_grid_that_do_not_agree_stay_beside_it():
+    _, camera = own_time()
+    for number in range(300):
+        stamp = number * 20 * MS + (2 * MS * (number % 4) if number % 2 else 0)
+        camera.note(stamp, stamp, stamp, stamp)
+    assert camera.counts["off_phase"] == 150
+
+
+def test_an_old_frame_is_corrected_by_the_mirror_s_way_since_its_own_tick():
+    """Also where an older one had been waiting."""
+    synchronizer, _ = own_time()
+    tick(synchronizer, 39, gauge=1.0)
+    tick(synchronizer, 40, gauge=2.0)
+    synchronizer.put(1, sample(39 * MS, 5.0))
+    synchronizer.put(1, sample(40 * MS, 6.0))
+    assert tick(synchronizer, 41, gauge=3.0)[2] == pytest.approx(6.0 + 0.1 * (3.0 - 2.0))

@@ -6,7 +6,8 @@ kind of irregular frame is counted under its name.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,8 +19,15 @@ from titop_plant.interface import TICK_NS
 CORRECT, _, DROP = OLD_FRAMES
 
 NAMES = ("absent", "late", "early", "off_phase", "out_of_order")
-"""Irregular frames: did not come; came later than the latency; came with a stamp ahead of the other sensors' samples;
-with a stamp beside the grid of its frames; after a newer one."""
+"""Irregular frames: did not come; came later than the latency; came with a stamp that is still to come; with a stamp
+beside the grid of its frames; after a newer one."""
+
+AGREED = 5
+"""So many frames in a row beside the grid that agree with each other are a new grid: the trigger was moved, or the
+frame that began the grid was beside it."""
+
+MAX_AHEAD = 64
+"""Frames that wait for their ticks: after a stall the frames of all of it may come before the other samples."""
 
 BEGINNING = "frames_"
 """Of the names of the counts in the statistics of a node."""
@@ -52,8 +60,8 @@ class SlowSensor:
 
     >>> sensor = SlowSensor("camera/los", slice(0, 1), 20 * TICK_NS, gauge=slice(1, 2), per_mirror=0.1)
     >>> sensor.offer(20 * TICK_NS, np.array([5e-6]), last=26 * TICK_NS)
-    >>> row, then = np.array([np.nan, 3e-6]), np.array([4e-6, 2e-6])
-    >>> sensor.place(row, 27 * TICK_NS, then)
+    >>> row, rows = np.array([np.nan, 3e-6]), {20 * TICK_NS: np.array([4e-6, 2e-6])}
+    >>> sensor.place(row, 27 * TICK_NS, rows.get)
     >>> float(row[0].round(9)), sensor.counts["late"], sensor.statistics()["frames_camera/los_age_max_ms"]
     (5.1e-06, 1, '7')
     """
@@ -69,22 +77,27 @@ class SlowSensor:
     waiting: int = -1
     _values: FloatArray = field(default_factory=lambda: np.zeros(0))
     _phase: int | None = None
-    _kept: int = -1
-    _kept_values: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _other_phase: int = 0
+    _agreed: int = 0
+    _ahead: deque[tuple[int, FloatArray]] = field(default_factory=lambda: deque(maxlen=MAX_AHEAD))
     _newest: int = -1
     _ages: list[int] = field(default_factory=lambda: [0, 0, 0])
     _due: int = 0
     _last_tick: int = 0
     _silent_max: int = 0
 
-    def note(self, stamp: int, tick: int, newest: int) -> bool:
+    def note(self, stamp: int, tick: int, now: int, horizon: int) -> bool:
         """Count a frame that came; whether it may be used.
 
         Parameters
         ----------
         stamp, tick : time of acquisition as it was sent, and its tick [ns]
-        newest : newest tick of the other sensors [ns]
+        now : time of the plant, as well as it is known here [ns]
+        horizon : largest stamp that may come [ns]; a newest frame beyond it was none
         """
+        if self._newest > horizon:
+            self._newest = -1
+            self._ahead = deque((one for one in self._ahead if one[0] <= horizon), MAX_AHEAD)
         if tick <= self._newest:
             self.counts["out_of_order"] += 1
             return False
@@ -92,15 +105,29 @@ class SlowSensor:
             self._silent_max = max(self._silent_max, tick - self._newest)
         self._newest = tick
         self.counts["came"] += 1
+        self._compare_phase(stamp)
+        self.counts["early"] += tick > now + TICK_NS
+        return True
+
+    def _compare_phase(self, stamp: int) -> None:
+        """Count a frame beside the grid of the others."""
         if self._phase is None:
             self._phase = stamp % self.period_ns
-        off = (stamp - self._phase + self.period_ns // 2) % self.period_ns - self.period_ns // 2
-        if abs(off) > TICK_NS // 2:
-            self.counts["off_phase"] += 1
-        else:  # a clock of its own drifts
+        off = self._from(self._phase, stamp)
+        if abs(off) <= TICK_NS // 2:  # a clock of its own drifts
             self._phase += off
-        self.counts["early"] += bool(newest) and tick > newest + TICK_NS
-        return True
+            self._agreed = 0
+            return
+        self.counts["off_phase"] += 1
+        agrees = abs(self._from(self._other_phase, stamp)) <= TICK_NS // 2
+        self._agreed = self._agreed + 1 if self._agreed and agrees else 1
+        self._other_phase = stamp % self.period_ns
+        if self._agreed == AGREED:
+            self._phase, self._agreed = self._other_phase, 0
+
+    def _from(self, phase: int, stamp: int) -> int:
+        """How far a stamp is from the nearest point of a grid [ns]."""
+        return (stamp - phase + self.period_ns // 2) % self.period_ns - self.period_ns // 2
 
     def offer(self, tick: int, values: FloatArray, last: int) -> None:
         """Keep an old frame for the next tick; `last` is the newest tick that is over [ns]."""
@@ -108,32 +135,36 @@ class SlowSensor:
         self.counts["late"] += last - tick >= self.latency_ns + (TICK_NS if self.latency_ns else 0)
 
     def keep(self, tick: int, values: FloatArray) -> None:
-        """Remember the frame of a tick that is not over: it is an old one if its tick lacks other samples."""
-        self._kept, self._kept_values = tick, values.copy()
+        """Keep a frame for its tick, which is not over; it is an old one if that lacks other samples."""
+        self._ahead.append((tick, values.copy()))
 
-    def place(self, row: FloatArray, tick: int, then: FloatArray | None) -> None:
+    def place(self, row: FloatArray, tick: int, row_of: Callable[[int], FloatArray | None]) -> None:
         """Put the frame that waits into the vector of a tick, unless that has one.
 
         Parameters
         ----------
-        row : vector of the tick; NaN in the sensor's columns without a frame of this tick
+        row : vector of the tick; NaN in the sensor's columns
         tick : its time [ns]
-        then : vector of the tick of the frame; None where it is not known any more
+        row_of : vector of an earlier tick; None where it is not known any more
         """
         self._last_tick = tick
         self._due += tick % self.period_ns == 0
-        if self._kept > self.waiting and self._kept < tick:
-            self.offer(self._kept, self._kept_values, tick - TICK_NS)
-        if self._kept <= tick:
-            self._kept = -1
+        while self._ahead and self._ahead[0][0] <= tick:
+            acquired, values = self._ahead.popleft()
+            if acquired == tick:
+                row[self.columns] = values
+            elif acquired > self.waiting and np.isfinite(values).all():
+                self.offer(acquired, values, tick - TICK_NS)
         if self.waiting < 0:
             return
-        age, self.waiting, acquired = tick - self.waiting, -1, self.waiting
-        if self.old == DROP or acquired < 0 or row[self.columns.start] == row[self.columns.start]:
+        acquired, self.waiting = self.waiting, -1
+        if self.old == DROP or row[self.columns.start] == row[self.columns.start]:
             return
         row[self.columns] = self._values
+        then = row_of(acquired)
         if self.old == CORRECT and self.gauge is not None and then is not None:
             row[self.columns] += self.per_mirror * (row[self.gauge] - then[self.gauge])
+        age = tick - acquired
         self._ages = [self._ages[0] + 1, self._ages[1] + age, max(self._ages[2], age)]
 
     def silent_ns(self) -> int:
@@ -144,8 +175,9 @@ class SlowSensor:
     def begin_again(self) -> None:
         """Another run begins."""
         self.counts.clear()
-        self.waiting = self._newest = self._kept = -1
-        self._phase = None
+        self.waiting = self._newest = -1
+        self._ahead.clear()
+        self._phase, self._agreed = None, 0
         self._ages, self._due, self._silent_max = [0, 0, 0], 0, 0
 
     def statistics(self) -> dict[str, str]:

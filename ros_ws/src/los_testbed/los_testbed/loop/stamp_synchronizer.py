@@ -17,6 +17,12 @@ HOLD_STAMP = 0
 """Stamp of the plant's messages before the run begins: no time has passed."""
 
 
+HORIZON_NS = 50_000_000
+"""A stamp may be this much ahead of the plant's time."""
+
+NOT_KNOWN = 1 << 62
+"""Time of the plant before the first sample: every stamp may come."""
+
 SILENCE_NS = 50_000_000
 """A part that comes at every tick is silent when it is this far behind the others."""
 
@@ -84,7 +90,7 @@ class StampSynchronizer:
         self.stamp = HOLD_STAMP
         self.last = HOLD_STAMP
         self.gap = 0
-        self.horizon = 1 << 62
+        self.now = NOT_KNOWN
         self._newest = HOLD_STAMP
         slots = self.SLOTS + 1  # the last one is for hold ticks, so that they share no slot with a tick
         self._stamps = [-1] * slots
@@ -94,6 +100,11 @@ class StampSynchronizer:
         self._always = sum(1 << i for i, part in enumerate(self.parts) if part.period_ns == TICK_NS)
         self._at_times = [(1 << i, part.period_ns) for i, part in enumerate(self.parts) if part.period_ns != TICK_NS]
         self._own_time = sum(1 << i for i in self.slow)
+
+    @property
+    def horizon(self) -> int:
+        """Largest stamp that may come [ns]; :attr:`now`, the plant's time, is set from outside."""
+        return self.now + HORIZON_NS
 
     @property
     def waiting(self) -> bool:
@@ -117,7 +128,7 @@ class StampSynchronizer:
             if stamp < 0 or stamp % TICK_NS:
                 self.rejected["off_grid" if stamp >= 0 else "size"] += 1
                 return None
-            if self.last and stamp > self.horizon:
+            if stamp > self.horizon:
                 self.rejected["future"] += 1
                 if index in self.slow and not source:
                     self.slow[index].counts["early"] += 1
@@ -127,7 +138,8 @@ class StampSynchronizer:
             if source:
                 self.rejected[source] += 1
                 return None
-            if stamp != HOLD_STAMP and index in self.slow and not self._is_present(index, sent, stamp, data):
+            if stamp != HOLD_STAMP and index in self.slow:
+                self._take_frame(index, sent, stamp, data)
                 return None
             if stamp != HOLD_STAMP and (stamp <= self.last or self._stamps[slot] > stamp):
                 self.rejected["late"] += 1
@@ -145,11 +157,8 @@ class StampSynchronizer:
         if energy - energy != 0.0 and not (part.nan_allowed and not np.isinf(values).any()):
             self.rejected["not_finite"] += 1
             return None
-        if stamp > self._newest and index not in self.slow:
-            self._newest = stamp
+        self._newest = max(self._newest, stamp)
         self.latest[index] = stamp
-        if index in self.slow and stamp:
-            self.slow[index].keep(stamp, values)
         seen = self._seen[slot] = self._seen[slot] | 1 << index
         if seen & self._always != self._always or not self._complete(seen, stamp):
             return None
@@ -159,7 +168,7 @@ class StampSynchronizer:
             self._newest = HOLD_STAMP
             self._phases.clear()
         for sensor in self.slow.values() if stamp else ():
-            sensor.place(self._rows[slot], stamp, self._row_of(sensor.waiting))
+            sensor.place(self._rows[slot], stamp, self._row_of)
         self.gap = (stamp - self.last) // TICK_NS - 1 if self.last and stamp else 0
         self.gaps += self.gap
         self.stamp = stamp
@@ -198,21 +207,22 @@ class StampSynchronizer:
         self.off_grid[index] += stamp % TICK_NS != 0
         return (stamp - phase + TICK_NS // 2) // TICK_NS * TICK_NS
 
-    def _is_present(self, index: int, sent: int, tick: int, data: bytes) -> bool:
-        """Whether a frame of a slow sensor is of a tick that is not over; an old one is kept for the next tick."""
+    def _take_frame(self, index: int, sent: int, tick: int, data: bytes) -> None:
+        """A frame of a slow sensor is kept there for its tick or, where that is over, for the next one."""
         part, sensor = self.parts[index], self.slow[index]
-        if not sensor.note(sent, tick, self._newest):
-            return False
-        self.latest[index] = tick
-        if tick > self.last:
-            return tick <= self.last + (self.SLOTS // 2) * TICK_NS or not self.last
         values = np.empty(part.columns.stop - part.columns.start)
         part.codec.decode(data, values)
-        if np.isfinite(values).all():
-            sensor.offer(tick, values, self.last)
-        return False
+        if np.isinf(values).any():
+            self.rejected["not_finite"] += 1
+        elif sensor.note(sent, tick, self.now, self.horizon):
+            self.latest[index] = tick
+            if tick > self.last:
+                sensor.keep(tick, values)
+            elif np.isfinite(values).all():
+                sensor.offer(tick, values, self.last)
 
     def _row_of(self, tick: int) -> FloatArray | None:
         """Vector of an earlier tick, if it is still there and was complete."""
         slot = (tick // TICK_NS) % self.SLOTS
-        return self._rows[slot] if tick > 0 and self._stamps[slot] == tick else None
+        complete = tick > 0 and self._stamps[slot] == tick and not self._seen[slot]
+        return self._rows[slot] if complete else None

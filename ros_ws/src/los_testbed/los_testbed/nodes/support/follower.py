@@ -10,7 +10,7 @@ from los_testbed.bags.cdr import stamp_of
 from los_testbed.loop.changes import Changes
 from los_testbed.loop.health import OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer
+from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_clock import PlantClock
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
@@ -135,7 +135,7 @@ class Follower:
         if (taken := subscription.take()) is None:
             return False
         if self._clock is not None:
-            self._synchronizer.horizon = self._clock.horizon(steady)
+            self._synchronizer.now = self._clock.now(steady)
         source = subscription.sort(taken, steady)
         self._put(index, taken[0], source)
         self._gathered[index] = stamp_of(taken[0]) if not source and len(taken[0]) >= 12 else -1
@@ -157,7 +157,7 @@ class Follower:
             if self._clock is not None and not source and newest > HOLD_STAMP:
                 self._clock.note(newest, steady)
         if self._clock is not None:
-            synchronizer.horizon = self._clock.horizon(steady)
+            synchronizer.now = self._clock.now(steady)
         for index in range(trigger):
             period = synchronizer.parts[index].period_ns
             due = newest - newest % period if newest > 0 else newest
@@ -192,12 +192,13 @@ class Follower:
         if stamp != HOLD_STAMP:
             self.ticks += 1
         elif self._clock is not None:  # another run begins, on another clock
-            self._clock = PlantClock()
+            self._clock, self._synchronizer.now = PlantClock(), NOT_KNOWN
         return True
 
     def _begin_again(self) -> None:
         """The plant holds after a run: the next one has the settings of the start and counts of its own."""
         self._report()
+        self._context.finish_work()  # the report has the counts of the moment at which it is written
         self._start = self.ticks = 0
         self._changes.restore()
         self._execution, self._period = LatencyHistogram(), LatencyHistogram()

@@ -1,14 +1,11 @@
-"""The plant's clock as a node sees it, and how far ahead of it a stamp may be."""
+"""The plant's clock as a node sees it."""
 
 from __future__ import annotations
 
-HORIZON_NS = 50_000_000
-"""A stamp may be this much ahead of the plant's clock."""
+from los_testbed.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
 
 AGREED = 20
 """So many samples in a row that are too early, each later than the one before, set the clock."""
-
-NO_HORIZON = 1 << 62
 
 
 class PlantClock:
@@ -26,8 +23,8 @@ class PlantClock:
     >>> clock.note(5_000_000, 405_000_000)
     >>> for tick in range(406, 426):
     ...     clock.note(tick * 1_000_000, tick * 1_000_000)
-    >>> clock.horizon(426_000_000) // 1_000_000
-    476
+    >>> clock.now(426_000_000) // 1_000_000
+    426
     """
 
     def __init__(self) -> None:
@@ -58,6 +55,6 @@ class PlantClock:
                 self._lead = min(self._early)
                 self._early.clear()
 
-    def horizon(self, now_ns: int) -> int:
-        """Largest stamp [ns] that may come now; before the first sample any."""
-        return NO_HORIZON if self._lead is None else now_ns + self._lead + HORIZON_NS
+    def now(self, now_ns: int) -> int:
+        """The plant's time [ns] at a time of the steady clock [ns]; NOT_KNOWN before the first sample."""
+        return NOT_KNOWN if self._lead is None else now_ns + self._lead
