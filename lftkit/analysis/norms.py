@@ -27,6 +27,7 @@ from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interva
 from lftkit.analysis.peak_search import climb
 from lftkit.analysis.small_norm import COMPILED_STATES, MAX_STATES, Origin, small_hinf_norm
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.support.scalars import is_number
 from lftkit.systems.matrices import checked_matrices
 
 MAX_ROUNDS = 40
@@ -77,7 +78,7 @@ def hinf_norm(
     A, B, C, D : array_like
         Shapes (n, n), (n, m), (p, n), (p, m).
     dt : float, optional
-        Sampling period [s] of a discrete-time system.
+        Sampling period [s] of a discrete-time system; None or 0: continuous time.
     rtol : float
         Relative distance of the two sides.
     certificate : {"auto", "interval", "hamiltonian"}
@@ -116,13 +117,12 @@ def hinf_norm(
         raise ValueError(f"certificate must be auto, interval or hamiltonian, got {certificate!r}")
     if not rtol > 0:
         raise ValueError(f"rtol must be positive, got {rtol}")
+    dt = dt if _is_discrete(dt) else None
     if certificate == "auto" and (found := _by_compiled_code((A, B, C, D), dt, rtol)):
         return found
     system = checked_matrices(A, B, C, D)
     if dt is None:
         return _continuous(system, rtol, certificate)
-    if not dt > 0:
-        raise ValueError(f"dt must be positive, got {dt}")
     if certificate == "hamiltonian":
         raise ValueError("certificate must be auto or interval in discrete time, got 'hamiltonian'")
     return _discrete(system, dt, rtol, certificate)
@@ -157,7 +157,7 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
     0.25
     """
     a, b, c, d = checked_matrices(A, B, C, D)
-    if dt is None:
+    if not _is_discrete(dt):
         if np.any(d != 0.0):
             return float("inf")
         if not len(a):
@@ -176,6 +176,15 @@ def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float
         return float(np.sqrt(np.sum(d * d)))
     norm = discrete_h2((a, b, c, d))
     return float("inf") if norm is None else norm
+
+
+def _is_discrete(dt: float | None) -> bool:
+    """Whether there is a sampling period: None and 0, as :class:`lftkit.System` has it, are continuous time."""
+    if dt is None:
+        return False
+    if not (is_number(dt) and 0 <= dt < np.inf):
+        raise ValueError(f"dt must be a sampling period, or None or 0 for continuous time, got {dt!r}")
+    return dt > 0
 
 
 def _h2_of_modes(response: FrequencyResponse) -> float:

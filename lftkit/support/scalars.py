@@ -10,8 +10,8 @@ import numpy as np
 
 
 def is_number(value: Any) -> bool:
-    """Whether the value is one real number."""
-    return isinstance(value, Real | np.number) and not isinstance(value, complex | np.complexfloating)
+    """Whether the value is one real number; True and False are none."""
+    return isinstance(value, Real | np.number) and not isinstance(value, complex | np.complexfloating | bool)
 
 
 def as_number(value: Any, what: str) -> float:

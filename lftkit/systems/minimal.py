@@ -7,6 +7,10 @@ Then the parts of all blocks that the inputs reach together are kept: the smalle
 contains what the inputs enter and with M_ij V_j in V_i; likewise for the outputs. The passes are repeated until
 nothing more is removed. The response at every value is unchanged; nothing is approximated.
 
+What is zero is a matter of scaling: balancing takes a coupling that is rounding (1e-30 beside 100) for a real one, and
+scales its state until true couplings look like zero. So there are three ways to scale, and the first one is taken
+that leaves the response at points of s and of the elements as it was; where none does, nothing is removed.
+
 Assumption: parameters and 1/s are treated as non-commuting, which never removes too much. Source: Beck,
 Doyle and Glover, IEEE TAC 41 (1996), "Model reduction of multidimensional and uncertain systems"; D'Andrea and
 Khatri, ACC 1997.
@@ -14,18 +18,33 @@ Khatri, ACC 1997.
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.systems.delta import Value, delta_response
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import width
 
 #: Fraction of the block's norm below which a coupling is treated as zero.
 TOLERANCE = 1e-11
+
+ROUNDING = 1e-14
+"""Entries below this fraction of the largest do not count for the scaling."""
+
+SAME = 1e-6
+"""Two responses are the same within this fraction of the largest value of each entry: lost states make far more."""
+
+SLOWEST = 1e-7
+"""Eigenvalues below this fraction of the fastest may be a double integrator and rounding."""
+
+Scaling = Callable[[FloatArray], FloatArray]
+"""Of a square block the sizes of its coordinates, a diagonal change of coordinates."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,16 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
     """
     given = system.sorted_channels()
     count = Counter(given.channels)
+    found = (_reduced(given, tolerance, scaling) for scaling in (_balanced_without_rounding, _balanced, _as_it_is))
+    kept = next((one for one in found if _is_same(one, given)), given)
+    left = Counter(kept.channels)
+    removed = {e.name: (count[e.name] - left[e.name]) // width(e) for e in given.elements}
+    return Reduction(kept, given.order - kept.order, removed)
+
+
+def _reduced(given: System, tolerance: float, scaling: Scaling) -> System:
+    """The system without what cannot be reached or seen, as one scaling shows it."""
+    count = Counter(given.channels)
     names = [e.name for e in given.elements]
     sizes = [given.order, *(count[name] for name in names)]
     fixed = [False, *(width(e) > 1 for e in given.elements)]  # a matrix of dynamics keeps its channels
@@ -85,45 +114,97 @@ def minimal_realisation(system: System, *, tolerance: float = TOLERANCE) -> Redu
         before = list(sizes)
         for i in range(len(sizes)):
             if not fixed[i]:
-                M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance)
+                M, sizes[i] = _reduced_block(M, sum(sizes[:i]), sizes[i], tolerance, scaling)
         if sizes == before:
-            M, sizes = _jointly_reduced(M, sizes, fixed, tolerance)
+            M, sizes = _jointly_reduced(M, sizes, fixed, tolerance, scaling)
         if sizes == before:
             break
     n = sizes[0]
     channels = tuple(name for name, size in zip(names, sizes[1:]) for _ in range(size))
-    reduced = replace(given, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
-    removed = {e.name: (count[e.name] - size) // width(e) for e, size in zip(given.elements, sizes[1:])}
-    return Reduction(reduced, given.order - n, removed)
+    return replace(given, A=M[:n, :n], B=M[:n, n:], C=M[n:, :n], D=M[n:, n:], channels=channels)
 
 
-def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float) -> tuple[FloatArray, int]:
+def _balanced(A: FloatArray) -> FloatArray:
+    return np.asarray(linalg.matrix_balance(A, permute=False, separate=True)[1][0])
+
+
+def _balanced_without_rounding(A: FloatArray) -> FloatArray:
+    return _balanced(np.where(np.abs(A) > ROUNDING * np.abs(A).max(initial=0.0), A, 0.0))
+
+
+def _as_it_is(A: FloatArray) -> FloatArray:
+    return np.ones(len(A))
+
+
+def _responses(system: System, given: System) -> ComplexArray:
+    """Response at values of s (or z) as slow and as fast as the given system, and at values of its elements."""
+    rng = np.random.default_rng(0)
+    centre = 1.0 if given.dt else 0.0
+    speeds = np.unique(np.abs(linalg.eigvals(given.A) - centre)) if given.order else np.zeros(0)
+    speeds = speeds[speeds > SLOWEST * speeds.max(initial=0.0)]
+    speeds = np.quantile(speeds, np.linspace(0.0, 1.0, 7), method="nearest") if len(speeds) else np.ones(1)
+    found = []
+    for speed in (0.1 * speeds[0], *(0.7 * speeds), 10.0 * speeds[-1]):
+        point = centre + speed * np.exp(1.2j)  # beside the axis and the circle
+        values = given.sample_values(rng)[0]
+        found.append(_response(system, complex(point), values))
+    return np.array(found)
+
+
+def _response(system: System, point: complex, values: dict[str, Value]) -> ComplexArray:
+    n, q = system.order, len(system.channels)
+    delta = delta_response(system.channels, system.elements, values, point)
+    M = np.block([[system.A, system.B], [system.C, system.D]]).astype(complex)
+    inner = M[: n + q, : n + q].copy()
+    entering, leaving = M[: n + q, n + q :].copy(), M[n + q :, : n + q]
+    inner[n:], entering[n:] = delta @ inner[n:], delta @ entering[n:]
+    loop = np.diag([point] * n + [1.0] * q) - inner
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # the two responses disagree where that matters
+        return np.asarray(M[n + q :, n + q :] + leaving @ linalg.solve(loop, entering))
+
+
+def _is_same(reduced: System, given: System) -> bool:
+    """Whether two responses agree at all points, each entry within a fraction of its largest value."""
+    if (reduced.order, reduced.channels) == (given.order, given.channels):
+        return True
+    try:
+        expected, found = _responses(given, given), _responses(reduced, given)
+    except linalg.LinAlgError:
+        return False
+    size = np.abs(expected).max(axis=0, initial=0.0)
+    size = np.maximum(size, 1e-9 * size.max(initial=0.0))
+    return bool(np.all(np.abs(found - expected) <= SAME * size))
+
+
+def _reduced_block(M: FloatArray, start: int, size: int, tolerance: float, scaling: Scaling) -> tuple[FloatArray, int]:
     """Reduce the block of `size` rows and columns from `start` on; the other rows and columns stay."""
     if size == 0:
         return M, 0
-    M, size = _keep_reachable(M, start, size, tolerance)
+    M, size = _keep_reachable(M, start, size, tolerance, scaling)
     if size == 0:
         return M, 0
-    turned, size = _keep_reachable(M.T, start, size, tolerance)
+    turned, size = _keep_reachable(M.T, start, size, tolerance, scaling)
     return turned.T, size
 
 
 def _jointly_reduced(
-    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float
+    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float, scaling: Scaling
 ) -> tuple[FloatArray, list[int]]:
     """Reduce all blocks to what the inputs reach, and then to what the outputs see, through all blocks together."""
-    M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance)
-    turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance)
+    M, sizes = _keep_jointly_reachable(M, sizes, fixed, tolerance, scaling)
+    turned, sizes = _keep_jointly_reachable(M.T, sizes, fixed, tolerance, scaling)
     return turned.T, sizes
 
 
 def _keep_jointly_reachable(
-    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float
+    M: FloatArray, sizes: list[int], fixed: list[bool], tolerance: float, scaling: Scaling
 ) -> tuple[FloatArray, list[int]]:
     k = sum(sizes)
     if k == 0:
         return M, sizes
-    scaled, (scale, _) = linalg.matrix_balance(M[:k, :k], permute=False, separate=True)
+    scale = scaling(M[:k, :k])
+    scaled = M[:k, :k] * scale / scale[:, None]
     entering = M[:k, k:] / scale[:, None]
     ends = np.cumsum(sizes)
     blocks = [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes)]
@@ -152,11 +233,12 @@ def _keep_jointly_reachable(
     return np.hstack([M[:, :k] @ lift, M[:, k:]]), kept
 
 
-def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float) -> tuple[FloatArray, int]:
+def _keep_reachable(M: FloatArray, start: int, size: int, tolerance: float, scaling: Scaling) -> tuple[FloatArray, int]:
     inside = np.arange(start, start + size)
     others = np.setdiff1d(np.arange(M.shape[1]), inside)
     A, B = M[np.ix_(inside, inside)], M[np.ix_(inside, others)]
-    scaled, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    scale = scaling(A)
+    scaled = A * scale / scale[:, None]
     Q = _reachable(scaled, B / scale[:, None], tolerance)
     if Q.shape[1] == size:
         return M, size

@@ -328,6 +328,8 @@ def _series(a: Expression, b: Expression) -> Expression:
         return replace(_multiplied(b, a.constant, np.eye(b.shape[1])), dt=_period([a, b]))
     if b.is_constant:
         return replace(_multiplied(a, np.eye(a.shape[0]), b.constant), dt=_period([a, b]))
+    if a.shape == b.shape == (1, 1) and OPERATOR in a.coefficients and OPERATOR not in b.coefficients:
+        a, b = b, a  # functions commute, but of s times an element a derivative of the element's output would be made
     p, k, m = a.shape[0], a.shape[1], b.shape[1]
     both = a.inner + b.inner
     n = both + k

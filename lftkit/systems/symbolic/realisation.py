@@ -183,7 +183,9 @@ def _shifted(
     small = minimal_realisation(whole).system
     r = small.occurrences().get(sigma.name, 0)
     M11, M12, M21, M22 = small.D[:r, :r], small.D[:r, r:], small.D[r:, :r], small.D[r:, r:]
-    inverse = lft.solve_loop(M11, np.hstack([np.eye(r), M12]), "expression must be proper (no derivative of its input)")
+    proper = "expression must be proper: no derivative of its input" + ", nor of an element's output" * bool(elements)
+    advice = ", as ((s + q) / (s + m))**2 in place of (s + q)**2 / (s + m)**2" * bool(elements)
+    inverse = lft.solve_loop(M11, np.hstack([np.eye(r), M12]), proper + advice)
     A, B = shift * np.eye(r) + inverse[:, :r], -inverse[:, r:]
     return System(
         A,

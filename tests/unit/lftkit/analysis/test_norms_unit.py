@@ -9,6 +9,7 @@ import pytest
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, refined_response
 from lftkit.analysis.hinf_level_test import hamiltonian_test, interval_test
 from lftkit.analysis.norms import h2_norm, hinf_norm, hinf_norms, spectral_abscissa
+from lftkit.systems.system import System
 
 
 def flexible(seed: int, modes: int = 100, inputs: int = 5, outputs: int = 2) -> tuple[np.ndarray, ...]:
@@ -134,3 +135,21 @@ def test_units_do_not_cost_digits() -> None:
         assert np.abs(form.at(omega)[0] - exact).max() < 1e-8 * np.abs(exact).max()
     plain = hinf_norm(A, B, C, np.zeros((2, 3)))
     assert hinf_norm(*mixed, np.zeros((2, 3))).value == pytest.approx(plain.value, rel=1e-7)
+
+
+def test_period_zero_is_continuous_time_as_systems_have_it():
+    matrices = [[-2.0]], [[1.0]], [[1.0]], [[0.0]]
+    assert h2_norm(*matrices, dt=0.0) == h2_norm(*matrices) == pytest.approx(0.5)
+    assert hinf_norm(*matrices, dt=0.0).value == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("dt", [-1.0, float("nan"), float("inf"), True, "1"])
+@pytest.mark.parametrize("norm", [h2_norm, hinf_norm])
+def test_a_period_that_is_none_is_refused(norm, dt):
+    with pytest.raises(ValueError, match="dt must be a sampling period, or None or 0 for continuous time, got"):
+        norm([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=dt)
+
+
+def test_true_is_no_period_of_a_system():
+    with pytest.raises(ValueError, match="dt must be a finite real number, got True"):
+        System([[0.5]], [[1.0]], [[1.0]], [[0.0]], [("u", 1)], [("y", 1)], dt=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit import Port, RealParameter, System, connect, state_space, static_gain
+from lftkit import Port, RealParameter, System, connect, real, s, state_space, static_gain
 from lftkit.systems.minimal import minimal_realisation
 
 POINT = {"k": 1.1, "m": 0.3}
@@ -78,3 +78,55 @@ def test_a_parameter_that_acts_on_nothing_goes_away() -> None:
     )
     result = minimal_realisation(idle)
     assert result.system.occurrences() == {} and result.removed_occurrences == {"k": 1}
+
+
+def controllers(rng):
+    """PID controllers with everyday gains in series with plants: integrators, derivatives, elements."""
+    choose = lambda *values: float(rng.choice(values))  # noqa: E731
+    kp, ki, kd, lag = choose(1, 2, 3, 10), choose(0.5, 1, 2, 0.38), choose(0.38, 1, 2.3), choose(0.1, 0.01, 0.001)
+    pid = kp + ki / s + kd * s / (lag * s + 1)
+    k, m = real("k", 2.0, percent=20), real("m", 2.0, percent=10)
+    a = [choose(0.1, 0.5, 1, 2.3, 10) for _ in range(3)]
+    for plant in (s * (s + 1) ** 3, s**2 + a[0] * s + k, m * s**2, (a[0] * s + 1) * (a[1] * s + 1) * (a[2] * s + 1)):
+        yield from (k * pid / plant, pid / plant, 1 / (1 + k * pid / plant), k * (1 + 1 / s) ** 2 / plant)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_controller_in_series_with_a_plant_loses_no_state(seed):
+    """Rounding of 1e-30 in the matrices made balancing scale true couplings away: the integrator was gone."""
+    for expression in controllers(np.random.default_rng(seed)):
+        system = expression.system()
+        for point in (0.3 + 1.1j, 0.01 + 0.1j, 1e-3j):
+            assert system(point) == pytest.approx(expression(point), rel=1e-7)
+
+
+def test_rounding_in_a_column_does_not_make_a_state_unreachable():
+    A = [[-3.6e-30, 34.3, -97.0], [0.0, -1.0, 0.0], [-3.7e-30, 34.3, -100.0]]
+    given = state_space(A, [[0.0], [1.0], [0.0]], [[2.0, 103.0, -293.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
+    assert minimal_realisation(given).system(2.0) == pytest.approx(given(2.0), rel=1e-12)
+
+
+def test_a_badly_scaled_oscillator_keeps_its_states():
+    given = state_space(
+        [[0.0, 1e15], [-1e-15, -1e-3]], [[0.0], [1e-15]], [[1.0, 0.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)]
+    )
+    assert minimal_realisation(given).removed_states == 0
+
+
+def test_the_order_of_factors_of_a_lead_and_a_notch_does_not_matter():
+    q = real("q", 2.0, 1.0, 3.0)
+    for one, other in (
+        ((1 + s / q) / (1 + 0.1 * s), (1 + (1 / q) * s) / (1 + 0.1 * s)),
+        (s * q / (s + 1), q * s / (s + 1)),
+        ((s**2 + 0.1 * s * q + q**2) / (s**2 + s * q + q**2), (s**2 + 0.1 * q * s + q**2) / (s**2 + q * s + q**2)),
+    ):
+        systems = one.system(), other.system()
+        assert systems[0].occurrences() == systems[1].occurrences() and systems[0].order == systems[1].order
+        assert systems[0].at(q=1.3)(2j) == pytest.approx(other(2j, q=1.3), rel=1e-10)
+
+
+def test_a_derivative_of_an_element_s_output_is_said_to_be_one():
+    q, m = real("q", 2.0, 1.0, 3.0), real("m", 2.0, 1.0, 3.0)
+    assert ((s + q) / (s + m) * ((s + q) / (s + m))).system()(2.0) == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="nor of an element's output"):
+        ((s + q) ** 2 / (s + m) ** 2).system()
