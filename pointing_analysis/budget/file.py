@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.source_table import read_sources
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, BudgetError, Source
@@ -159,6 +159,12 @@ def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
         raise BudgetError(f"{file}: {error}") from None
     if found.index not in INDICES:
         raise BudgetError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
+    if found.of_windows:
+        instants = replace(found, of_windows=False).quantity
+        raise BudgetError(
+            f"{file}: requirement must be on {instants} in a budget, which is of every instant and has no rms of "
+            f"windows, got {found.quantity!r}"
+        )
     if axes != 2:
         raise BudgetError(f"{file}: axes must be two where there are requirements, got {axes}")
     return found
@@ -227,15 +233,22 @@ class _Reader:
 
     def gain(self, path: tuple[str, ...], transfers: list[Any], hertz: FloatArray) -> FloatArray:
         """Magnitude of all transfers at some frequencies [Hz]."""
-        total: FloatArray = np.ones(hertz.size)
+        return np.abs(self.response(path, transfers, hertz))
+
+    def response(self, path: tuple[str, ...], transfers: list[Any], hertz: FloatArray) -> ComplexArray:
+        """All transfers at some frequencies [Hz]; of a file, which has gains only, with the phase zero."""
+        total: ComplexArray = np.ones(hertz.size, dtype=complex)
         for entry in transfers:
             if is_number(entry):
-                total = total * abs(float(entry))
+                total = total * float(entry)
             elif isinstance(entry, dict) and set(entry) == {"numerator", "denominator"}:
                 from scipy import signal  # slow to import, and few budgets have such a transfer
 
-                _, response = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
-                total = total * np.abs(response)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    _, found = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
+                if not np.isfinite(found).all():
+                    raise self.wrong(path, "transfer must be finite at the frequencies of the source", entry)
+                total = total * found
             elif isinstance(entry, dict) and set(entry) == {"file"}:
                 lines = read_text(self.file.parent / str(entry["file"])).splitlines()
                 table = np.loadtxt(lines, delimiter=",", ndmin=2)
@@ -247,7 +260,8 @@ class _Reader:
         return np.asarray(total)
 
     def steady(self, path: tuple[str, ...], transfers: list[Any]) -> float:
-        return float(self.gain(path, transfers, np.zeros(1))[0])
+        """Gain at frequency zero, with its sign: known errors may cancel."""
+        return float(self.response(path, transfers, np.zeros(1)).real[0])
 
     def fixed(self, path: tuple[str, ...], transfers: list[Any]) -> float:
         """Gain of transfers that must not depend on the frequency."""
@@ -275,7 +289,7 @@ class _Reader:
         if time == 0:
             return [kinds.white(path, sigma).scaled(gain)]
         tau = _positive(self.file, f"{' / '.join(path)}: correlation_time", time)
-        return [kinds.process(path, lambda lag: np.exp(-np.abs(lag) / tau)[:, None] * sigma**2, "random").scaled(gain)]
+        return [kinds.correlated(path, sigma, tau).scaled(gain)]
 
     def _periodic(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
         return self._tones(
@@ -315,11 +329,14 @@ class _Reader:
             raise self.wrong(
                 path, "spectrum must have two or more rising frequencies [Hz] and positive densities", table
             )
-        fine = np.geomspace(f[0], f[-1], 4001)
-        middle, width = np.sqrt(fine[1:] * fine[:-1]), np.diff(fine)
-        level = np.stack([np.exp(np.interp(np.log(middle), np.log(f), np.log(d))) for d in density.T], axis=1)
-        power = level * (self.gain(path, transfers, middle) ** 2 * width)[:, None]
-        return [kinds.process(path, lambda lag: np.cos(2 * np.pi * np.outer(lag, middle)) @ power, "spectrum")]
+        edges = np.union1d(np.geomspace(f[0], f[-1], 4001)[1:-1], f)
+        middle, steps = np.sqrt(edges[1:] * edges[:-1]), np.diff(np.log(edges))
+        # f times the density is a power of f in each step; its integral over log f is exact, also on a steep flank.
+        level = np.stack([np.interp(np.log(edges), np.log(f), np.log(f * d)) for d in density.T], axis=1)
+        half = np.diff(level, axis=0) / 2
+        slope = np.where(np.abs(half) < 1e-4, 1 + half**2 / 6, np.sinh(half) / np.where(half == 0, 1, half))
+        power = np.exp((level[1:] + level[:-1]) / 2) * slope * steps[:, None]
+        return [kinds.spectrum(path, middle, power * self.gain(path, transfers, middle)[:, None] ** 2)]
 
     def _measured(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
         if "bag" not in table:

@@ -1,7 +1,8 @@
 """Sources of a budget as a table (CSV or a workbook), to read and to write.
 
 The columns are described in ``docs/pointing_budget.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
-values of several axes stand apart by ``;``.
+values of several axes stand apart by ``;``. Rows of the types ``requirement``, ``total`` and ``setting`` hold the rest
+of the file.
 """
 
 from __future__ import annotations
@@ -19,10 +20,15 @@ LENGTHS = ("value", "half_range", "sigma", "amplitude", "rate")
 
 NUMBERS = (*LENGTHS, "frequency", "phase", "correlation_time", "duration", "transfer")
 TEXTS = ("random",)
-COLUMNS = ("source", "type", "unit", *NUMBERS, *TEXTS, "text")
-"""Columns of a table of sources; ``text`` is of rows of the type ``requirement``."""
+OF_TOTAL = ("window", "factor")
+COLUMNS = ("source", "type", "unit", *NUMBERS, *TEXTS, *OF_TOTAL, "text")
+"""Columns of a table of sources; ``text`` is of requirements and settings, `OF_TOTAL` of rows of the type ``total``."""
 
-REQUIREMENT = "requirement"
+REQUIREMENT, TOTAL, SETTING = "requirement", "total", "setting"
+"""Types of the rows that are no source; the column ``source`` has the name, the index, or the key."""
+
+WHOLE = ("draws", "seed")
+SETTINGS = ("title", "summation", "axes", *WHOLE)
 SEPARATOR = " / "
 """Between the names of a group and of a source in it."""
 
@@ -40,10 +46,10 @@ def read_sources(path: Path) -> dict[str, Any]:
         raise BudgetError(f"{path}: columns must be of {', '.join(COLUMNS)}, got {unknown[0]!r}")
     if missing := [head for head in ("source", "type", "unit") if head not in heads]:
         raise BudgetError(f"{path}: columns must have source, type and unit, got no {missing[0]}")
-    content: dict[str, Any] = {"title": path.stem, "sources": {}, REQUIREMENT: []}
+    content: dict[str, Any] = {"sources": {}, REQUIREMENT: []}
     for where, cells in rows:
         _take(content, cells, where)
-    return content
+    return {"title": path.stem, **content}
 
 
 def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None:
@@ -52,6 +58,15 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
     if kind == REQUIREMENT:
         content[REQUIREMENT].append({"name": name, "text": cells.get("text", "")})
         return
+    if kind == TOTAL:
+        values = {key: _number(cells[key], where, key) for key in OF_TOTAL if key in cells}
+        content.setdefault(TOTAL, []).append({"index": name, **values})
+        return
+    if kind == SETTING:
+        _set(content, name, cells.get("text", ""), where)
+        return
+    if others := [key for key in OF_TOTAL if key in cells]:
+        raise BudgetError(f"{where}: {others[0]} must be empty for a source, got {cells[others[0]]!r}")
     unit = cells.get("unit", content.get("unit", ""))
     if unit not in ANGLES:
         raise BudgetError(f"{where}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
@@ -73,6 +88,35 @@ def _take(content: dict[str, Any], cells: Mapping[str, str], where: str) -> None
     group[last] = table
 
 
+def _set(content: dict[str, Any], key: str, text: str, where: str) -> None:
+    """A setting of the budget into the content."""
+    if key not in SETTINGS:
+        raise BudgetError(f"{where}: setting must be one of {', '.join(SETTINGS)}, got {key!r}")
+    if key in content:
+        raise BudgetError(f"{where}: setting must stand once, got {key!r}")
+    if key == "axes":
+        content[key] = [axis.strip() for axis in text.split(";")]
+    elif key in WHOLE:
+        content[key] = _whole(text, where, key)
+    else:
+        content[key] = text
+
+
+def _whole(cell: str, where: str, key: str) -> int:
+    """A whole number; a workbook may have it with a decimal point."""
+    digits = cell.removesuffix(".0").removeprefix("-")
+    if not (digits.isascii() and digits.isdigit() and len(digits) < 19):
+        raise BudgetError(f"{where}: {key} must be a whole number, got {cell!r}")
+    return int(cell.removesuffix(".0"))
+
+
+def _number(cell: str, where: str, key: str) -> float:
+    found = _numbers(cell, where, key)
+    if isinstance(found, list):
+        raise BudgetError(f"{where}: {key} must be one number, got {cell!r}")
+    return found
+
+
 def _numbers(cell: str, where: str, key: str) -> float | list[float]:
     try:
         found = [float(part) for part in cell.split(";")]
@@ -82,25 +126,45 @@ def _numbers(cell: str, where: str, key: str) -> float | list[float]:
 
 
 def source_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Rows of the table of sources of a budget file.
+    """Rows of the table of sources of a budget file that has been read without a mistake.
 
     Raises
     ------
     BudgetError
-        A source that no row can hold: a spectrum, a record, several tones, a transfer that depends on the frequency.
+        What no row can hold: a spectrum, a record, several tones, a transfer that depends on the frequency; a name
+        that would be read as another one.
     """
     unit = str(content.get("unit", ""))
-    rows = [
-        {"source": str(r.get("name", "")), "type": REQUIREMENT, "text": str(r["text"])}
+    rows = [{"source": key, "type": SETTING, "text": _setting(key, content[key])} for key in SETTINGS if key in content]
+    rows += [
+        {"source": _plain("requirement", r.get("name", "")), "type": REQUIREMENT, "text": str(r["text"])}
         for r in content.get(REQUIREMENT, ())
     ]
+    for entry in content.get(TOTAL, ()):
+        values = {key: _cell(entry[key]) for key in OF_TOTAL if key in entry}
+        rows.append({"source": str(entry["index"]), "type": TOTAL, **values})
     rows += [{"source": name, "unit": unit, **row} for name, row in _flat(content.get("sources", {}), (), 1.0)]
     return rows
 
 
+def _setting(key: str, value: Any) -> str:
+    if key != "axes":
+        return _plain(key, int(value) if key in WHOLE else value)
+    return "; ".join(_plain("axis", axis, ";") for axis in value)
+
+
+def _plain(what: str, value: Any, separator: str = "") -> str:
+    """A text that is read as it is written: without blanks at its ends, and without the separator."""
+    text = str(value)
+    if text != text.strip() or (separator and (not text or separator in text)):
+        ends = f", not empty and without {separator!r}," if separator else ""
+        raise BudgetError(f"{what} must be a text{ends} without blanks at its ends in a table, got {text!r}")
+    return text
+
+
 def _flat(table: Mapping[str, Any], path: tuple[str, ...], gain: float) -> Iterator[tuple[str, dict[str, str]]]:
     """Name and cells of each source of a tree; transfers of groups are in those of their sources."""
-    name, transfer = SEPARATOR.join(path), table.get("transfer", 1.0)
+    name, transfer = SEPARATOR.join(_plain("source", part, "/") for part in path), table.get("transfer", 1.0)
     if isinstance(transfer, (int, float)):
         gain *= float(transfer)
     else:

@@ -21,7 +21,7 @@ from pointing_analysis.indices import metrics, weights
 Draw = Callable[[np.random.Generator, FloatArray, float | None], FloatArray]
 Sigma = Callable[[float | None], FloatArray]
 POSITIONS = 40
-"""Positions in a window at which the covariance of a random process is computed."""
+"""Equal parts of a window, for each of which a random process has a covariance: the mean over the part."""
 TIME, ENSEMBLE = "time", "ensemble"
 
 
@@ -58,11 +58,11 @@ class Source:
         return " / ".join(self.path)
 
     def scaled(self, gain: float) -> Source:
-        """The source behind a constant gain."""
+        """The source behind a constant gain, which may be negative."""
         draw, sigma, worst = self.draw, self.sigma, self.worst
         return replace(
             self,
-            mean=gain * self.mean,
+            mean=gain * self.mean + 0.0,  # no -0
             draw=lambda rng, u, window: gain * draw(rng, u, window),
             sigma=lambda window: abs(gain) * sigma(window),
             worst=lambda window: abs(gain) * worst(window),
@@ -176,26 +176,67 @@ def _root(matrix: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
 
 
-def process(path: tuple[str, ...], correlation: Callable[[FloatArray], FloatArray], kind: str) -> Source:
-    """Gaussian process with independent axes, from its autocovariance.
+def spectrum(path: tuple[str, ...], hertz: FloatArray, power: FloatArray) -> Source:
+    r"""Gaussian process with independent axes, from its power at many frequencies.
 
     Parameters
     ----------
     path : of the source
-    correlation : lags [s] (m,) -> autocovariance of each axis (m, k)
-    kind : type of the source
+    hertz : (m,) frequencies [Hz], in steps that are small against themselves
+    power : (m, k) mean square of each axis at each frequency
+
+    Notes
+    -----
+    At the position u of a window T the share of the power at f that is left is
+    :math:`|1 - s e^{2\pi i f T (1/2 - u)}|^2` with :math:`s = \sin(\pi f T) / (\pi f T)`. Its mean over a
+    part of the window is a closed form, and over the whole window :math:`1 - s^2`, at any frequency.
     """
-    at_zero = np.asarray(correlation(np.zeros(1)))[0]
 
     def within(window: float) -> FloatArray:
-        t = (np.arange(POSITIONS) + 0.5) / POSITIONS * window
-        lags = np.abs(t[:, None] - t)
-        table = np.asarray(correlation(lags.ravel())).reshape(POSITIONS, POSITIONS, -1)
-        mean = table.mean(axis=1)
-        variance = table[np.arange(POSITIONS), np.arange(POSITIONS)] - 2 * mean + mean.mean(axis=0)
-        return np.stack([np.diag(np.maximum(v, 0)) for v in variance])
+        turns = hertz * window
+        u = (np.arange(POSITIONS) + 0.5) / POSITIONS
+        # 1 - s and 1 - cos lose their digits at low frequencies, where a drifting process has most of its power.
+        off, off_part = _one_less_sinc(turns), _one_less_sinc(turns / POSITIONS)
+        off_cosine = off_part + (1 - off_part) * 2 * np.sin(np.pi * np.outer(0.5 - u, turns)) ** 2
+        left = off**2 + 2 * (1 - off) * off_cosine
+        return np.stack([np.diag(v) for v in np.maximum(left @ power, 0)])
 
-    return gaussian(path, np.diag(at_zero), within, kind)
+    return gaussian(path, np.diag(power.sum(axis=0)), within, "spectrum")
+
+
+def _one_less_sinc(turns: FloatArray) -> FloatArray:
+    """1 - sin(pi x) / (pi x) with all its digits."""
+    square = (np.pi * turns) ** 2
+    return np.asarray(np.where(square < 1e-2, square / 6 * (1 - square / 20 * (1 - square / 42)), 1 - np.sinc(turns)))
+
+
+def correlated(path: tuple[str, ...], sigma: ArrayLike, time: float) -> Source:
+    r"""Gaussian process with independent axes and the autocovariance :math:`\sigma^2 e^{-|\tau| / T_c}`.
+
+    Parameters
+    ----------
+    path : of the source
+    sigma : (k,) standard deviations
+    time : correlation time [s]
+    """
+    variance = np.square(np.asarray(sigma, dtype=float))
+
+    def within(window: float) -> FloatArray:
+        lost = _decorrelation(window / time)
+        return np.stack([np.diag(v) for v in (2 * lost - lost.mean())[:, None] * variance])
+
+    return gaussian(path, np.diag(variance), within, "random")
+
+
+def _decorrelation(x: float) -> FloatArray:
+    """Mean of 1 - exp(-x |u - v|) over u in each part of a window and v in the whole of it, 0 to 1."""
+    ends: FloatArray = np.arange(POSITIONS + 1) / POSITIONS
+    if x > 0.1:
+        half = 0.5 - (1 + np.exp(-x * ends[:-1]) * math.expm1(-x / POSITIONS) * POSITIONS / x) / x
+    else:  # where the closed form loses its digits
+        terms = [-((-x) ** n) / math.factorial(n + 2) * np.diff(ends ** (n + 2)) for n in range(1, 10)]
+        half = POSITIONS * np.sum(terms, axis=0)
+    return np.asarray(half + half[::-1])
 
 
 def white(path: tuple[str, ...], sigma: ArrayLike) -> Source:

@@ -16,6 +16,9 @@ WORKBOOK = ".xlsx"
 ENDINGS = (".csv", WORKBOOK)
 """Endings of the files of tables."""
 
+TEXT_HEADS = ("source", "type", "text", "requirement")
+"""Columns of a workbook whose cells are texts, also where they look like a number."""
+
 MAX_ROWS = 100_000
 """A workbook is compressed: this many rows are read at most."""
 
@@ -26,7 +29,7 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     Raises
     ------
     BudgetError
-        A workbook that cannot be read.
+        A workbook that cannot be read, a head that stands twice; of the rows: a cell that no head is above of.
     StructuredTextError
         A CSV file that cannot be read.
     """
@@ -35,14 +38,23 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     else:
         lines = list(csv.reader(io.StringIO(read_text(path).lstrip("\ufeff")), skipinitialspace=True))
     heads = [cell.strip() for cell in lines[0]] if lines else []
+    if twice := [head for head in heads if head and heads.count(head) > 1]:
+        raise BudgetError(f"{path}: columns must stand once, got {twice[0]!r} {heads.count(twice[0])} times")
     return heads, _filled(path, heads, lines[1:])
 
 
 def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tuple[str, dict[str, str]]]:
     for number, line in enumerate(lines, start=2):
-        cells = {head: cell.strip() for head, cell in zip(heads, line) if head and cell.strip()}
+        where, cells = f"{path}, line {number}", {}
+        for column, cell in enumerate((cell.strip() for cell in line), start=1):
+            head = heads[column - 1] if column <= len(heads) else ""
+            if cell and not head:
+                hint = "" if path.suffix.lower() == WORKBOOK else "; a text with commas stands in quotes"
+                raise BudgetError(f"{where}: cells must be in a column with a head, got {cell!r} in {column}{hint}")
+            if cell:
+                cells[head] = cell
         if cells:
-            yield f"{path}, line {number}", cells
+            yield where, cells
 
 
 def _lines_of_workbook(path: Path) -> list[list[str]]:
@@ -98,7 +110,9 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, str]], columns: Sequence[
     sheet = book.active
     sheet.append(heads)
     for row in rows:
-        sheet.append([_number(row.get(head, "")) for head in heads])
+        sheet.append([_number(row.get(head, ""), head) for head in heads])
+    for cell in (cell for cells in sheet.iter_rows() for cell in cells if cell.data_type == "f"):
+        cell.data_type = "s"  # a name that begins with = is no formula
     sheet.freeze_panes = "A2"
     for letter, head in zip((cell.column_letter for cell in sheet[1]), heads):
         sheet.column_dimensions[letter].width = min(
@@ -108,9 +122,9 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, str]], columns: Sequence[
         book.save(temporary)
 
 
-def _number(cell: str) -> float | str | None:
+def _number(cell: str, head: str) -> float | str | None:
     try:
-        return float(cell)
+        return cell if head in TEXT_HEADS else float(cell)
     except ValueError:
         return cell or None
 

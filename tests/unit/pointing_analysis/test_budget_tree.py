@@ -67,10 +67,10 @@ def test_a_tone_within_an_exposure(hertz: float) -> None:
 def test_an_exponentially_correlated_process_within_an_exposure() -> None:
     """Var(mean) of exp(-t / tau) over T is 2 tau / T (1 - tau / T (1 - exp(-T / tau)))."""
     tau, window = 0.03, 0.02
-    source = kinds.process(("a",), lambda lag: np.exp(-lag / tau)[:, None] * np.ones(2), "random")
+    source = kinds.correlated(("a",), np.ones(2), tau)
     ratio = tau / window
     of_mean = 2 * ratio * (1 - ratio * (1 - math.exp(-1 / ratio)))
-    assert source.sigma(window) ** 2 == pytest.approx([1 - of_mean] * 2, rel=2e-3)
+    assert source.sigma(window) ** 2 == pytest.approx([1 - of_mean] * 2, rel=1e-12)
     rng = np.random.default_rng(1)
     assert source.draw(rng, rng.random(100_000), window).std(axis=0) == pytest.approx(source.sigma(window), rel=0.02)
 
@@ -90,6 +90,43 @@ def test_interpretations_and_transfers(tmp_path: Path) -> None:
     assert levels["temporal"] == pytest.approx(1.0 + amplitude * math.sin(0.9 * math.pi / 2), rel=5e-3)
     assert levels["ensemble"] == pytest.approx(amplitude + 0.9, rel=5e-3)
     assert levels["mixed"] < min(levels["temporal"], levels["ensemble"])
+
+
+@pytest.mark.parametrize("transfer", ["-1.0", "{numerator = [-62.8], denominator = [1, 62.8]}"])
+@pytest.mark.parametrize(
+    ("known", "mean"), [("constant", "value = [10, 4]"), ("drift", "rate = [0.5, 0.2]\nduration = 40")]
+)
+def test_known_errors_behind_gains_of_opposite_sign_cancel(
+    tmp_path: Path, known: str, mean: str, transfer: str
+) -> None:
+    """The sign of a gain had been lost: 20 in place of 0 for a bias and its calibration."""
+    entry = f'type = "{known}"\n{mean}\n'
+    found = budget(tmp_path, f"[sources.a]\n{entry}[sources.b]\ntransfer = {transfer}\n[sources.b.c]\n{entry}")
+    means = np.array([share.mean for share in found.shares])
+    assert np.abs(means) == pytest.approx(np.array([[10, 4], [10, 4]])) and means.sum(axis=0) == pytest.approx([0, 0])
+    if known == "constant":
+        assert found.level == found.rss == pytest.approx(0.0, abs=1e-12)
+
+
+def test_sigmas_behind_a_negative_gain_are_positive(tmp_path: Path) -> None:
+    rows = ['"random"\nsigma = 2', '"constant"\nhalf_range = 2', '"periodic"\nfrequency = 3\namplitude = 2']
+    rows.append('"spectrum"\nfrequency = [1, 2]\npsd = [2, 2]')
+    for row in rows:
+        one, other = (budget(tmp_path, f"[sources.a]\ntransfer = {gain}\ntype = {row}\n") for gain in (3, -3))
+        assert one.shares[0].sigma.tolist() == other.shares[0].sigma.tolist() and min(one.shares[0].sigma) > 0
+        assert one.rss == other.rss and not np.signbit(other.shares[0].mean).any()
+
+
+def test_an_rms_of_windows_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It had been judged at every instant under the title rms: 50 in place of 50 / sqrt(2) for a tone of 100 Hz."""
+    tone = '[sources.a]\ntype = "periodic"\nfrequency = 100\namplitude = [50, 0]\n'
+    with pytest.raises(ValueError, match=r"must be on \|RPE_x\(20 ms\)\| in a budget, .* got 'rms RPE_x\(20 ms\)'$"):
+        budget(tmp_path, tone, "prob(rms RPE_x(20 ms) < 40 mas) >= 0.997 at 95 % confidence")
+    page = tmp_path / "page.html"
+    with pytest.raises(SystemExit) as caught:
+        main(["budget", str(tmp_path / "budget.toml"), "--output", str(page), "--json"])
+    shown = capsys.readouterr()
+    assert caught.value.code == 2 and "rms RPE_x(20 ms)" in shown.err and not shown.out and not page.exists()
 
 
 def test_a_spectrum_and_a_drift(tmp_path: Path) -> None:
@@ -140,6 +177,10 @@ def test_the_command_prints_and_writes_a_page(tmp_path: Path, capsys: pytest.Cap
         ('[sources.a]\ntype = "measured"\nbag = "none"\n', "no such bag"),
         ('[sources.a]\ntype = "testbed"\n', "type testbed needs the command"),
         ('[sources.a]\ntype = "random"\nsigma = 1\ntransfer = "x"\n', "transfer must be a number"),
+        (
+            '[sources.a]\ntype = "constant"\nvalue = 1\ntransfer = {numerator = [1], denominator = [1, 0]}\n',
+            "a: transfer must be finite at the frequencies",
+        ),
     ],
 )
 def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:

@@ -80,19 +80,16 @@ def budget(
     from pointing_analysis.budget.result_table import result_rows
     from pointing_analysis.budget.source_table import COLUMNS, source_rows
     from pointing_analysis.budget.table_files import require_writable, write_rows
-    from pointing_analysis.budget.total import as_dict, axis_total, evaluate
+    from pointing_analysis.budget.total import as_dict, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
-    from pointing_analysis.report.budget_page import render_budget, vector
+    from pointing_analysis.report.budget_page import render_budget
 
+    number("--members", members, 0, 100_000)
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
     for path, what in ((output, "the page"), (table, "--table"), (sources, "--sources")):
         if path is not None:
             check_output(path, what)
             require_writable(path)
-    if sources is not None:
-        write_rows(sources, source_rows(budget_file.read_content(file or shipped)), COLUMNS)
-
-    number("--members", members, 0, 100_000)
 
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
         return with_designs(table, designs) if designs else table
@@ -104,12 +101,39 @@ def budget(
             lambda table: testbed_requirements(of_designs(table)),
         )
 
-    named = budget_file.testbed_table(budget_file.read_content(file or shipped).get("sources", {}))
+    content = budget_file.read_content(file or shipped)
+    named = budget_file.testbed_table(content.get("sources", {}))
     if members and named is None:
         raise ValueError(f"--members must be 0 for a budget without a source of type testbed, got {members}")
     found = load(lambda table: table)
+    rows = [] if sources is None else source_rows(content)
     verdicts = evaluate(found)
+    page = "" if output is None else render_budget(found, verdicts)
     console = Screen(stderr=json_)
+    _print(console, found, verdicts)
+    worst: tuple[WorstTotal, ...] = ()
+    if members and named is not None:
+        worst = _over_members(console, load, verdicts, members_of(of_designs(named), designs or "", members))
+    results = result_rows(found, verdicts, {row.name: (row.member, row.worst.total) for row in worst})
+    # Files are written when all has been computed: a mistake must not cost those that are there.
+    if sources is not None:
+        write_rows(sources, rows, COLUMNS)
+    if output is not None:
+        write_text(output, page)
+        console.print(f"page    {output}", soft_wrap=True, highlight=False)
+    if table is not None:
+        write_rows(table, results)
+        console.print(f"table   {table}", soft_wrap=True, highlight=False)
+    if json_:
+        over = {"over_members": [row.as_dict() for row in worst]} if worst else {}
+        print_json({**as_dict(found, verdicts), **over})
+
+
+def _print(console: Screen, found: Budget, verdicts: Sequence[BudgetVerdict]) -> None:
+    """Requirements and totals of a budget for the screen."""
+    from pointing_analysis.budget.total import axis_total
+    from pointing_analysis.report.budget_page import vector
+
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
         console.print(_shown(v))
@@ -118,18 +142,6 @@ def budget(
         axes = ", ".join(found.axes)
         text = f"{rule.index}, factor {rule.factor:g}, {axes}: RSS {vector(total.rss.tolist())}"
         console.print(f"{text}; level {vector(total.level.tolist())}", highlight=False, soft_wrap=True)
-    if output is not None:
-        write_text(output, render_budget(found, verdicts))
-        console.print(f"page    {output}", soft_wrap=True, highlight=False)
-    worst: tuple[WorstTotal, ...] = ()
-    if members and named is not None:
-        worst = _over_members(console, load, verdicts, members_of(of_designs(named), designs or "", members))
-    if table is not None:
-        write_rows(table, result_rows(found, verdicts, {row.name: (row.member, row.worst.total) for row in worst}))
-        console.print(f"table   {table}", soft_wrap=True, highlight=False)
-    if json_:
-        over = {"over_members": [row.as_dict() for row in worst]} if worst else {}
-        print_json({**as_dict(found, verdicts), **over})
 
 
 def _over_members(
