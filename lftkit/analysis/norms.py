@@ -228,9 +228,9 @@ def _by_compiled_code(given: Sequence[ArrayLike], dt: float | None, rtol: float)
         return None
     try:
         if dt is None:
-            value, upper, omega = kernel.norm(system, rtol, system, 0.0, 0.0)
+            value, upper, omega = kernel.norm(system, float(rtol), system, 0.0, 0.0)
         else:
-            value, upper, angle = kernel.circle_norm(system, rtol)
+            value, upper, angle = kernel.circle_norm(system, float(rtol))
             omega = angle / dt
     except (ValueError, linalg.LinAlgError):  # eigenvalues that do not converge, a matrix without an inverse
         return None
@@ -249,7 +249,8 @@ def _plain(given: Sequence[ArrayLike]) -> Matrices | None:
     if not (B.any() and C.any()):
         return None
     A, B, C = balanced(A, B, C)
-    return np.ascontiguousarray(A), np.ascontiguousarray(B), np.ascontiguousarray(C), np.ascontiguousarray(D)
+    # for read-only arrays and other layouts everything would be compiled again, 20 to 30 s
+    return np.array(A, order="C"), np.array(B, order="C"), np.array(C, order="C"), np.array(D, order="C")
 
 
 def _discrete(system: Matrices, dt: float, rtol: float, certificate: str) -> HInfNorm:

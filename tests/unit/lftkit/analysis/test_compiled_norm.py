@@ -78,3 +78,22 @@ def test_a_peak_at_the_end_of_the_circle_is_found_by_the_other_map() -> None:
             ends = [abs(1.0 / (z - a) + 1.0 / (z - b)) for z in (1.0, -1.0)]
             assert norm.certificate == "hamiltonian" and norm.value == pytest.approx(max(ends), rel=1e-12)
             assert norm.omega == pytest.approx(0.0 if ends[0] >= ends[1] else np.pi, abs=1e-6)
+
+
+def test_one_compilation_serves_every_layout():
+    """Each further one takes 20 to 30 s: systems have read-only matrices, and slices are of any layout."""
+    kernel = compiled()
+    assert kernel is not None
+    A, B, C, D = np.array([[-1.0, 2.0], [0.0, -3.0]]), np.eye(2), np.eye(2), np.zeros((2, 2))
+    hinf_norm(A, B, C, D)
+    hinf_norm(A / 8, B, C, D, dt=1.0)
+    before = len(kernel.norm.signatures), len(kernel.circle_norm.signatures)
+    for given in (A, np.asfortranarray(A), np.eye(5)[::2, ::2][:2, :2] - 2 * np.eye(2)):
+        for writeable in (True, False):
+            matrices = [np.asfortranarray(given), B.T, C[::-1], D.copy()]
+            for M in matrices:
+                M.flags.writeable = writeable
+            hinf_norm(*matrices)
+            hinf_norm(*matrices, rtol=np.float64(1e-6))
+            hinf_norm(*(np.asarray(M / 8) for M in matrices), dt=np.float64(0.1))
+    assert (len(kernel.norm.signatures), len(kernel.circle_norm.signatures)) == before
