@@ -5,6 +5,8 @@ import os
 import socket
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,36 +20,51 @@ from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.ros
 SUPPORT = Path(__file__).parents[1] / "support"
+VARIABLES = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
 DRIVER = "los_testbed.device.udp:UdpRig"
 
 
-def fly(folder, duration, *options):
-    """A run with an emulator; the finished command, what the emulator said, and the bag."""
+@contextmanager
+def emulator(*options):
+    """An emulator that is ready, and the address to reach it at."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
     physics = json.dumps({"plant": "simple_telescope:SimpleTelescope", "device_address": address})
-    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    emulator = subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "los_testbed.device.emulator", "--priority", "--config", physics, *options],
         stdout=subprocess.PIPE,
         text=True,
         cwd=SUPPORT,
-        env=variables,
+        env=VARIABLES,
     )
-    files = write_controllers(folder)
-    command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--device={DRIVER}", f"--duration={duration}"]
-    command += [f"--set=device_address={address}", "--camera-latency=7", f"--domain={private_domain()}", "--no-report"]
-    command += [f"--k-fsm={files['k_fsm']}", f"--k-pma={files['k_pma']}", "--max-missed=100"]
     try:
-        assert json.loads(emulator.stdout.readline()) == {"event": "ready"}
-        done = subprocess.run(
-            [*command, f"--output={folder / 'bag'}"], capture_output=True, text=True, env=variables, timeout=500
-        )
+        assert json.loads(process.stdout.readline()) == {"event": "ready"}
+        yield process, address
     finally:
-        emulator.terminate()
-        said = [json.loads(line) for line in emulator.communicate()[0].splitlines()]
-    return done, said, folder / "bag"
+        process.terminate()
+        process.wait(20)
+
+
+def command_of(folder, device, duration, *options):
+    """Command line of a run with a device and laws of a few states."""
+    files = write_controllers(folder)
+    command = [sys.executable, "-m", "los_testbed.cli.app", "run", f"--device={device}", f"--duration={duration}"]
+    command += ["--camera-latency=7", f"--domain={private_domain()}", "--no-report", "--max-missed=100"]
+    return [*command, f"--k-fsm={files['k_fsm']}", f"--k-pma={files['k_pma']}", f"--output={folder / 'bag'}", *options]
+
+
+def finished(command, folder):
+    """The finished command; drivers in the folder are found."""
+    variables = {**VARIABLES, "PYTHONPATH": os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", "")))}
+    return subprocess.run(command, capture_output=True, text=True, env=variables, timeout=500)
+
+
+def fly(folder, duration, *options):
+    """A run with an emulator; the finished command, what the emulator said, and the bag."""
+    with emulator(*options) as (process, address):
+        done = finished(command_of(folder, DRIVER, duration, f"--set=device_address={address}"), folder)
+    return done, [json.loads(line) for line in process.communicate()[0].splitlines()], folder / "bag"
 
 
 def test_a_rig_without_truth_is_flown_and_the_verdict_is_on_its_camera(tmp_path):
@@ -73,3 +90,83 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
     run = Run.open(bag)
     assert not run.problems and len(run["fsm/command"]) > 100
     assert "frozen" in run.parameters["statistics"]["plant"]["device_fault"]
+
+
+RIG = """
+import time
+import numpy as np
+from los_testbed.device.contract import Sample
+
+YEAR = 365 * 86_400 * 10**9
+
+
+class Rig:
+    frames = 0
+
+    def open(self, config):
+        self.angle = np.zeros(2)
+
+    def read(self, now_ns):
+        now = time.monotonic_ns()
+        found = [Sample(port, now, np.random.normal(0.0, 1e-6, 6)) for port in ("accel_Ip", "accel_M1", "accel_M2")]
+        self.frames += 1
+        if self.frames % 20 == 0:
+            ahead = 20 * YEAR if self.frames == 1000 else 0
+            found.append(Sample("camera_los", now + ahead, np.random.normal(0.0, 1e-8, 2)))
+        return [*found, Sample("fsm_angle", now, self.angle + np.random.normal(0.0, 1e-9, 2))]
+
+    def write(self, command, now_ns):
+        self.angle = command[:2].copy()
+
+    def safe(self):
+        pass
+
+    def close(self):
+        pass
+
+
+class Stuck(Rig):
+    def safe(self):
+        raise OSError("the driver of the mirror does not answer")
+"""
+
+
+def test_a_frame_of_the_far_future_costs_itself_and_a_run_ends_well(tmp_path):
+    (tmp_path / "short_rig.py").write_text(RIG)
+    done = finished(command_of(tmp_path, "short_rig:Rig", 2), tmp_path)
+    assert done.returncode == ExitCode.FINISHED, done.stdout + done.stderr
+    said = " ".join((done.stdout + done.stderr).split())
+    assert "camera_los: 1 samples with a time of acquisition later than now, or negative, were not used" in said
+    run = Run.open(tmp_path / "bag")
+    plant = run.parameters["statistics"]["plant"]
+    assert plant["device_impossible_time_camera_los"] == "1" and plant["device_state"] == "finalized"
+    assert len(run["camera/los"]) > 50 and max(run["camera/los"].stamp) <= max(run["isolator/accel"].stamp) + 10**7
+
+
+def test_a_rig_that_is_not_made_safe_at_the_end_is_told_by_line_bag_and_exit_code(tmp_path):
+    (tmp_path / "short_rig.py").write_text(RIG)
+    done = finished(command_of(tmp_path, "short_rig:Stuck", 1), tmp_path)
+    assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
+    line = done.stderr.splitlines()[-1]
+    assert "mirror and forces could NOT be brought to zero: safe failed: OSError: the driver of the mirror" in line
+    plant = Run.open(tmp_path / "bag").parameters["statistics"]["plant"]
+    assert plant["device_state"] == "error" and plant["device_fault"].startswith("safe failed: OSError")
+    assert plant["ticks"] == "1000"
+
+
+def test_a_rig_that_waits_for_the_start_of_its_run_has_lost_nothing_when_it_begins(tmp_path):
+    with emulator("--drift-ppm=500") as (process, address):
+        words = command_of(tmp_path, DRIVER, 1, f"--set=device_address={address}", "--wait-for-start")
+        run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=VARIABLES)
+        try:
+            assert json.loads(process.stdout.readline())["event"] == "opened"
+            time.sleep(12.0)  # a drift of 6 ms, and packets for ten buffers
+            start = [sys.executable, "-m", "los_testbed.cli.app", "control", "start", f"--domain={private_domain()}"]
+            subprocess.run(start, check=True, timeout=120, env=VARIABLES)
+            out = run.communicate(timeout=200)[0]
+        finally:
+            run.kill()
+    assert run.returncode == ExitCode.FINISHED, out
+    plant = Run.open(tmp_path / "bag").parameters["statistics"]["plant"]
+    assert "device_clock_jumps" not in plant and "device_packets_lost" not in plant
+    assert float(plant["device_clock_drift_ppm"]) > 300, "the clock was followed all the time"

@@ -21,7 +21,7 @@ TRUTH_PORT = "los_controlled"
 
 
 class DeviceError(RuntimeError):
-    """A device failed, or said nothing for too long: the run is over, mirror and forces are at zero."""
+    """A device failed, or said nothing for too long: the run is over. The text says whether it is at zero."""
 
     code = ExitCode.DEVICE
 
@@ -47,8 +47,11 @@ class Device(Protocol):
 
     It is opened once, before the run begins, and never stepped for a trial; it need not be copied and need not know the
     truth. In each tick `write` and then `read` are called once, at the deadline and never before it. Both return at
-    once: a `read` gives what has come since the last one, which may be nothing. **Signs and units are those of
-    :mod:`titop_plant.interface`.**
+    once: a `read` gives what has come since the last one, which may be nothing. Between `open` and the run only `read`
+    is called, every 20 ms. **Signs and units are those of :mod:`titop_plant.interface`.**
+
+    Two further methods may be there. ``notes()`` returns what the device says of itself, names and texts for the
+    statistics; it is called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run.
     """
 
     def open(self, config: RunConfig) -> None:

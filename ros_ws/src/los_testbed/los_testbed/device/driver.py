@@ -19,7 +19,7 @@ from los_testbed.device.clock_map import ClockMap
 from los_testbed.device.contract import TRUTH_PORT, Sample
 from los_testbed.device.supervisor import EVERY_TICK
 from los_testbed.device.wire import KEY_BYTES, LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode
-from titop_plant.interface import COLUMNS, FRAMED
+from titop_plant.interface import COLUMNS, FRAMED, TICK_NS
 
 
 def _layout(*ports: str) -> tuple[tuple[str, slice], ...]:
@@ -41,6 +41,7 @@ LAYOUTS = {
 OPEN_S = 5.0
 SYNC_PERIOD_NS = 50_000_000
 FIRST_SYNCS = 20
+SET_BACK_NS = 1_000_000_000
 SPLIT = 2.0**32
 
 
@@ -128,6 +129,7 @@ class PacketRig:
             if (number >= FIRST_SYNCS and self.clock.known) or time.monotonic() > end:
                 break
         if not self.clock.known:
+            self.close()
             raise RigSilentError(f"{name} does not answer questions about its clock")
 
     def _opened(self, packet: Packet) -> bool:
@@ -145,9 +147,14 @@ class PacketRig:
                 self.clock.answer(sent, packet.time_ns, received)
             else:
                 found += self._samples(packet)
-        if now_ns >= self._next_sync:
+        found.sort(key=lambda sample: sample.acquired_ns)
+        if now_ns >= self._next_sync or (found and self._was_set(found[-1])):
             self._sync(now_ns)
-        return sorted(found, key=lambda sample: sample.acquired_ns)
+        return found
+
+    def _was_set(self, newest: Sample) -> bool:
+        """Whether the rig's clock must have been set: it is asked at once, for no sample can be used until then."""
+        return not -SET_BACK_NS < newest.acquired_ns - time.monotonic_ns() <= TICK_NS
 
     def _samples(self, packet: Packet) -> list[Sample]:
         if packet.flags:
@@ -159,6 +166,12 @@ class PacketRig:
             return []
         acquired = self.clock.to_host(packet.time_ns)
         return [Sample(port, acquired, packet.values[part]) for port, part in parts]
+
+    def begin_counts(self) -> None:
+        """A run begins: lost, reordered and refused packets, flags of the rig and jumps of its clock count from now."""
+        self.counts.clear()
+        self.clock.jumps = 0
+        self._reader.begin_counts()
 
     def write(self, command: FloatArray, now_ns: int) -> None:
         """Send a command; the rig has a watchdog of its own."""

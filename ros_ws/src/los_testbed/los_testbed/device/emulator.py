@@ -52,7 +52,7 @@ COMPILED_TICKS = 60_000
 PSEUDO_TERMINAL = "pty"
 """Line of the emulator that it makes itself; it says the path of the other end when it is ready."""
 LEFT_NS = 1_000_000_000
-"""A host that has sent no command for so long has left the rig, which another one may open."""
+"""A host that has sent nothing for so long has left the rig, which another one may open."""
 
 FAST_COLUMNS = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in EVERY_TICK])
 
@@ -159,7 +159,7 @@ class Emulator:
         self._newest = -1
         self._command = np.zeros(COMMANDS)
         self._applied = np.zeros(COMMANDS)
-        self._commanded_ns = self._first_ns = 0
+        self._commanded_ns = self._first_ns = self._heard_ns = 0
         self._safe, self._flags = True, 0
         self._waiting: deque[tuple[int, int, FloatArray]] = deque()
         self._held_back: bytes | None = None
@@ -292,17 +292,19 @@ class Emulator:
         if packet.kind != Kind.OPEN or len(packet.values) != 2:
             return
         key = struct.pack("<II", *(int(value) % 2**32 for value in packet.values))
-        left = self._safe and self._first_ns and time.monotonic_ns() - self._commanded_ns > LEFT_NS
+        now = time.monotonic_ns()
+        left = self._safe and now - self._heard_ns > LEFT_NS
         if self._key and key != self._key and not left:
             return  # it belongs to another run
         if key != self._key:
             self._key, self._reader, self._peer, self._newest, self._first_ns = key, Reader(key), peer, -1, 0
             say("opened")
         if peer == self._peer:
+            self._heard_ns = now
             self._send(self._packet(Kind.OPENED, self._clock(), self._physics))
 
     def _obey(self, packet: Packet, arrived_ns: int) -> None:
-        now = time.monotonic_ns()
+        now = self._heard_ns = time.monotonic_ns()
         if packet.kind == Kind.SYNC:
             values = np.append(packet.values, now - arrived_ns)
             self._send(self._packet(Kind.SYNC_REPLY, self._clock(), values))

@@ -66,7 +66,7 @@ class Record:
 def record(
     supervisor: Supervisor, peaks: FloatArray, clock: Any = None, now: Callable[[], int] | None = None
 ) -> Record:
-    """Move an open device and keep what its sensors say; it is at zero afterwards.
+    """Move an open device and keep what its sensors say; it has ended afterwards, with mirror and forces at zero.
 
     Parameters
     ----------
@@ -78,8 +78,16 @@ def record(
     Raises
     ------
     DeviceError
-        The device failed, or gave no sample for a second.
+        The device failed, gave no sample for a second, or could not be brought to zero.
     """
+    try:
+        return _recorded(supervisor, peaks, clock, now)
+    finally:
+        supervisor.finish()
+
+
+def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callable[[], int] | None) -> Record:
+    """The motion itself."""
     ticks, steady = clock or TickClock(TICK_NS), now or time.monotonic_ns
     first = steady()
     ticks.begin(first)

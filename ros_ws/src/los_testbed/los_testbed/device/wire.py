@@ -112,6 +112,7 @@ class Reader:
     lost: int = 0
     reordered: int = 0
     _newest: int = -1
+    _before: int = -1
     _seen: set[int] = field(default_factory=set)
 
     def read(self, data: bytes) -> Packet | None:
@@ -125,14 +126,21 @@ class Reader:
             return None
         self._seen.add(number)
         if number < self._newest:
-            self.reordered += 1
-            self.lost -= 1
+            if number > self._before:
+                self.reordered += 1
+                self.lost -= 1
         elif self._newest >= 0:
             self.lost += number - self._newest - 1
         self._newest = max(self._newest, number)
         if len(self._seen) > 4000:
             self._seen = {old for old in self._seen if old > self._newest - 1000}
         return packet
+
+    def begin_counts(self) -> None:
+        """Count from now on; packets that were sent before the newest one and come late are in no count."""
+        self.lost = self.reordered = 0
+        self.refused.clear()
+        self._before = self._newest
 
     def _parse(self, data: bytes) -> Packet | None:
         if len(data) < HEAD.size + CHECK.size:

@@ -13,13 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from los_testbed.device.contract import TRUTH_PORT, DeviceError, make_device
-from los_testbed.device.supervisor import Supervisor, as_stamp
+from los_testbed.device.supervisor import Supervisor, as_stamp, refused_in_words
 from los_testbed.nodes.plant import RING, PlantLoop
 from los_testbed.nodes.support.handshake import OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.topics import CAMERA_LOS, UNSENT_TICKS
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import TICK_NS
+
+FIRST_NS, DRAIN_NS = 2 * TICK_NS, 5 * TICK_NS
+"""Before the first tick what came up to so long before it is left out, and it is read so often."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return DeviceLoop(context, device).run(others)
         finally:
-            device.end()
+            device.finish()
 
     return run_node("plant", arguments, body)
 
@@ -55,22 +58,39 @@ class DeviceLoop(PlantLoop):
         self.device = device
 
     def run(self, others: OtherPlants) -> int:
-        """Run; whatever happens, the actuators are at zero afterwards."""
+        """Run; whatever happens, the actuators are at zero afterwards, or the error says that they are not."""
         try:
             return super().run(others)
         except DeviceError:
             self._report(self.io.start + self.ticks * TICK_NS)
             raise
         finally:
-            self.device.end()
+            self.device.finish()
 
     def _run_once(self) -> None:
+        try:
+            super()._run_once()
+        finally:
+            told = refused_in_words(self.device.counts)
+            for message in told:
+                self.context.event("warning", message=message)
+            self.context.warn_alone(told)
+
+    def _meanwhile(self) -> None:
+        """The rig sends before the run, too: what nobody reads would be lost, and its clock would not be followed."""
         self.device.drain()
-        super()._run_once()
+
+    def _await_first(self) -> None:
+        """Read up to the first tick, where the counts begin."""
+        while (rest := self.clock.first - FIRST_NS - time.monotonic_ns()) > 0:
+            time.sleep(min(rest, DRAIN_NS) * 1e-9)
+            self.device.drain()
+        self.device.reset()
 
     def _real_time(self, start: int) -> None:
         context, clock, io, device = self.context, self.clock, self.io, self.device
         total = context.config.ticks
+        self._await_first()
         while True:
             late = clock.wait()
             self.lateness.add(late)
@@ -101,7 +121,10 @@ class DeviceLoop(PlantLoop):
                 self._pending[UNSENT_TICKS] += 1
             self.execution.add(time.monotonic_ns() - woke)
             self._background(now)
-        device.write(np.zeros_like(self._command), time.monotonic_ns())
+        if self._again and not context.stop:
+            device.write(np.zeros_like(self._command), time.monotonic_ns())
+        else:
+            device.finish()  # before the last report: what it says of mirror and forces has happened
 
     def _begin_counts(self) -> None:
         super()._begin_counts()

@@ -148,7 +148,9 @@ class PlantLoop:
         context = self.context
         context.become_real_time()
         context.all_listed()
-        wait_for_followers(context, self.io, lambda: self.services.may_begin, others.refuse_running)
+        wait_for_followers(
+            context, self.io, lambda: self.services.may_begin, others.refuse_running, meanwhile=self._meanwhile
+        )
         others.close()
         while True:
             if context.stop:
@@ -163,7 +165,7 @@ class PlantLoop:
             self.changes.restore()
             self._begin_counts()
             self.io.forget()
-            wait_for_followers(context, self.io, lambda: self.services.may_begin)
+            wait_for_followers(context, self.io, lambda: self.services.may_begin, meanwhile=self._meanwhile)
         self.services.state = OVER
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if beyond(self._truth).any():
@@ -172,6 +174,9 @@ class PlantLoop:
 
     def _ask_again(self, value: bool) -> None:
         self._again = True
+
+    def _meanwhile(self) -> None:
+        """What is done every 20 ms before a run: nothing, of a simulated telescope."""
 
     @property
     def _ended(self) -> bool:

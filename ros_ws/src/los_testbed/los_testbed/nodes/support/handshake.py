@@ -106,8 +106,11 @@ def wait_for_followers(
     io: PlantIo,
     may_begin: Callable[[], bool] = lambda: True,
     refuse_others: Callable[[], None] = lambda: None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
     """Send hold ticks until estimator, controller and, if asked for, recorder answer and the run `may_begin`.
+
+    Every 20 ms `meanwhile` is called, by which a rig that is open is read.
 
     Raises
     ------
@@ -121,6 +124,7 @@ def wait_for_followers(
     while not context.stop:
         io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
         time.sleep(HOLD_PERIOD_S)
+        meanwhile()
         refuse_others()
         for name, subscription in list(waiting_for.items()):
             while (taken := subscription.take()) is not None:
@@ -133,10 +137,10 @@ def wait_for_followers(
             start_time = time.monotonic()
         elif not waiting_for:
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
-            _refuse_second_commander(context, io)
+            _refuse_second_commander(context, io, meanwhile)
             return
         elif time.monotonic() - start_time > context.config.start_timeout:
-            _refuse_second_commander(context, io)
+            _refuse_second_commander(context, io, meanwhile)
             missing = ", ".join(
                 subscription.name + _strangers_on(subscription) for subscription in waiting_for.values()
             )
@@ -158,7 +162,7 @@ def _called(endpoint: Endpoint, guard: SourceGuard) -> str:
     return f"another node named {endpoint.node}" if same else endpoint.node or UNKNOWN
 
 
-def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
+def _refuse_second_commander(context: NodeContext, io: PlantIo, meanwhile: Callable[[], None]) -> None:
     """Nobody but one node may send commands when a run begins.
 
     Raises
@@ -176,3 +180,4 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo) -> None:
                 others = ", ".join(sorted({_called(endpoint, subscription.guard) for endpoint in strangers}))
                 raise ValueError(f"{subscription.name} must have one publisher, got also one of {others}")
             time.sleep(HOLD_PERIOD_S)
+            meanwhile()

@@ -1,0 +1,237 @@
+"""What the supervisor of a device makes of its samples, and what it says at the end, with drivers of a few lines."""
+
+import math
+import re
+import time
+
+import numpy as np
+import pytest
+from los_testbed.config import RunConfig
+from los_testbed.device import motions
+from los_testbed.device.contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
+from los_testbed.device.motions import record
+from los_testbed.device.supervisor import (
+    EVERY_TICK,
+    FROZEN_FRAMES,
+    FROZEN_TICKS,
+    Supervisor,
+    as_stamp,
+    refused_in_words,
+)
+from los_testbed.device.wire import Kind, Reader, encode
+from los_testbed.exit_codes import ExitCode
+
+from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
+
+CONFIG = RunConfig(device="my:Rig", start="rest")
+ZERO = "mirror and forces were brought to zero"
+NOT_ZERO = "mirror and forces could NOT be brought to zero"
+
+
+class Rig:
+    """Noise of all sensors of every tick; what else comes in a read is in `more`."""
+
+    def __init__(self):
+        self.rng = np.random.default_rng(1)
+        self.more = []
+        self.called = []
+
+    def open(self, config):
+        self.called.append("open")
+
+    def read(self, now_ns):
+        found = [Sample(port, now_ns, self.noise(port)) for port in EVERY_TICK]
+        more, self.more = self.more, []
+        return [*found, *more]
+
+    def noise(self, port):
+        return self.rng.normal(size=COLUMNS[port].stop - COLUMNS[port].start)
+
+    def write(self, command, now_ns):
+        self.called.append("write")
+
+    def safe(self):
+        self.called.append("safe")
+
+    def close(self):
+        self.called.append("close")
+
+
+def watched(device):
+    supervisor = Supervisor(device, CONFIG)
+    supervisor.open()
+    return supervisor
+
+
+DAY, YEAR = 86_400 * 10**9, 365 * 86_400 * 10**9
+
+
+@pytest.mark.parametrize("shift", [20 * YEAR, DAY, 5 * TICK_NS, -20 * YEAR, math.inf, -math.inf, math.nan])
+def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift):
+    device = Rig()
+    supervisor = watched(device)
+    for port in (CAMERA_PORT, TRUTH_PORT, EVERY_TICK[0]):
+        now = time.monotonic_ns()
+        device.more = [Sample(port, now + shift, device.noise(port))]
+        assert supervisor.read(now)
+        assert not supervisor.frames, f"{port}: it is not used"
+        device.more = [Sample(CAMERA_PORT, now, device.noise(CAMERA_PORT))]
+        assert supervisor.read(now) and len(supervisor.frames) == 1, "the next one is"
+    found = supervisor.statistics()
+    assert [found[f"device_impossible_time_{port}"] for port in (CAMERA_PORT, TRUTH_PORT, EVERY_TICK[0])] == ["1"] * 3
+    assert float(found["device_age_max_us"]) < 1e6
+    said = refused_in_words(supervisor.counts)
+    assert len(said) == 1 and said[0].startswith("accel_Ip, camera_los, los_controlled: 1 samples with a time of")
+
+
+def test_the_times_of_a_slow_read_and_of_another_day_are_used():
+    device = Rig()
+    supervisor = watched(device)
+    now = time.monotonic_ns()
+    device.more = [Sample(CAMERA_PORT, now + TICK_NS // 2, device.noise(CAMERA_PORT)), Sample(TRUTH_PORT, 0, [1, 2])]
+    assert supervisor.read(now) and len(supervisor.frames) == 2
+    assert not refused_in_words(supervisor.counts)
+    assert as_stamp(0, now, 1_000) == 1 and isinstance(as_stamp(5.5, 1, 1_000), int)
+
+
+def without_lines(error):
+    """A message without the places in the driver."""
+    return re.sub(r" \(out, [^)]*\)", "", str(error))
+
+
+@pytest.mark.parametrize(
+    ("failing", "reading", "said"),
+    [
+        ((), False, None),
+        (("safe",), False, f"my:Rig: {NOT_ZERO}: safe failed: OSError: cable"),
+        (("write", "safe"), False, f"my:Rig: {NOT_ZERO}: write failed: OSError: cable, safe failed: OSError: cable"),
+        (("close",), False, f"my:Rig: close failed: OSError: cable; {ZERO}"),
+        ((), True, f"my:Rig: read failed: OSError: cable; {ZERO}"),
+        (("safe",), True, f"my:Rig: read failed: OSError: cable; {NOT_ZERO}: safe failed: OSError: cable"),
+    ],
+)
+def test_the_end_says_whether_mirror_and_forces_are_at_zero(failing, reading, said):
+    device = Rig()
+
+    def out(*arguments):
+        raise OSError("cable")
+
+    for name in (*failing, *(["read"] if reading else [])):
+        setattr(device, name, out)
+    supervisor = watched(device)
+    if reading:
+        with pytest.raises(DeviceError) as first:
+            supervisor.read(0)
+        assert without_lines(first.value) == f"device {said}", "it is said after it was tried"
+        assert device.called[-1] == "close"
+    assert [without_lines(text) for text in supervisor.end()] == [f"{name} failed: OSError: cable" for name in failing]
+    if failing:
+        with pytest.raises(DeviceError) as error:
+            supervisor.finish()
+        assert without_lines(error.value) == f"device {said}" and error.value.code == ExitCode.DEVICE
+    else:
+        supervisor.finish()
+    found = supervisor.statistics()
+    assert found["device_state"] == (ERROR if said else FINALIZED)
+    assert all(f"{name} failed" in found["device_fault"] for name in failing)
+
+
+def test_the_notes_of_the_end_are_those_before_the_device_was_closed():
+    class Noted(Rig):
+        def notes(self):
+            if "close" in self.called:
+                raise OSError("closed")
+            return {"lamp_hours": "7"}
+
+    supervisor = watched(Noted())
+    supervisor.finish()
+    assert supervisor.statistics()["device_lamp_hours"] == "7"
+
+
+def test_a_check_by_test_motions_does_not_pass_where_the_rig_is_not_made_safe(monkeypatch):
+    monkeypatch.setattr(motions, "TICKS", 20)
+
+    class Stuck(Rig):
+        def safe(self):
+            raise OSError("the driver of the mirror does not answer")
+
+    device = Stuck()
+    with pytest.raises(DeviceError, match=f"{NOT_ZERO}: safe failed: OSError: the driver of the mirror"):
+        record(watched(device), np.zeros(COMMANDS))
+    assert device.called[-1] == "close"
+
+
+def ticks_until_frozen(device, port, values, command=lambda k: 0.0, ticks=1000):
+    """Samples of one port that are read until the device is found frozen; none where it is not."""
+    supervisor = watched(device)
+    wanted = np.zeros(COMMANDS)
+    for k in range(ticks):
+        wanted[0] = command(k)
+        now = time.monotonic_ns()
+        supervisor.write(wanted, now)
+        device.more = [Sample(port, now, values(k))]
+        try:
+            supervisor.read(now)
+        except DeviceError:
+            return k + 1 if supervisor.fault.startswith(f"{port} frozen for") else -1
+    return None
+
+
+def test_a_frozen_camera_ends_the_run_and_one_without_a_star_or_with_rounded_noise_does_not():
+    same, rng = np.array([1e-8, -1e-8]), np.random.default_rng(5)
+    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: same) == FROZEN_FRAMES + 2
+    dropouts = ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.full(2, np.nan) if k % 2 else same)
+    assert dropouts == 2 * FROZEN_FRAMES + 3, "frames without values are no sign of life"
+    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.full(2, np.nan)) is None
+    assert ticks_until_frozen(Rig(), CAMERA_PORT, lambda k: np.round(rng.normal(0.0, 0.5, 2))) is None
+
+
+def test_a_frozen_truth_ends_the_run_and_one_at_rest_without_noise_does_not():
+    same = np.array([1e-8, 2e-8])
+    moved = ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same, command=lambda k: 1e-6 * k)
+    assert moved == pytest.approx(FROZEN_TICKS, abs=3), "the mirror is moved and it sees nothing"
+    assert ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same) is None, "nothing moves"
+    assert ticks_until_frozen(Rig(), TRUTH_PORT, lambda k: same + k, command=lambda k: 1e-6 * k) is None
+
+
+def test_a_run_begins_with_counts_of_zero_and_its_own_samples():
+    class Counting(Rig):
+        runs = 0
+
+        def begin_counts(self):
+            self.runs += 1
+
+    device = Counting()
+    supervisor = watched(device)
+    for _ in range(50):
+        now = time.monotonic_ns()
+        device.more = [Sample(EVERY_TICK[0], now // 2, device.noise(EVERY_TICK[0])) for _ in range(3)]
+        supervisor.write(np.zeros(COMMANDS), now)
+        supervisor.read(now)
+        supervisor.answered(now // 2)
+    device.more = [Sample(CAMERA_PORT, now + DAY, device.noise(CAMERA_PORT))]
+    supervisor.read(now)
+    assert supervisor.counts["surplus_accel_Ip"] > 0 and supervisor.delay.count and supervisor.age.maximum_us > 1e9
+    supervisor.reset()
+    found = supervisor.statistics()
+    assert device.runs == 1
+    assert not [name for name in found if name.startswith(("device_surplus", "device_impossible", "device_delay"))]
+    now = time.monotonic_ns()
+    assert supervisor.read(now)
+    assert supervisor.acquired_ns == now, "no sample of the run before is left"
+    assert supervisor.age.maximum_us < 1e6
+
+
+def test_packets_of_before_the_run_that_come_late_are_in_no_count():
+    key = bytes(8)
+    reader = Reader(key)
+
+    def read(number):
+        return reader.read(encode(Kind.FAST, number, number, np.zeros(1), key))
+
+    read(1), read(5), reader.read(b"")
+    assert reader.lost == 3 and reader.refused["size"] == 1
+    reader.begin_counts()
+    assert read(3) is not None and reader.statistics() == {}
+    read(8), read(7)
+    assert reader.statistics() == {"packets_lost": "1", "packets_reordered": "1"}
