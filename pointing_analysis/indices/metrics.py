@@ -46,6 +46,10 @@ from pointing_analysis.read.topic import read_only
 
 Position = Literal["all", "centred", "end"]
 AXES = ("x", "y")
+ROUNDED = 1e-3
+"""Part of a sample by which a window may miss a whole number of them."""
+HALF_NANOSECOND = 0.5e-9
+"""[s] By which a period of whole nanoseconds may miss the true one."""
 
 
 def radial(error: ArrayLike) -> FloatArray:
@@ -75,9 +79,19 @@ def window_samples(window: float, dt: float) -> int:
 
 
 def is_whole(window: float, dt: float) -> bool:
-    """Whether a window [s] is a whole number, two or more, of samples of `dt` [s]."""
+    """Whether a window [s] is a whole number, two or more, of samples of `dt` [s].
+
+    A period comes from stamps of whole nanoseconds and may be off by half of one: for 1 s at 3 kHz 0.0045 samples.
+
+    Examples
+    --------
+    >>> is_whole(1.0, 333_333e-9), is_whole(1.0001, 333_333e-9), is_whole(0.1, 166_667e-9)
+    (True, False, True)
+    """
     ratio = window / dt if dt > 0 else float("nan")
-    return bool(np.isfinite(ratio)) and round(ratio) >= 2 and abs(ratio - round(ratio)) <= 1e-3
+    if not np.isfinite(ratio) or round(ratio) < 2:
+        return False
+    return bool(abs(ratio - round(ratio)) <= max(ROUNDED, ratio * HALF_NANOSECOND / dt))
 
 
 def _series(error: ArrayLike) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from pointing_analysis.arrays import FloatArray, IntArray
-from pointing_analysis.indices import weights
+from pointing_analysis.indices import metrics, weights
 from pointing_analysis.read.mapped_arrays import by_parts, empty, parts, release
 from pointing_analysis.read.topic import read_only
 from pointing_analysis.spectra.sidebands import FoundLine
@@ -21,6 +21,12 @@ from pointing_analysis.spectra.sidebands import FoundLine
 NEIGHBOURS = np.arange(2, 6)  # whole periods in the run by which the frequencies of `background` lie beside a tone
 FITTED = 20_000  # rows of a fit at a time
 MEDIAN = 0.839  # median over mean of a sum of four squares, chi-square
+LEAK = 1.05
+"""Ratio of the RPE of the parts of a record, tones and rest, to that of the record: above it the fit has taken a drift
+or a pulse for tones. Parts that are independent differ from the whole by their scatter alone, some 2 % in short runs.
+"""
+FEWEST = 10
+"""Windows of a record whose parts are compared with the whole."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +194,32 @@ def _fit_parts(rows: int) -> Iterator[slice]:
             yield slice(begin, min(begin + FITTED, part.stop))
 
 
-def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool = False) -> tuple[Line, ...]:
+def exceeds(error: ArrayLike, rest: ArrayLike, powers: Sequence[float], dt: float, window: float) -> bool:
+    """Whether tones and what they leave of a record are together larger than the record, by more than `LEAK`.
+
+    Parameters
+    ----------
+    error, rest : (n, 2), NaN where a sample is missing
+    powers : mean square in windows of each tone, unit of the error squared
+    dt, window : [s]
+
+    Returns
+    -------
+    False also for a record with fewer than `FEWEST` windows
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(1).standard_normal((1000, 2))
+    >>> exceeds(noise, noise, [0.01], 1e-3, 0.02), exceeds(noise, noise, [1.0], 1e-3, 0.02)
+    (False, True)
+    """
+    if not metrics.is_whole(window, dt) or len(np.asarray(error)) < FEWEST * round(window / dt):
+        return False
+    whole, left = (float(np.square(metrics.rpe_rms(one, dt, window)).sum()) for one in (error, rest))
+    return left + sum(powers) > LEAK**2 * whole
+
+
+def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool | None = None) -> tuple[Line, ...]:
     """Least-squares amplitudes of known tones in the error, and the RPE each causes.
 
     All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
@@ -200,7 +231,8 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     omegas : tone frequencies [rad/s]; those beyond the Nyquist frequency or slower than one period in the run are
         left out
     window : RPE window [s]
-    taper : fit with Hann weights: a drift, too, then stays out of the tones, which are told apart less sharply
+    taper : fit with Hann weights: a drift, too, then stays out of the tones, which are told apart less sharply; by
+        default only where the parts of the other fit exceed the record (`exceeds`)
 
     Returns
     -------
@@ -217,6 +249,11 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     duration = dt * len(e)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
     tones = tones[np.isfinite(tones) & (tones > 2 * np.pi / duration) & (tones < np.pi / dt)]
+    if taper is None:
+        found = lines(e, dt, tones, window, taper=False)
+        powers = [line.rpe**2 for line in found]
+        leak = bool(found) and exceeds(e, without_lines(e, dt, tones), powers, dt, window)
+        return lines(e, dt, tones, window, taper=True) if leak else found
     groups, centre, solution = _fit(e, dt, tones, taper)
     if not groups:
         return ()
@@ -278,7 +315,7 @@ def _basis(rows: IntArray, dt: float, omegas: FloatArray) -> FloatArray:
     return np.hstack([np.ones((rows.size, 1)), np.cos(angle), np.sin(angle)])
 
 
-def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
+def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike, taper: bool = False) -> FloatArray:
     """The error without the tones that are fitted to it: noise and what else there is.
 
     Parameters
@@ -286,6 +323,7 @@ def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
     error : (n, 2), rows with NaN are left out of the fit and stay NaN
     dt : [s]
     omegas : tone frequencies [rad/s], also those slower than one period in the run
+    taper : fit with Hann weights, see `lines`; tones slower than one period in the run stay then
 
     Examples
     --------
@@ -296,8 +334,9 @@ def without_lines(error: ArrayLike, dt: float, omegas: ArrayLike) -> FloatArray:
     """
     e = np.asarray(error, dtype=float)
     tones = np.atleast_1d(np.asarray(omegas, dtype=float))
-    tones = tones[np.isfinite(tones) & (tones > 0) & (tones < np.pi / dt)]
-    groups, centre, solution = _fit(e, dt, tones, taper=False)
+    slowest = 2 * np.pi / (dt * len(e)) if taper and len(e) else 0.0
+    tones = tones[np.isfinite(tones) & (tones > slowest) & (tones < np.pi / dt)]
+    groups, centre, solution = _fit(e, dt, tones, taper)
     rest = empty(e.shape)
     for part in _fit_parts(len(e)):
         fitted = _basis(np.arange(part.start, part.stop), dt, centre) @ solution if groups else 0.0

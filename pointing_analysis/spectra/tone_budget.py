@@ -32,6 +32,7 @@ BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
 
 PARTS = ("noise", "slow", "fast", "total")
+UNTOLD = "tones cannot be told from the rest, with which they would exceed the whole (a drift or a pulse?)"
 
 
 def _short(value: float) -> str:
@@ -53,7 +54,7 @@ class ToneBudget:
 
     Attributes
     ----------
-    noise : rms of what the tones leave, norm of both axes
+    noise : rms of what the tones leave, norm of both axes; NaN, as are the tones, where they cannot be told apart
     slow, fast : amplitude of the slow and of the fast tones, norm of both axes; of several the root sum of squares
     total : 99.7 % quantile of the rms in each window, both axes
     allowances : the same parts as they are allowed; empty where nothing is said
@@ -71,6 +72,9 @@ class ToneBudget:
 
     def __str__(self) -> str:
         texts = []
+        if math.isnan(self.slow) and math.isnan(self.fast):
+            limit = f" of {self.allowances['total']:.3g}" if "total" in self.allowances else ""
+            return f"budget of the RPE [mas]: {UNTOLD}; total (99.7 %) {_short(self.total)}{limit}"
         for part, name in zip(PARTS, ("noise {} rms", "slow tones {}", "fast tones {}", "total (99.7 %) {}")):
             value, allowed = getattr(self, part), self.allowances.get(part)
             texts.append(name.format(_short(value)) + (f" of {allowed:.3g}" if allowed is not None else ""))
@@ -93,6 +97,9 @@ def named_tones(run: Recording) -> FloatArray:
 def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float) -> ToneBudget:
     """Budget of a run; without tones all of the error is noise.
 
+    Where the parts exceed the whole (:func:`pointing_analysis.spectra.spectra.exceeds`), a drift or a pulse is in the
+    fit of the tones; they are fitted with a taper then. Where the parts still exceed the whole they are NaN.
+
     Parameters
     ----------
     run : Run
@@ -107,19 +114,23 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     given = run.parameters.get(BUDGET)
     allowances = {k: float(v) for k, v in given.items() if _number(v)} if isinstance(given, dict) else {}
     edge = allowances.pop(BUDGET_EDGE, BAND_EDGE)
-    named = spectra.lines(series.values, series.dt, omegas, window)
-    found, rest = unnamed_lines(series.values, series.dt, omegas)
-    power = metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2
-    noise, noise_error = _rms(power)
-    samples = max(round(window / series.dt), 1)
-    factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
-    powers = [(line.omega, line.rpe**2) for line in named]
-    powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
+    allowed = {part: allowances[part] for part in PARTS if part in allowances}
+    for taper in (False, True):
+        named = spectra.lines(series.values, series.dt, omegas, window, taper)
+        found, rest = unnamed_lines(series.values, series.dt, omegas, taper)
+        samples = max(round(window / series.dt), 1)
+        factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
+        powers = [(line.omega, line.rpe**2) for line in named]
+        powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]
+        if not spectra.exceeds(series.values, rest, [one for _, one in powers], series.dt, window):
+            break
+    else:
+        return ToneBudget(math.nan, math.nan, math.nan, total, allowed, found=found)
+    noise, noise_error = _rms(metrics.windows(rest, series.dt, window).variance.sum(axis=1) / RAD_PER_MAS**2)
     slow, fast = (
         math.sqrt(2.0 * sum(one for omega, one in powers if (omega > edge) == above)) / RAD_PER_MAS
         for above in (False, True)
     )
-    allowed = {part: allowances[part] for part in PARTS if part in allowances}
     return ToneBudget(noise, slow, fast, total, allowed, noise_error, found)
 
 

@@ -15,6 +15,8 @@ from pointing_analysis.read.tables.table import Column, Table, TableError
 from pointing_analysis.read.tables.times import dates
 
 DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+SHOWN = 60
+"""Characters of a row in a message."""
 
 
 def read_text(path: Path) -> Table:
@@ -44,24 +46,67 @@ def read_text(path: Path) -> Table:
 
 
 def _names_and_rows(path: Path, lines: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
+    separator = _separator(lines[0])
     try:
         rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
     except csv.Error as error:
         raise TableError(f"{path}: table must have rows of numbers, got {error}") from None
     if separator != ",":
-        rows = [[DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] if "," in "".join(row) else row for row in rows]
-    try:
-        [_number(cell) for cell in rows[0]]
+        rows = [_with_points(row) if "," in "".join(row) else row for row in rows]
+    if _are_values(rows[0]):
         names = [f"column_{i + 1}" for i in range(len(rows[0]))]
-    except ValueError:
+    else:
         names = [cell.strip() for cell in rows.pop(0)]
+        if not any(letter.isalpha() for name in names for letter in name):
+            raise TableError(f"{path}: first row must be names or numbers, got {lines[0].strip()[:SHOWN]!r}")
     if len(set(names)) < len(names):
         raise TableError(f"{path}: columns must have different names, got {', '.join(names)}")
     uneven = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
     if uneven is not None:
         raise TableError(f"{path}: every row must have {len(names)} cells, got {len(rows[uneven])} in row {uneven + 1}")
     return names, rows
+
+
+def _separator(line: str) -> str | None:
+    """Mark between the cells of the first line; None for spaces.
+
+    Commas are decimal ones where only cells between spaces are numbers with them.
+
+    Examples
+    --------
+    >>> _separator("0 0,5 -1,25"), _separator("0, 0.5, -1.25"), _separator("0,5;1,25"), _separator("t x y")
+    (None, ',', ';', None)
+    """
+    found = next((mark for mark in (";", "\t", ",") if mark in line), None)
+    if found == "," and not _are_values(line.split(",")) and _are_values(_with_points(line.split())):
+        return None
+    return found
+
+
+def _with_points(cells: Sequence[str]) -> list[str]:
+    """Cells with a decimal point in place of a decimal comma."""
+    return [DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
+
+
+def _are_values(cells: Sequence[str]) -> bool:
+    """Whether each cell is a number, empty, or a date with a time of day."""
+    return all(_is_number(cell) or _is_date(cell) for cell in cells)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        _number(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_date(cell: str) -> bool:
+    try:
+        dates([cell])
+    except ValueError:
+        return False
+    return True
 
 
 def _number(text: str) -> float:

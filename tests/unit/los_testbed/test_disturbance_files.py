@@ -143,6 +143,12 @@ def test_units_of_a_density(tmp_path: Path, header: str, frequency: float, densi
     np.testing.assert_allclose(found.values, expected.values, atol=1e-9)
 
 
+def test_a_density_from_0_hz_is_that_from_a_low_frequency(tmp_path: Path) -> None:
+    zero, low = (of_table(tmp_path, "frequency,Tz", [[first, 1e-3], [40.0, 1e-3]]) for first in (0.0, 0.1))
+    assert np.std(zero.values[:, 5]) == pytest.approx(np.sqrt(1e-3 * 40.0), rel=0.2)
+    assert np.std(zero.values[:, 5]) == pytest.approx(np.std(low.values[:, 5]), rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("header", "factor"), [("order,Fx (mN s^2)", 1e-3), ("order,Fx (N/rpm^2)", (30 / np.pi) ** 2), ("order,Fx", 1.0)]
 )
@@ -211,7 +217,8 @@ def test_a_record_that_is_too_short_says_what_to_do(tmp_path: Path) -> None:
         make_sources(entries_of([str(tmp_path / "a.csv")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
     (tmp_path / "b.toml").write_text('[[disturbance]]\nname = "b"\nkind = "series"\nfile = "a.csv"\nrepeat = true\n')
     (found,) = make_sources(entries_of([str(tmp_path / "b.toml")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
-    assert len(found.signal.values) == 5000  # type: ignore[attr-defined]
+    assert len(found.signal.values) == 6000, "noise fits to itself"  # type: ignore[attr-defined]
+    assert found.remarks == ("record repeated every 3 s, as it is",)
 
 
 def test_sources_of_the_telescope_act_in_its_runs_and_change_no_design(tmp_path: Path) -> None:

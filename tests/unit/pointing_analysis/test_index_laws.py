@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from pointing_analysis.indices import metrics
+from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.read.series import series as recorded
 
 DT = 1e-3
 
@@ -125,6 +127,25 @@ def test_a_window_is_a_whole_number_of_samples(window: float, dt: float, whole: 
     else:
         with pytest.raises(ValueError, match="window must be a whole number"):
             metrics.window_samples(window, dt)
+
+
+@pytest.mark.parametrize("rate", [3000, 6000, 7000, 12_000, 44_100, 48_000, 96_000])
+@pytest.mark.parametrize("window", [0.02, 0.1, 0.5, 1.0, 10.0])
+def test_a_period_of_whole_nanoseconds_is_that_of_its_rate(rate: int, window: float) -> None:
+    """The window in the samples of the true rate, and no window half a sample longer."""
+    dt = round(1e9 / rate) / 1e9
+    assert metrics.is_whole(window, dt)
+    assert metrics.window_samples(window, dt) == pytest.approx(window * rate, abs=0.5 + 0.5e-9 * window * rate**2)
+    if window * rate**2 * 0.5e-9 < 0.2:
+        assert not metrics.is_whole(window + 0.5 / rate, dt)
+
+
+@pytest.mark.parametrize(("rate", "window"), [(3000.0, 1.0), (6000.0, 0.1), (6000.0, 1.0)])
+def test_windows_of_records_at_rates_without_whole_nanoseconds_are_judged(rate: float, window: float) -> None:
+    n = round(4 * rate)
+    values = np.random.default_rng(1).standard_normal((n, 2))
+    error = performance_error(recorded(np.arange(n) / rate, values, unit="mas"), 0.0)
+    assert metrics.windows(error.values, error.dt, window).samples == window * rate
 
 
 def test_messages_of_windows_have_milliseconds() -> None:

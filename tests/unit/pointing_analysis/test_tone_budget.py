@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS, ErrorSeries
 from pointing_analysis.indices.weights import rpe_discrete
-from pointing_analysis.spectra import record_lines
+from pointing_analysis.spectra import record_lines, spectra
 from pointing_analysis.spectra.tone_budget import ToneBudget, tone_budget
 
 T = 1e-3 * np.arange(60_000)
@@ -115,3 +115,45 @@ def test_what_the_fit_of_named_tones_leaves_of_a_record_without_noise_is_no_line
     crumbs = 1e-6 * np.column_stack([np.sin(200.0 * time), np.sin(250.0 * time)])
     found, rest = record_lines.unnamed_lines(tones + crumbs, 1e-3, np.array([100.0, 333.0]))
     assert found == () and np.abs(rest).max() < 1e-4
+
+
+SLOW_TONES = 2.0 * math.pi * np.array([2.0, 4.0, 6.0, 8.0, 10.0])
+SHORT = T[:7000]
+
+
+def with_pulse(size: float) -> ErrorSeries:
+    """7 s of noise of 5 mas, a slow tone of 30 and a fast one of 15, and the answer to a pulse that dies away."""
+    rng = np.random.default_rng(3)
+    tones = np.column_stack([30.0 * np.sin(SLOW_TONES[4] * SHORT), 15.0 * np.cos(300.0 * SHORT + 0.3)])
+    decay = size * np.exp(-SHORT / 1.5)[:, None] * np.array([1.0, 0.3])
+    return series(tones + decay + 5.0 * rng.standard_normal(tones.shape))
+
+
+@pytest.mark.parametrize("size", [0.0, 3e4])
+def test_a_pulse_is_no_tone(size: float) -> None:
+    """The parts of an untapered fit would be several times the whole."""
+    record = with_pulse(size)
+    found = tone_budget(run_with(tones_rad_s=[*SLOW_TONES, 300.0]), record, 0.02, 40.0)
+    weights = rpe_discrete(np.array([SLOW_TONES[4], 300.0]), 20, 1e-3)
+    assert found.slow == pytest.approx(30.0 * weights[0], abs=0.5)
+    assert found.fast == pytest.approx(15.0 * weights[1], rel=0.03)
+    whole = math.hypot(*metrics.rpe_rms(record.values, 1e-3, 0.02)) / RAD_PER_MAS
+    assert math.sqrt(found.noise**2 + 0.5 * (found.slow**2 + found.fast**2)) == pytest.approx(whole, rel=0.03)
+    assert found.noise < whole
+
+
+def test_lines_are_tapered_only_where_a_drift_has_leaked_into_them() -> None:
+    tones = np.array([*SLOW_TONES, 300.0])
+    for size, taper in ((0.0, False), (3e4, True)):
+        values = with_pulse(size).values
+        found, expected = (spectra.lines(values, 1e-3, tones, 0.02, how) for how in (None, taper))
+        assert [line.rms for line in found] == [line.rms for line in expected]
+        assert max(line.rms for line in found) < 2.0 * 30.0 / math.sqrt(2.0) * RAD_PER_MAS
+
+
+def test_tones_that_cannot_be_told_are_not_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spectra, "LEAK", 0.5)
+    found = tone_budget(run_with(tones_rad_s=[300.0], rpe_budget_mas={"total": 40}), with_pulse(0.0), 0.02, 33.0)
+    assert "tones cannot be told from the rest" in str(found) and "total (99.7 %) 33 of 40" in str(found)
+    content = found.as_dict()
+    assert [content[part] for part in ("noise", "slow", "fast", "total")] == [None, None, None, 33.0]

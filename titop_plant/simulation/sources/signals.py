@@ -23,6 +23,9 @@ PASSES, STOPS = 400.0, 500.0
 """Edges of the resampling filter [Hz]: half of the tick rate is the upper one."""
 PHASES_KEPT = 20_000
 """Weights of the filter that are kept, one set for each position of an instant between two samples."""
+OTHER_STEP = 1.5
+"""A step, or a bend, from the end of a record to its beginning that is so many times the largest one in it is none of
+its own. It is not 1: of tones with eight samples in a period the largest one may be there."""
 NOISE_SECONDS = 600.0
 """Longest stretch of noise that is made; a longer run has it again."""
 
@@ -218,10 +221,33 @@ class SampledSignal:
         return np.asarray(cutoff * np.sinc(cutoff * distance) * window)
 
 
+def closes(values: FloatArray) -> bool:
+    """Whether the beginning of a record continues its end: steps and bends there are as those in it.
+
+    So it is for a record of whole periods, and for noise without drift.
+
+    Examples
+    --------
+    >>> t = np.arange(1000)[:, None] / 1000
+    >>> closes(np.sin(2 * np.pi * 5.0 * t)), closes(np.sin(2 * np.pi * 5.3 * t)), closes(t)
+    (True, False, False)
+    """
+    joint = np.vstack([values[-2:], values[:2]])
+    for order in (1, 2):
+        inside, across = (np.abs(np.diff(one, order, axis=0)) for one in (values, joint))
+        if len(inside) and (across.max(axis=0) > inside.max(axis=0) * OTHER_STEP).any():
+            return False
+    return True
+
+
 def repeated(values: FloatArray, rate: float, fade: float = 0.5) -> FloatArray:
-    """A record that can be repeated: its end runs into its beginning over `fade` [s], with constant power."""
+    """A record that can be repeated: as it is where it :func:`closes`.
+
+    Of another its end runs into its beginning over `fade` [s], at most a quarter of it, with constant power: it is so
+    much shorter then, and its tones are not those of the record there.
+    """
     n = min(round(fade * rate), len(values) // 4)
-    if n < 1:
+    if n < 1 or closes(values):
         return values
     turn = 0.5 * np.pi * (np.arange(n) + 0.5)[:, None] / n
     kept = values[: len(values) - n].copy()
@@ -237,7 +263,9 @@ def noise_of_density(
     Parameters
     ----------
     frequency : ndarray, shape (f,)
-        Hz, ascending; below the first and above the last one, and above `PASSES`, the density is 0.
+        Hz, ascending; below the first and above the last one, and above `PASSES`, the density is 0. A first one of 0
+        has no place on a logarithmic axis: its density is that of the lowest frequency of the noise that is made, one
+        period in its length.
     density : ndarray, shape (f, 6)
         N^2/Hz, Nm^2/Hz; the axes are independent.
     seconds : float
@@ -250,6 +278,9 @@ def noise_of_density(
     n = fft.next_fast_len(math.ceil(min(seconds + 2.0, NOISE_SECONDS) * rate), real=True)
     grid = np.arange(n // 2 + 1) * rate / n
     values = np.zeros((n, 6))
+    if frequency[0] == 0.0:
+        above = frequency > grid[1]
+        frequency, density = np.r_[grid[1], frequency[above]], np.vstack([density[:1], density[above]])
     inside = (grid >= frequency[0]) & (grid <= min(frequency[-1], PASSES)) & (grid > 0)
     for axis in np.flatnonzero(density.any(axis=0)):
         with np.errstate(divide="ignore"):

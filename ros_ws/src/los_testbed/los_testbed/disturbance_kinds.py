@@ -38,6 +38,8 @@ AXES = (
 """Names of the columns of the six axes, in any case; an array of six columns is ``wrench``."""
 LARGEST = 1e7
 """[N, Nm] Larger values are no force on a spacecraft."""
+SAME_RATE = 1e-3
+"""Part by which a rate that is given may differ from that of the file."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,13 @@ class Entry:
             above = "" if low == -math.inf else f" above {low:g}"
             raise self.error(f"{key} must be a number{above}, got {value!r}")
         return float(value)
+
+    def flag(self, key: str, default: bool) -> bool:
+        """True or false."""
+        value = self.table.get(key, default)
+        if not isinstance(value, bool):
+            raise self.error(f"{key} must be true or false, got {value!r}")
+        return value
 
     def vector(self, key: str, table: Mapping[str, Any] | None = None) -> FloatArray:
         """Three numbers, zero where the key is missing."""
@@ -159,31 +168,44 @@ Made = tuple["Signal", tuple[str, ...]]
 def _series(entry: Entry, run: Run) -> Made:
     from titop_plant.simulation.sources.signals import SampledSignal, repeated
 
+    keeps_mean, repeats = entry.flag("keep_mean", False), entry.flag("repeat", False)
     table = entry.file()
     n = max(len(column) for column in table.columns.values())
     values, remarks = _axes(entry, table, n), []
-    when = time_column(table.of_length(n), [])
-    if when is not None:
-        rate = _rate(entry, table, when)
-    else:
-        rate = table.rate or entry.number("rate", None, 0.0)
+    rate = _rate(entry, table, n)
     length = n / rate
-    if not entry.table.get("keep_mean", False):
+    if not keeps_mean:
         mean = values.mean(axis=0)
         values = values - mean
         if np.abs(mean).max() > 0.01 * values.std():
             remarks.append(f"mean {_listed(mean)} removed (keep_mean = true keeps it)")
     if length < run.duration:
-        if not entry.table.get("repeat", False):
+        if not repeats:
             raise entry.error(
                 f"{table.path} must be as long as the run, {run.duration:g} s, got {length:g} s "
                 "(repeat = true repeats it)"
             )
         values = repeated(values, rate)
+        faded = (n - len(values)) / rate
+        how = f"its end faded into its beginning over {faded:g} s" if faded else "as it is"
+        remarks.append(f"record repeated every {len(values) / rate:g} s, {how}")
     return SampledSignal(values, rate, DT), tuple(remarks)
 
 
-def _rate(entry: Entry, table: Table, when: str) -> float:
+def _rate(entry: Entry, table: Table, n: int) -> float:
+    """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
+    given = entry.number("rate", None, 0.0) if "rate" in entry.table else None
+    when = time_column(table.of_length(n), [])
+    own = _rate_by_times(entry, table, when) if when is not None else table.rate
+    if own is None:
+        return entry.number("rate", None, 0.0)
+    if given is not None and abs(given - own) > SAME_RATE * own:
+        source = f"column {when}" if when is not None else "file"
+        raise entry.error(f"rate must be that of {table.path}, {own:g} Hz by its {source}, got {given:g} Hz")
+    return own
+
+
+def _rate_by_times(entry: Entry, table: Table, when: str) -> float:
     """Sampling rate [Hz] by a column of times."""
     unit = table.unit(when)
     try:
@@ -207,6 +229,8 @@ def _listed(values: FloatArray) -> str:
 def _harmonics(entry: Entry, units: Units = FORCE) -> list[tuple[float, FloatArray]]:
     """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
     tables = entry.table.get("harmonics")
+    if tables is not None and "file" in entry.table:
+        raise entry.error(f"harmonics must be in a file or in the table, got both: {entry.table['file']!r} and a list")
     if tables is None:
         table = entry.file()
         order = _column(entry, table, "order", "harmonic")
@@ -215,12 +239,13 @@ def _harmonics(entry: Entry, units: Units = FORCE) -> list[tuple[float, FloatArr
         unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})
         if unknown:
             raise entry.error(f"keys of a harmonic must be of order, force, torque, got {', '.join(unknown)}")
-        rows = [(float(one["order"]), np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
+        rows = [(one["order"], np.r_[entry.vector("force", one), entry.vector("torque", one)]) for one in tables]
     else:
         raise entry.error(f"harmonics must be tables with order, force and torque, got {tables!r}")
-    if any(not order > 0 for order, _ in rows):
-        raise entry.error("order of a harmonic must be positive, got another")
-    return rows
+    for order, _ in rows:
+        if not is_number(order) or not 0 < order < math.inf:
+            raise entry.error(f"order of a harmonic must be a number above 0, got {order!r}")
+    return [(float(order), amplitude) for order, amplitude in rows]
 
 
 def _speed(entry: Entry, run: Run) -> float:
@@ -244,9 +269,7 @@ def _wheel(entry: Entry, run: Run) -> Made:
     from titop_plant.simulation.sources.signals import tone_signal
 
     speed, rng = _speed(entry, run), _rng(entry, run)
-    squared = entry.table.get("squared", True)
-    if not isinstance(squared, bool):
-        raise entry.error(f"squared must be true or false, got {squared!r}")
+    squared = entry.flag("squared", True)
     sense, size = float(np.sign(speed)) or 1.0, speed**2 if squared else 1.0
     found = _harmonics(entry, PER_SPEED_SQUARED if squared else FORCE)
     rows = [(h, h * abs(speed), size * _phased(a, sense, rng)) for h, a in found]
@@ -274,12 +297,21 @@ def _waterfall(entry: Entry, run: Run) -> Made:
     at, frequency = scale * _column(entry, table, "speed"), _column(entry, table, "frequency", units=FREQUENCY)
     speeds, bins = np.unique(at), np.unique(frequency)
     values = _axes(entry, table, at.size)
-    if speeds.size < 2 or speeds.size * bins.size != at.size:
+    if speeds.size < 2 or speeds.size * bins.size != at.size or not np.isfinite([at, frequency]).all():
         raise entry.error(
             f"{table.path} must have a row for each of its frequencies at each of two or more speeds, "
             f"got {at.size} rows with {bins.size} frequencies and {speeds.size} speeds"
         )
-    grid = values[np.lexsort((frequency, at))].reshape(speeds.size, bins.size, 6)
+    order = np.lexsort((frequency, at))
+    rows_of, places = (one[order].reshape(speeds.size, bins.size) for one in (at, frequency))
+    odd = np.argwhere((rows_of != speeds[:, None]) | (places != bins))
+    if odd.size:
+        doubled = order[np.flatnonzero((np.diff(at[order]) == 0) & (np.diff(frequency[order]) == 0))[0]]
+        raise entry.error(
+            f"{table.path} must have one row for each frequency at each speed, "
+            f"got two of {at[doubled] / scale:g} {table.unit(name)}, {frequency[doubled]:g} Hz"
+        )
+    grid = values[order].reshape(speeds.size, bins.size, 6)
     try:
         found, amplitude = lines_at(abs(speed) / (2 * np.pi), speeds, bins, grid)
     except ValueError as error:
@@ -301,13 +333,12 @@ def _psd(entry: Entry, run: Run) -> Made:
             f"frequencies, {int((np.diff(frequency) <= 0).sum())} not above the last, and {int((density < 0).sum())} "
             "negative densities"
         )
-    kept = frequency > 0
     remarks = []
     if frequency[-1] > PASSES:
         remarks.append(f"density above {PASSES:g} Hz left out")
     if run.duration > NOISE_SECONDS:
         remarks.append(f"noise repeats after {NOISE_SECONDS:g} s")
-    signal = noise_of_density(frequency[kept], density[kept], run.duration, DT, _rng(entry, run))
+    signal = noise_of_density(frequency, density, run.duration, DT, _rng(entry, run))
     return signal, tuple(remarks)
 
 
@@ -332,8 +363,10 @@ def _pulses(entry: Entry, run: Run) -> Made:
     width, period = entry.number("width", None, 0.0), entry.number("period", None, 0.0)
     if width > period:
         raise entry.error(f"width must not be above the period of {period:g} s, got {width:g} s")
-    last = entry.number("last", math.inf)
-    return PulseSignal(wrench, entry.number("first", 0.0), width, period, last, DT), ()
+    first, last = entry.number("first", 0.0), entry.number("last", math.inf)
+    if last < first:
+        raise entry.error(f"last must not be before first, {first:g} s, got {last:g} s")
+    return PulseSignal(wrench, first, width, period, last, DT), ()
 
 
 KINDS: Mapping[str, tuple[Callable[[Entry, Run], Made], set[str]]] = MappingProxyType(
