@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lftkit.proofs.robustness import worst_case_gain
 from lftkit.proofs.state_space.bounds import Bounds
+from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
 
@@ -39,7 +41,7 @@ class DiskMarginBounds:
 
 
 def worst_case_disk_margin(
-    loop: System,
+    loop: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     skew: float = 0.0,
@@ -54,8 +56,8 @@ def worst_case_disk_margin(
 
     Parameters
     ----------
-    loop : System
-        L, one input and one output.
+    loop : System or expression
+        L, one input and one output; whatever :func:`lftkit.as_system` takes.
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters.
     skew : float
@@ -80,7 +82,7 @@ def worst_case_disk_margin(
     >>> round(found.upper, 6), found.upper <= 1.05 * found.lower
     (2.0, True)
     """
-    shifted = sensitivity(loop, 0.5 * (skew - 1.0))
+    shifted = sensitivity(as_system(loop), 0.5 * (skew - 1.0))
     bounds = worst_case_gain(shifted, box, gap=gap, wall_limit=wall_limit, seed=seed)
     lower = 1.0 / bounds.upper if bounds.upper > 0.0 else math.inf
     upper = 1.0 / bounds.lower if bounds.lower > 0.0 else math.inf

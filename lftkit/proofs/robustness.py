@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
 from lftkit.proofs.performance import Performance
@@ -14,10 +15,12 @@ from lftkit.proofs.state_space.bounds import (
     GainByCells,
     checked_band,
     intervals_of,
+    require_nominal,
     stability_by_cells,
 )
 from lftkit.proofs.state_space.disks import disks_of, real_first
 from lftkit.support.threads import one_thread
+from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
 FEW_STATES = 7
@@ -25,7 +28,7 @@ FEW_STATES = 7
 
 
 def worst_case_gain(
-    system: System,
+    system: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
@@ -43,7 +46,7 @@ def worst_case_gain(
 
     Parameters
     ----------
-    system : System
+    system : System, or what :func:`lftkit.systems.exchange.as_system` takes, as an expression
         In continuous or discrete time.
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters; the whole range of a parameter that is not named.
@@ -94,7 +97,7 @@ def worst_case_gain(
     True
     """
     checked_band(band, level, gap, wall_limit)
-    chosen = real_first(system.select(inputs=inputs, outputs=outputs))
+    chosen = real_first(as_system(system).select(inputs=inputs, outputs=outputs))
     ends = intervals_of(chosen, box)
     over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
     with one_thread():
@@ -116,7 +119,7 @@ def _over_axis(system: System, box: list[tuple[float, float]], method: str | Non
 
 
 def robust_stability(
-    system: System,
+    system: Any,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
@@ -134,8 +137,10 @@ def robust_stability(
 
     Parameters
     ----------
-    system, box, gap, wall_limit, max_tests, seed, progress, method
+    system, gap, wall_limit, max_tests, seed, progress, method
         As for :func:`worst_case_gain`; ports do not matter.
+    box : mapping of str to (lowest, highest), optional
+        Intervals inside the ranges of the parameters that contain the nominal values.
     largest : float
 
     Returns
@@ -147,7 +152,7 @@ def robust_stability(
     Raises
     ------
     ValueError
-        As for :func:`worst_case_gain`.
+        As for :func:`worst_case_gain`; also a box without the nominal values.
 
     Examples
     --------
@@ -162,8 +167,9 @@ def robust_stability(
     """
     if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
         raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
-    chosen = real_first(system.select(inputs=(), outputs=()))
+    chosen = real_first(as_system(system).select(inputs=(), outputs=()))
     ends = intervals_of(chosen, box)
+    require_nominal(chosen, ends)
     until = time.monotonic() + wall_limit
     over_axis = _over_axis(chosen, ends, method)
     with one_thread():
@@ -173,7 +179,7 @@ def robust_stability(
 
 
 def robust_performance(
-    system: System,
+    system: Any,
     level: float = 1.0,
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
@@ -188,7 +194,7 @@ def robust_performance(
 
     Parameters
     ----------
-    system : System
+    system : System, or what :func:`lftkit.systems.exchange.as_system` takes, as an expression
         In continuous time. Gain from all inputs to all outputs, over all frequencies; without any of them stability is
         what is left.
     level : float
@@ -224,6 +230,7 @@ def robust_performance(
     checked_band(WHOLE, level, gap, wall_limit)
     if not largest > 0.0:
         raise ValueError(f"largest must be positive, got {largest}")
+    system = as_system(system)
     if not (system.inputs and system.outputs):
         return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
     system.require_continuous()

@@ -25,8 +25,8 @@ def chosen_values(elements: Sequence[Element], values: Mapping[str, Value], *, b
     Raises
     ------
     ValueError
-        An unknown name, a value outside its range (a real one: unless `beyond_range`), dynamics of another size or
-        with a constant gain above the bound.
+        An unknown name, a value outside its range or disk unless `beyond_range`, or not finite; dynamics of another
+        size or with a constant gain above the bound.
     """
     real = {e.name: e for e in elements if isinstance(e, RealParameter)}
     others = {e.name: e for e in elements if not isinstance(e, RealParameter)}
@@ -38,7 +38,8 @@ def chosen_values(elements: Sequence[Element], values: Mapping[str, Value], *, b
     chosen.update(checked_values(real, {k: v for k, v in values.items() if k in real}, beyond_range=beyond_range))
     for name, element in others.items():
         if isinstance(element, ComplexParameter):
-            chosen[name] = element.check(values.get(name, element.nominal))
+            value = values.get(name, element.nominal)
+            chosen[name] = value if beyond_range and np.isfinite(value) else element.check(value)
         else:
             chosen[name] = _dynamics(element, values.get(name, np.zeros((element.outputs, element.inputs))))
     return chosen

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.arrays import FloatArray
 from lftkit.support.ordinary_file import read_ordinary_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -25,6 +26,8 @@ FORMAT = "lftkit/system"
 VERSION = 1
 MATLAB = b"MATLAB 5.0"
 """First bytes of a .mat file of version 5 to 7.2."""
+ROUNDING = 1e-12
+"""Imaginary parts of a matrix, relative to its largest entry, that count as none."""
 _KINDS: dict[str, type[Any]] = {"real": RealParameter, "complex": ComplexParameter, "dynamic": DynamicElement}
 
 
@@ -78,7 +81,7 @@ def from_scipy(system: Any) -> System:
     Raises
     ------
     ValueError
-        Another type, or a discrete system without a period in seconds.
+        Another type, complex coefficients, or a discrete system without a period in seconds.
     """
     from scipy import signal
 
@@ -87,11 +90,19 @@ def from_scipy(system: Any) -> System:
     if system.dt is True:
         raise ValueError("system must have a sampling period in seconds, got dt True")
     ss = system.to_ss()
-    A, B, C, D = (np.atleast_2d(np.asarray(M, dtype=float)) for M in (ss.A, ss.B, ss.C, ss.D))
+    A, B, C, D = (_real(np.atleast_2d(np.asarray(M))) for M in (ss.A, ss.B, ss.C, ss.D))
     if not np.any(B) and not np.any(C) and not np.any(A):  # how scipy writes a gain
         A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0))
     ports = (Port("u", D.shape[1]),), (Port("y", D.shape[0]),)
     return System(A, B, C, D, *ports, dt=float(system.dt or 0.0))
+
+
+def _real(matrix: Any) -> FloatArray:
+    """The matrix without imaginary parts that are rounding: poles that are conjugate to the last bits leave some."""
+    whole = np.asarray(matrix, dtype=complex)
+    if np.any(np.abs(whole.imag) > ROUNDING * np.abs(whole).max(initial=0.0)):
+        raise ValueError("system must have real coefficients, got complex ones")
+    return np.asarray(whole.real, dtype=float)
 
 
 def to_scipy(system: System) -> Any:
@@ -148,8 +159,8 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
     Raises
     ------
     ValueError
-        A file that cannot be read, no system or several, an `ss` object that was saved as such (only MATLAB reads it),
-        or matrices that do not fit.
+        A file that cannot be read, no system or several (also several in one array of structs), an `ss` object that was
+        saved as such (only MATLAB reads it), or matrices that do not fit.
     """
     from scipy import io
 
@@ -169,6 +180,8 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
         advice = " (an ss object must be saved as a struct: see read_mat)" if opaque else ""
         found = ", ".join(structs) or "none"
         raise ValueError(f"{path} must hold one system, or name must be one of its structs, got {found}{advice}")
+    if structs[name].size != 1:
+        raise ValueError(f"{path}: {name} must be one system, got an array of {structs[name].size}")
     return _from_fields(_fields(structs[name]), name, path)
 
 

@@ -204,12 +204,15 @@ class System(Arithmetic):
         value = lft.response((self.A, self.B[:, q:], self.C[q:], self.D[q:, q:]), point)
         return complex(value[0, 0]) if value.shape == (1, 1) else value
 
-    def response(self, omega: ArrayLike, values: Mapping[str, Value] | None = None) -> ComplexArray:
+    def response(
+        self, omega: ArrayLike, values: Mapping[str, Value] | None = None, *, beyond_range: bool = False
+    ) -> ComplexArray:
         """Transfer matrices at frequencies [rad/s], shape (len(omega), p, m), at values of the elements.
 
-        A value may also be complex, where :meth:`at` takes real numbers and systems only.
+        A value may also be complex, where :meth:`at` takes real numbers and systems only; with `beyond_range` outside
+        its range or disk.
         """
-        chosen = chosen_values(self.elements, values or {}, beyond_range=False)
+        chosen = chosen_values(self.elements, values or {}, beyond_range=beyond_range)
         q, found = len(self.channels), []
         for w in np.atleast_1d(np.asarray(omega, dtype=float)):
             point = np.exp(1j * w * self.dt) if self.dt else 1j * w
@@ -230,7 +233,7 @@ class System(Arithmetic):
             A number for a real or complex element (real here: see :meth:`response`); a number, matrix or system for
             dynamics, whose gain is checked where it is constant.
         beyond_range : bool
-            Whether real values may lie outside their range.
+            Whether real and complex values may lie outside their range or disk.
 
         Raises
         ------

@@ -20,7 +20,7 @@ from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
 from lftkit.tuning.problem import delay_radius
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, check_weights
 from lftkit.tuning.sector_gain import SectorGain
 
 PADE_ORDER = 8
@@ -89,7 +89,14 @@ def certify(
 
 
 def weighted_loop(model: System, controller: System, requirement: HinfGain | H2Gain) -> System:
-    """Closed loop of a gain requirement with its weights, not yet divided by the bound."""
+    """Closed loop of a gain requirement with its weights, not yet divided by the bound.
+
+    Raises
+    ------
+    ValueError
+        A weight whose inner side does not fit the ports.
+    """
+    check_weights(requirement, model)
     loop = close_loop(model, controller, requirement.inputs, requirement.outputs)
     if requirement.weight_in is not None:
         loop = cascade(requirement.weight_in, loop)

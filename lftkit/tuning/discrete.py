@@ -27,7 +27,7 @@ from lftkit.tuning.certificate import Certificate, weighted_loop
 from lftkit.tuning.descent.starts import start_checked
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, check_weights
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.sector_gain import SectorGain
 from lftkit.tuning.status import TuningStatus
@@ -245,6 +245,7 @@ def image_of_requirement(r: Requirement, model: System) -> Requirement:
     if isinstance(r, ClosedLoopPoles | ControllerPoles):
         kind = _ClosedLoopOnImage if isinstance(r, ClosedLoopPoles) else _ControllerOnImage
         return kind(**{field.name: getattr(r, field.name) for field in fields(r)}, period=dt)
+    check_weights(r, model)
     changes: dict[str, Any] = {}
     for name in ("weight_in", "weight_out"):
         weight: System | None = getattr(r, name)

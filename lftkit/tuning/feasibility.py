@@ -26,7 +26,7 @@ def feasibility_runs(
     which limit ended one.
     """
     best = min(runs, key=lambda run: run.rank)
-    if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED:
+    if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED or not problem.structure.size:
         return []
     alone = [replace(r, hard=False) for r in problem.given if r.hard]
     if not alone:

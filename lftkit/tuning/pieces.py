@@ -66,6 +66,11 @@ class OracleResult:
         """The point is in the domain."""
         return bool(np.isfinite(self.objective))
 
+    @property
+    def settled(self) -> bool:
+        """In the domain, all hard requirements met, and no soft piece: nothing is left to lower."""
+        return self.inside and self.constraint <= 0.0 and all(piece.hard for piece in self.pieces)
+
     def largest(self, count: int) -> list[Piece]:
         """The `count` largest soft pieces and as many hard ones."""
         return [

@@ -25,6 +25,7 @@ from lftkit.tuning.requirements import (
     ParameterBounds,
     Requirement,
     check_names,
+    check_weights,
 )
 from lftkit.tuning.structures.bounds import bounds_of
 from lftkit.tuning.structures.structures import Structure
@@ -168,6 +169,9 @@ class Problem:
         model.require_certain()
         model.require_continuous()
         _check_sizes(model, self.structure)
+        for asked in self.given:
+            if isinstance(asked, HinfGain | H2Gain):
+                check_weights(asked, model)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
         order = self.structure.order
         bare = extended_plant(model, self._measurements, self._commands, order, **common)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from lftkit.analysis.norms import spectral_abscissa
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
 
@@ -38,9 +40,8 @@ class _Gain:
             object.__setattr__(self, side, ports)
         if not (np.isfinite(self.bound) and self.bound > 0):
             raise ValueError(f"the bound of a gain requirement must be positive, got {self.bound}")
-        for weight in (self.weight_in, self.weight_out):
-            if weight is not None and not _stable(weight):
-                raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
+        for side in ("weight_in", "weight_out"):
+            object.__setattr__(self, side, as_weight(getattr(self, side), side))
         if not self.name:
             kind = type(self).__name__
             object.__setattr__(self, "name", f"{kind} {'+'.join(self.inputs)} -> {'+'.join(self.outputs)}")
@@ -56,7 +57,7 @@ class HinfGain(_Gain):
         Ports of the plant, stacked in this order.
     bound : float
         Gain that counts as 1, in output unit per input unit.
-    weight_in, weight_out : System, optional
+    weight_in, weight_out : System, or what :func:`lftkit.systems.exchange.as_system` takes, optional
         Stable weights; their outer ports are free, their inner side has the size of the stacked ports.
     hard : bool
         At most 1 (True) or minimised (False).
@@ -185,6 +186,41 @@ class ParameterBounds:
 
 
 Requirement = HinfGain | H2Gain | ClosedLoopPoles | ControllerPoles
+
+
+def as_weight(value: Any, what: str) -> System | None:
+    """A weight as a system, None where there is none.
+
+    Raises
+    ------
+    ValueError
+        Another type, uncertain elements, or an unstable weight.
+    """
+    if value is None:
+        return None
+    try:
+        weight = as_system(value)
+        weight.require_certain()
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from None
+    if not _stable(weight):
+        raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
+    return weight
+
+
+def check_weights(requirement: HinfGain | H2Gain, model: System) -> None:
+    """Raise a ValueError where the inner side of a weight does not fit the ports of `model`, whose names it says."""
+    for what, ports in (("weight_in", requirement.inputs), ("weight_out", requirement.outputs)):
+        weight: System | None = getattr(requirement, what)
+        if weight is None:
+            continue
+        inner = what == "weight_in"
+        needed = len(model.input_indices(ports) if inner else model.output_indices(ports))
+        found, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
+        if found != needed:
+            raise ValueError(
+                f"{requirement.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {found}"
+            )
 
 
 def _stable(weight: System) -> bool:

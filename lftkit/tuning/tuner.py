@@ -21,8 +21,8 @@ from lftkit.tuning.certificate import Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import FEASIBLE, point_at
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import StartResult, tune_from
-from lftkit.tuning.descent.start_runner import CARRIED, FIRST, MAX_BATCHES, StartSearch, run_first, run_starts
+from lftkit.tuning.descent.single_start import StartResult, only_point, tune_from
+from lftkit.tuning.descent.start_runner import CARRIED, FIRST, MAX_BATCHES, StartSearch, ended, run_first, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.full_order import reduced_starts
@@ -40,6 +40,8 @@ AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
 OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
+NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
+NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
@@ -118,8 +120,11 @@ def tune(
         :func:`lftkit.tuning.discrete.tune_discrete`.
     requirements : sequence
         :class:`HinfGain`, :class:`H2Gain`, :class:`ClosedLoopPoles`, :class:`ControllerPoles` and the goals of
-        :mod:`lftkit.tuning.goals`, soft or hard.
+        :mod:`lftkit.tuning.goals`, soft or hard. Without a soft one the first controller that meets the hard ones is
+        ``converged``.
     structure : Structure
+        Without a free parameter its one controller is evaluated and certified: ``converged`` where it meets the hard
+        requirements.
     initial : sequence of array_like, shape (size,)
         Given starts, taken before the random ones.
     loop_delay : float
@@ -164,23 +169,25 @@ def tune(
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
     given = [start_checked(x, structure) for x in initial]
-    if not given and not options.starts:
+    if structure.size and not given and not options.starts:
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
-        search = _search(problem, given, options, deadline, progress)
+        alone = StartSearch((only_point(problem),), True) if not structure.size else None
+        search = alone or _search(problem, given, options, deadline, progress)
         runs = list(search.results)
         runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
         runs = [*runs, *_refined(problem, runs, options, deadline)]
         result = result_of(problem, runs, time.monotonic() - start_time)
     if all_met(problem.given, result.certificate, met):
         return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
-    cut = not search.complete and result.status not in (TuningStatus.INTERRUPTED, TuningStatus.TARGET)
-    status = TuningStatus.OUT_OF_TIME if cut else result.status
-    return replace(result, status=status, advice=_advice(status, result.at_bounds))
+    settled = result.status is TuningStatus.CONVERGED and result.soft == -np.inf
+    if search.complete or settled or result.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET):
+        return result
+    return replace(result, status=TuningStatus.OUT_OF_TIME, advice=_advice(TuningStatus.OUT_OF_TIME, result.at_bounds))
 
 
 def _search(
@@ -201,11 +208,10 @@ def _search(
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
     first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
-    ended = any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in first.results)
-    if not options.starts or ended or not first.complete:
+    if not options.starts or ended(first.results) or not first.complete:
         return first
     own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
-    if any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in own.results):
+    if ended(own.results):
         return StartSearch(first.results + own.results, own.complete)
     nested, all_of_it = _from_lower_order(problem, options, deadline, progress)
     points = [*nested, *reduced_starts(problem)]
@@ -334,7 +340,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     at_bounds = _at_bounds(problem, x)
     return TuningResult(
         status,
-        _advice(status, at_bounds),
+        _found(problem, best, status) or _advice(status, at_bounds),
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -351,6 +357,15 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
         tuple(r.name for r in problem.given),
         at_bounds,
     )
+
+
+def _found(problem: Problem, best: StartResult, status: TuningStatus) -> str:
+    """What is to be said of a run in which nothing was minimised; empty for others."""
+    if status is not best.status:
+        return ""
+    if not problem.structure.size:
+        return NOTHING_FREE
+    return NOTHING_SOFT if best.settled else ""
 
 
 def all_met(requirements: Sequence[Requirement], certificate: Certificate | None, met: float) -> bool:

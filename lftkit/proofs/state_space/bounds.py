@@ -112,6 +112,12 @@ def intervals_of(system: System, box: Mapping[str, tuple[float, float]] | None) 
     ]
 
 
+def require_nominal(system: System, box: Sequence[tuple[float, float]]) -> None:
+    """Raise a ValueError where a box, in the order of the parameters, does not contain the nominal values."""
+    if not all(low <= p.nominal <= high for p, (low, high) in zip(system.parameters, box)):
+        raise ValueError("box must contain the nominal values, got another")
+
+
 def least_level(system: System) -> float:
     """Level to be proven where the largest gain found is zero."""
     q = len(system.channels)
@@ -304,7 +310,14 @@ def stability_by_cells(
     seed: int,
     progress: bool,
 ) -> Bounds:
-    """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it."""
+    """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it.
+
+    Raises
+    ------
+    ValueError
+        A box without the nominal values.
+    """
+    require_nominal(system, box)
     nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,8 +21,9 @@ from lftkit.proofs.blocks.lower import lower_bound
 from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
 from lftkit.proofs.state_space.search import Member, member_gain
-from lftkit.systems.lft import response
+from lftkit.systems.lft import response, solve_loop
 from lftkit.systems.system import System
+from lftkit.uncertainty.parameters import RealParameter
 
 sl_optimize: Any = optimize
 Interval = tuple[float, float]
@@ -134,7 +135,10 @@ class DiskSearch:
     # stability
 
     def unstable(self, largest: float) -> tuple[float, DiskMember] | None:
-        """Smallest factor of box and radii, up to `largest`, with a member that has a pole on the axis."""
+        """Smallest factor of box and radii, up to `largest`, with a member that has a pole on the axis.
+
+        Sides are measured from the nominal values, which the box contains.
+        """
         value, omega, found = self.worst(lambda w: self._singular_at(w, *FIRST), lambda w: self._singular_at(w, *LATER))
         if not value * largest > 1.0:
             return None
@@ -209,8 +213,13 @@ class DiskSearch:
         real = member_gain(self.system, middle, self.band)
         if np.isinf(real.gain):
             return real
-        unstable = self.unstable(1.0) if self.band == (0.0, np.inf) else None
-        return self.largest_gain() if unstable is None else unstable[1]
+        search = self if self._around_nominal() else replace(self, system=about(self.system, middle))
+        unstable = search.unstable(1.0) if self.band == (0.0, np.inf) else None
+        return search.largest_gain() if unstable is None else unstable[1]
+
+    def _around_nominal(self) -> bool:
+        """Whether the nominal values are inside the box, as the factors of :meth:`unstable` ask for."""
+        return all(low < 0.0 < high or low == high == 0.0 for low, high in self.deviations)
 
     def climbed(self, member: DiskMember) -> DiskMember:
         """That of an ascent from a member at its frequency."""
@@ -313,6 +322,32 @@ class DiskSearch:
             else:
                 delta[own, own] = values[disk.name][0, 0]
         return delta
+
+
+def about(system: System, point: FloatArray) -> System:
+    """The same uncertain system with `point` (p,) as nominal values of its real elements, whose ranges contain it.
+
+    Raises
+    ------
+    ValueError
+        The member at `point` is not well posed.
+    """
+    q, n, moved = len(system.channels), system.order, {p.name: float(v) for p, v in zip(system.parameters, point)}
+    offset = {p.name: moved[p.name] - p.nominal for p in system.parameters}
+    delta = np.array([offset.get(channel, 0.0) for channel in system.channels])
+    # w = delta z + w' with z = (I - D11 delta)^-1 (C1 x + D11 w' + D12 u)
+    whole = np.block([[system.A, system.B], [system.C, system.D]])
+    seen = solve_loop(np.eye(q) - system.D[:q, :q] * delta, whole[n : n + q], f"the LFT must be well posed at {moved}")
+    shifted = whole + whole[:, n : n + q] @ (delta[:, None] * seen)
+    elements = tuple(_moved(e, moved[e.name]) if isinstance(e, RealParameter) else e for e in system.elements)
+    matrices = shifted[:n, :n], shifted[:n, n:], shifted[n:, :n], shifted[n:, n:]
+    return replace(system.with_lft(matrices), elements=elements)
+
+
+def _moved(parameter: RealParameter, nominal: float) -> RealParameter:
+    """With another nominal value, which is in the range up to rounding."""
+    ends = min(parameter.lower, nominal), max(parameter.upper, nominal)
+    return replace(parameter, nominal=nominal, lower=ends[0], upper=ends[1])
 
 
 def _between(value: ComplexArray, aim: ComplexArray, part: float, disk: DiskChannels) -> ComplexArray:

@@ -129,7 +129,8 @@ class _Running:
 
     def _first_proximity(self) -> float:
         """Such that a step along the largest gradient has about the length 1 / 2."""
-        return 2.0 * max(float(linalg.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces) + 1e-9
+        slopes = [float(linalg.norm(self._metric.gradient(p.gradient))) for p in self.result.pieces]
+        return 2.0 * max(slopes, default=0.0) + 1e-9
 
     def step(self) -> TuningStatus | None:
         """One quadratic program and one trial; the reason to stop or None."""
@@ -141,6 +142,9 @@ class _Running:
             return TuningStatus.ITERATIONS
         if self.result.objective < options.target and self.result.constraint <= 0:
             return TuningStatus.TARGET
+        if self.result.settled:
+            self.stationarity = 0.0
+            return TuningStatus.CONVERGED
         offsets, G = self._bundle.linear_model(self.x, self.result, self._metric)
         self.stationarity = self._stationarity(offsets, G)
         feasible = self.result.constraint <= 0

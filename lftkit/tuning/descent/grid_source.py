@@ -18,6 +18,7 @@ from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.minimax.minimax import VISIBLE
 from lftkit.tuning.descent.smooth_objective import SmoothObjective, same_h2
 from lftkit.tuning.gains.gains import unresolved
+from lftkit.tuning.pieces import HARD_TARGET
 from lftkit.tuning.problem import Evaluation, Problem, worst_values
 from lftkit.tuning.source import Merit, lower
 
@@ -39,6 +40,11 @@ class Point:
     def feasible(self) -> bool:
         """All models stable and all hard requirements met."""
         return bool(np.isfinite(self.soft) or self.soft < 0) and self.hard <= 1.0 + FEASIBLE
+
+    @property
+    def settled(self) -> bool:
+        """All models stable, all hard requirements met, and no soft one: nothing is left to lower."""
+        return self.soft == -np.inf and self.hard <= HARD_TARGET
 
     @property
     def merit(self) -> Merit:

@@ -41,6 +41,11 @@ class StartResult:
     iterations: int
 
     @property
+    def settled(self) -> bool:
+        """Feasible, and no soft requirement: no start has anything to lower."""
+        return self.status is TuningStatus.CONVERGED and self.soft == -np.inf
+
+    @property
     def rank(self) -> tuple[int, float]:
         """Sorts from the best to the worst: feasible ones by value, then by violation, then by instability."""
         if not np.isfinite(self.hard) and self.hard > 0:
@@ -58,11 +63,13 @@ def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) 
     status = TuningStatus.OUT_OF_TIME if time.monotonic() > limits.deadline else TuningStatus.ITERATIONS
     if found.point.feasible and found.point.soft < limits.target:
         status = TuningStatus.TARGET
-    return _result(status, found.point, np.inf, count, steps)
+    elif found.point.settled:
+        status = TuningStatus.CONVERGED
+    return _result(status, found.point, 0.0 if found.point.settled else np.inf, count, steps)
 
 
 def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions, band: float) -> StartResult:
-    """One start to its end.
+    """One start to its end; where the structure has no parameter, the one controller that it is.
 
     Parameters
     ----------
@@ -74,6 +81,8 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
     band : float
         Peaks above this fraction of the largest enter the quadratic programs.
     """
+    if not problem.structure.size:
+        return only_point(problem)
     rng = np.random.default_rng(seed)
     stable, steps = stabilise(problem, x0, rng, limits)
     if stable.result.objective >= -problem.min_decay:
@@ -88,6 +97,15 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
     except KeyboardInterrupt:
         status = TuningStatus.INTERRUPTED
     return _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
+
+
+def only_point(problem: Problem) -> StartResult:
+    """The one controller of a structure without parameters: ``converged`` if it meets all hard requirements."""
+    point = point_at(problem, np.zeros(0))
+    if not point.found.abscissa < -problem.min_decay:
+        return StartResult(TuningStatus.NOT_STABILISED, point.x, np.inf, np.inf, point.found.abscissa, np.inf, 1, 0)
+    status = TuningStatus.CONVERGED if point.feasible else TuningStatus.INFEASIBLE
+    return _result(status, point, 0.0, 1, 0)
 
 
 def _result(status: TuningStatus, point: Point, stationarity: float, evaluations: int, steps: int) -> StartResult:
@@ -115,6 +133,8 @@ class _Run:
         """Cycles until the point is confirmed or a limit is reached; the status."""
         limits, first = self._limits, self.point
         self.point = self._smooth_repeatedly(EVALUATIONS_PER_ITERATION * limits.iterations)
+        if self._settled():
+            return TuningStatus.CONVERGED
         if self._at_limit():
             return TuningStatus.UNBOUNDED
         negligible = NEGLIGIBLE * first.soft if first.feasible else 0.0
@@ -130,6 +150,8 @@ class _Run:
             self.stationarity = found.stationarity
             self._take(point_at(self._problem, found.x))
             self.evaluations, self.steps = self.evaluations + found.evaluations, self.steps + found.iterations
+            if self._settled():
+                return TuningStatus.CONVERGED
             if self._at_limit():
                 return TuningStatus.UNBOUNDED
             if found.status in ENDS or self.steps >= limits.iterations:
@@ -141,6 +163,12 @@ class _Run:
             return TuningStatus.ITERATIONS
         late = time.monotonic() > limits.deadline
         return _status(found, self.point, confirmed, self.point.better_than(first, VISIBLE), late)
+
+    def _settled(self) -> bool:
+        """A point with nothing left to lower, whose stationarity is then zero."""
+        if self.point.settled:
+            self.stationarity = 0.0
+        return self.point.settled
 
     def _at_limit(self) -> bool:
         """A feasible point with parameters as large as they may be."""

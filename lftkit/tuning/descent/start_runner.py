@@ -210,7 +210,7 @@ class _Runner:
     @property
     def going_on(self) -> bool:
         """Neither was a limit reached nor the run stopped by the user or by its target."""
-        return self.complete and not _ended(self.results)
+        return self.complete and not ended(self.results)
 
     @property
     def best(self) -> StartResult:
@@ -235,7 +235,7 @@ class _Runner:
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
             self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
-            if _ended(results) or time.monotonic() > self._limits.deadline:
+            if ended(results) or time.monotonic() > self._limits.deadline:
                 break
         return results
 
@@ -251,13 +251,13 @@ class _Runner:
         except KeyboardInterrupt:
             found = results or [_interrupted(self._problem, starts[0])]
             return [replace(min(found, key=lambda r: r.rank), status=TuningStatus.INTERRUPTED)]
-        ends = [k for k, r in enumerate(results) if _ended([r])]
+        ends = [k for k, r in enumerate(results) if ended([r])]
         return results[: ends[0] + 1] if ends else results  # those that one process would have run
 
 
-def _ended(results: Sequence[StartResult]) -> bool:
-    """The user stopped the run or the target was reached."""
-    return any(r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
+def ended(results: Sequence[StartResult]) -> bool:
+    """The user stopped the run, the target was reached, or a feasible point is all that is asked for."""
+    return any(r.settled or r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
 
 
 def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:

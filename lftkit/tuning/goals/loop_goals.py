@@ -19,7 +19,7 @@ from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
-from lftkit.tuning.requirements import HinfGain, Requirement
+from lftkit.tuning.requirements import HinfGain, Requirement, as_weight
 
 SLOWEST, FASTEST = 1e-4, 1e4  # of an integrator and of a differentiator in a weight, relative to its crossover
 
@@ -67,7 +67,7 @@ class Sensitivity(_AtLoop):
     location : tuple of str (or one str)
         Commands or measurements of the controller.
     bound : float
-    weight : System, optional
+    weight : System, or what :func:`lftkit.systems.exchange.as_system` takes, optional
         Stable, of the size of the location or 1: ``weight S`` is at most `bound`.
     complementary : bool
         T instead of S.
@@ -80,6 +80,10 @@ class Sensitivity(_AtLoop):
     complementary: bool = False
     hard: bool = False
     name: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "weight", as_weight(self.weight, "weight"))
 
     def requirements_on(self, model: System) -> tuple[Requirement, ...]:
         """One gain."""

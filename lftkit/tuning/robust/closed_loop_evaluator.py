@@ -21,7 +21,15 @@ from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import delayed_controller, weighted_loop
 from lftkit.tuning.problem import delay_radius
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, band_edges
+from lftkit.tuning.requirements import (
+    ClosedLoopPoles,
+    ControllerPoles,
+    H2Gain,
+    HinfGain,
+    Requirement,
+    band_edges,
+    check_weights,
+)
 from lftkit.tuning.sector_gain import SectorGain
 
 
@@ -67,6 +75,7 @@ class ClosedLoopEvaluator:
             T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
+                check_weights(r, self._model)
                 values[i], frequencies[i] = self._peak(r, grid, T)
             elif isinstance(r, H2Gain):
                 loop = weighted_loop(self._model, self._controller, r)

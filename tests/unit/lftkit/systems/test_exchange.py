@@ -200,3 +200,32 @@ def test_numbers_of_numpy_are_numbers_of_a_file() -> None:
 def test_sizes_and_numbers_of_another_kind_are_named(made: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         made()
+
+
+def test_complex_coefficients_of_scipy_are_refused() -> None:
+    one, none = np.array([[1.0]]), np.array([[0.0]])
+    fraction: Any = signal.TransferFunction
+    zpk: Any = signal.ZerosPolesGain
+    for given in (
+        signal.StateSpace(np.array([[-1.0 + 2.0j]]), one, one, none),
+        fraction([1.0], [1.0, 1.0 + 2.0j]),
+        zpk([], [-1.0], 1.0j),
+    ):
+        with pytest.raises(ValueError, match=r"^system must have real coefficients, got complex ones$"):
+            lk.from_scipy(given)
+        with pytest.raises(ValueError, match="real coefficients"):
+            lk.as_system(given)
+    nearly = zpk([], [-1.0 + 0.1j, -1.0 - 0.1j * (1.0 + 1e-15)], 1.0)  # conjugate but for rounding
+    assert lk.from_scipy(nearly).poles() == pytest.approx([-1.0 + 0.1j, -1.0 - 0.1j])
+
+
+def test_an_array_of_structs_is_not_one_system(tmp_path: Path) -> None:
+    array = np.empty((1, 2), dtype=[(key, object) for key in "ABCD"])
+    for k, pole in enumerate((-1.0, -2.0)):
+        array[0, k] = tuple(np.array([[value]]) for value in (pole, 1.0, 1.0, 0.0))
+    io.savemat(tmp_path / "two.mat", {"P": array})
+    for name in (None, "P"):
+        with pytest.raises(ValueError, match=r"two\.mat: P must be one system, got an array of 2$"):
+            lk.read_mat(tmp_path / "two.mat", name)
+    io.savemat(tmp_path / "one.mat", {"P": array[:, 1:]})
+    assert lk.read_mat(tmp_path / "one.mat").poles() == [-2.0]

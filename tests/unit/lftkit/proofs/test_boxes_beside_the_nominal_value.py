@@ -1,0 +1,75 @@
+"""Boxes that do not contain the nominal values, and systems that are given as expressions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lftkit import Expression, RealParameter, System, complex_gain, discretise, dynamic, real, s
+from lftkit.proofs import check_proof, robust_performance, robust_stability, worst_case_disk_margin, worst_case_gain
+from lftkit.proofs.state_space.disk_search import about
+
+LONG = 3600.0
+DISKS = [dynamic("e", bound=0.1), complex_gain("e", 0.0, 0.1)]
+
+
+def unstable_lag(disk: Expression, dt: float = 0.0) -> System:
+    """``1 / (s - 1 + k + e)`` with |e| up to 0.1, whose nominal member, at k = 0, is unstable."""
+    system: System = (1 / (s - 1 + real("k", 0.0, -3.0, 3.0) + disk)).system("u", "y")
+    return discretise(system, dt) if dt else system
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("disk", DISKS)
+def test_a_stable_box_beside_the_nominal_value(disk: Expression, dt: float) -> None:
+    """1 / (2 - 1 - 0.1) at k = 2."""
+    for box in ((2.0, 3.0), (2.0, 2.0)):
+        bounds = worst_case_gain(unstable_lag(disk, dt), {"k": box}, wall_limit=LONG)
+        assert bounds.status == "closed" and bounds.lower == pytest.approx(1.0 / 0.9, rel=1e-6)
+        assert bounds.point["k"] == pytest.approx(2.0)
+        assert check_proof(bounds.proof).level == bounds.upper <= 1.05 * bounds.lower
+
+
+@pytest.mark.parametrize("box", [(1.05, 3.0), (1.05, 1.3), (0.9, 1.5)])
+@pytest.mark.parametrize("disk", DISKS)
+def test_an_unstable_member_of_such_a_box_is_inside(disk: Expression, box: tuple[float, float]) -> None:
+    """All members with k + e below 1, here below 1.1 at some e."""
+    bounds = worst_case_gain(unstable_lag(disk), {"k": box}, wall_limit=LONG)
+    assert bounds.status == "unstable" and bounds.lower == np.inf and bounds.proof is None
+    assert box[0] <= bounds.point["k"] <= min(box[1], 1.1)
+
+
+def test_other_nominal_values_are_the_same_system() -> None:
+    rng = np.random.default_rng(3)
+    a, b = RealParameter("a", 0.0, -1.0, 1.0), RealParameter("b", 0.5, 0.0, 2.0)
+    M = [0.4 * rng.standard_normal(shape) for shape in ((3, 3), (3, 4), (4, 3), (4, 4))]
+    system = System(*M, (("u", 1),), (("y", 1),), channels=("a", "b", "a"), elements=(a, b))  # type: ignore[arg-type]
+    moved = about(system, np.array([0.3, 1.25]))
+    assert [p.nominal for p in moved.parameters] == [0.3, 1.25]
+    for values in ({"a": 0.3, "b": 1.25}, {"a": -0.7, "b": 0.1}, {"a": 1.0, "b": 2.0}):
+        same = [member.response([0.0, 0.7, 3.0]) for member in (system.at(values), moved.at(values))]
+        np.testing.assert_allclose(same[0], same[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", [None, "cells", "axis"])
+def test_a_margin_asks_for_the_nominal_values_in_the_box(method: str | None) -> None:
+    """Scaled about a value outside, the box of a proof would not contain the member that is shown to be stable."""
+    system = (1 / (s + real("k", 2.0, 1.0, 3.0))).system("u", "y")
+    for box in ((2.5, 3.0), (1.0, 1.5)):
+        with pytest.raises(ValueError, match=r"^box must contain the nominal values, got another$"):
+            robust_stability(system, {"k": box}, method=method)
+    at_its_end = robust_stability(system, {"k": (2.0, 3.0)}, method=method, wall_limit=LONG)
+    assert at_its_end.status == "closed" and check_proof(at_its_end.proof).stable
+
+
+def test_bounds_take_expressions() -> None:
+    lag = 1 / (s + real("k", 2.0, 1.0, 3.0))
+    system = lag.system()
+    calls: list[Any] = [worst_case_gain, robust_stability, lambda given: robust_performance(given, 2.0)]
+    calls.append(worst_case_disk_margin)
+    for bound in calls:
+        assert bound(lag).lower == bound(system).lower > 0.0
+        with pytest.raises(ValueError, match=r"^system must be a System, .* got str$"):
+            bound("lag")

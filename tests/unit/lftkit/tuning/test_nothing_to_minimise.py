@@ -1,0 +1,113 @@
+"""Tuning with hard requirements alone, and with structures that have no free parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lftkit import System
+from lftkit.tuning import ClosedLoopPoles, HinfGain, TuningOptions, tune, tune_discrete, tune_robust
+from lftkit.tuning.structures.structures import AffineStructure, gain, pid
+
+FEW = TuningOptions(starts=4)
+
+
+def oscillator() -> System:
+    return System([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
+
+
+def lag() -> System:
+    return System([[-1]], [[1]], [[1]], [[0]], [("u", 1)], [("y", 1)])  # type: ignore[arg-type]
+
+
+def first_order(pole: float, dt: float = 0.0) -> System:
+    """``x' = pole x + w + u``."""
+    ports: Any = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), *ports, dt=dt)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("starts", [1, 4, 24])
+@pytest.mark.parametrize(
+    ("model", "asked", "structure"),
+    [
+        (oscillator(), [ClosedLoopPoles(min_decay=0.01)], pid("y", "u", derivative_filter=0.05)),
+        (oscillator(), [ClosedLoopPoles(min_decay=0.4, min_damping=0.5)], pid("y", "u", derivative_filter=0.05)),
+        (lag(), [ClosedLoopPoles(max_frequency=10.0)], gain([("y", 1)], [("u", 1)])),
+        (lag(), [ClosedLoopPoles(min_decay=2.0, max_frequency=2.1)], gain([("y", 1)], [("u", 1)])),
+        (lag(), [HinfGain("u", "y", bound=0.9, hard=True)], gain([("y", 1)], [("u", 1)])),
+    ],
+)
+def test_hard_requirements_alone(model: System, asked: Sequence[Any], structure: AffineStructure, starts: int) -> None:
+    """The first feasible point is the end: two models, of which the second is the first."""
+    result = tune([model, model], asked, structure, options=TuningOptions(starts=starts))
+    assert str(result.status) == "converged" and result.advice.startswith("every hard requirement is met")
+    assert result.soft == -np.inf and result.hard <= 1.0 and result.feasible and result.starts == (-np.inf,)
+    assert result.certificate is not None and np.all(result.certificate.upper <= 1.0)
+    assert result.stationarity == 0.0
+
+
+def test_hard_requirements_alone_that_nothing_meets() -> None:
+    """``s + 1 - k`` has its pole at k - 1: not faster than 3 and slower than 2 rad/s at once."""
+    result = tune([lag()], [ClosedLoopPoles(3.0, max_frequency=2.0)], gain([("y", 1)], [("u", 1)]), options=FEW)
+    assert str(result.status) == "infeasible" and result.hard > 1.0
+
+
+def test_hard_requirements_alone_over_a_box_and_in_discrete_time() -> None:
+    asked = [ClosedLoopPoles(min_decay=1.0)]
+    robust = tune_robust(lambda v: first_order(v["a"]), {"a": (0.5, 1.5)}, asked, gain([("y", 1)], [("u", 1)]))
+    assert str(robust.status) == "converged" and robust.controller.D.item() <= -2.5 + 1e-6
+    sampled = tune_discrete([first_order(0.99, 0.1)], asked, gain([("y", 1)], [("u", 1)]), options=FEW)
+    assert str(sampled.status) == "converged" and abs(0.99 + sampled.controller.D.item()) <= np.exp(-0.1)
+
+
+def held(kp: float) -> AffineStructure:
+    return pid("y", "u", derivative_filter=0.1).with_fixed({"Kp": kp, "Ki": -1.0, "Kd": 0.0})
+
+
+@pytest.mark.parametrize("starts", [0, 4])
+def test_a_structure_without_free_parameters(starts: int) -> None:
+    """``1 / (s - 1 + 5 + 1 / s)`` has its peak at 1 rad/s, of 1/4; with Kp = 5 the loop is unstable."""
+    options, plant = TuningOptions(starts=starts), first_order(1.0)
+    for asked, status in (
+        (HinfGain("w", "z"), "converged"),
+        (HinfGain("w", "z", hard=True), "converged"),
+        (HinfGain("w", "z", bound=0.01, hard=True), "infeasible"),
+    ):
+        result = tune([plant], [asked], held(-5.0), options=options)
+        assert str(result.status) == status and result.advice.startswith("the structure has no free parameter")
+        assert max(result.soft, result.hard) == pytest.approx(0.25 / asked.bound, rel=1e-6)
+        assert result.certificate is not None and result.certificate.upper.item() >= 0.25 / asked.bound
+        unstable = tune([plant], [asked], held(5.0), options=options)
+        assert str(unstable.status) == "not_stabilised" and unstable.certificate is None and unstable.abscissa > 0.0
+
+
+def test_a_structure_without_free_parameters_over_a_box() -> None:
+    """``1 / (s - a + 5 + 1 / s)``: 1 / (5 - a) at most."""
+    asked, box = [HinfGain("w", "z")], {"a": (0.5, 1.5)}
+    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.0))
+    assert str(result.status) == "converged" and result.soft == pytest.approx(1.0 / 3.5, rel=1e-6)
+    assert result.worst[0].parameters["a"] == pytest.approx(1.5)
+    box = {"a": (4.0, 6.0)}
+    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.5), nominal={"a": 4.0})
+    assert str(result.status) == "not_stabilised"
+
+
+@pytest.mark.parametrize(("k", "status"), [(-0.5, "converged"), (2.0, "not_stabilised")])
+def test_a_discrete_structure_without_free_parameters(k: float, status: str) -> None:
+    """x+ = 0.5 x + w + k x."""
+    structure = gain([("y", 1)], [("u", 1)]).with_fixed({(0, 0): k})
+    result = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], structure)
+    assert str(result.status) == status and result.controller.D.item() == k and result.controller.dt == 0.1
+    assert result.soft == (pytest.approx(1.0) if k < 0 else np.inf)
+
+
+def test_a_discrete_pid_without_free_parameters() -> None:
+    """``1 / (z + 0.1 (T / 2) (z + 1) / (z - 1))`` with T = 0.1 s."""
+    law = pid("y", "u", derivative_filter=0.1, dt=0.1).with_fixed({"Kp": -0.5, "Ki": -0.1, "Kd": 0.0})
+    found = tune_discrete([first_order(0.5, 0.1)], [HinfGain("w", "z")], law)
+    z = np.exp(1j * np.linspace(1e-3, np.pi, 100_000))
+    assert str(found.status) == "converged"
+    assert found.soft == pytest.approx(np.abs(1.0 / (z + 0.005 * (z + 1.0) / (z - 1.0))).max(), rel=1e-6)
