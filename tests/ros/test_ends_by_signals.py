@@ -66,7 +66,7 @@ def test_a_plant_that_is_told_to_end_by_a_stranger_begins_again(tmp_path):
 
 def test_in_lockstep_it_ends_the_run_with_the_reason(tmp_path):
     with pytest.raises(RunError, match=r"^controller ended unexpectedly \(signal 15\)") as told:
-        run_with_fault(tmp_path, 300, end_once("controller"), 5.0, mode="lockstep")
+        run_with_fault(tmp_path, 300, end_once("controller"), 60.0, mode="lockstep")
     assert told.value.code == 1
 
 
