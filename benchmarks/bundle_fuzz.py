@@ -4,7 +4,8 @@
 
 Half of the mutations change bytes of the file. The others change a field and make new hashes, as somebody would who
 forges a bundle: a number or a text of telescope, controllers or manifest, the name of a member, an entry of a proof's
-header, an element of one of its arrays. Each is opened and checked as ``los-testbed design check-proof`` does, with the
+header, an element of one of its arrays, or the box of a proof with its strips, which is then wider than the
+telescope's. Each is opened and checked as ``los-testbed design check-proof`` does, with the
 models made anew. Outcomes:
 
 ==============  ========================================================================================================
@@ -51,6 +52,7 @@ from los_design.search.worst_points import load_worst_points
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import MANIFEST, CheckedBundle, as_mapping, check_bundle, member_of, open_bundle
 from los_design.verification.certify import model_digest
+from los_design.verification.noise_certificate import NOISE
 
 Members = dict[str, bytes]
 STATED = ("subject", "box", "requirements", "stable_below")
@@ -183,6 +185,27 @@ def other_proof(data: bytes, chance: random.Random) -> bytes:
     return target.getvalue()
 
 
+def wider_box(data: bytes, chance: random.Random) -> bytes:
+    """A proof and its strips of a wider range of some parameter: what holds there holds in the telescope's box.
+
+    Levels are raised for some: a proof at a level that is far above its gain holds in a box that is much wider.
+    """
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(bytes(arrays["header"]))
+    boxes, k, factor = arrays["boxes"].copy(), chance.randrange(len(header["box"])), 1.0 + chance.choice((*SMALL, 0.1))
+    for end in (0, 1):
+        face = boxes[:, k, end]
+        boxes[:, k, end] = np.where(face == header["box"][k][end], factor * face, face)
+        header["box"][k][end] *= factor
+    if "level" in header:
+        header["level"] *= chance.choice((1.0, 1.5, 1e3))
+    arrays |= {"boxes": boxes, "header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
+    target = io.BytesIO()
+    np.savez(target, **arrays)
+    return target.getvalue()
+
+
 def other_names(members: Members, chance: random.Random) -> Members:
     """Members exchanged, renamed or left out."""
     names = sorted(set(members) - {MANIFEST})
@@ -207,13 +230,17 @@ def mutated(members: Members, data: bytes, target: Path, chance: random.Random) 
             other[chance.randrange(len(other))] = chance.randrange(256)
         target.write_bytes(bytes(other))
         return "bytes"
-    kind = chance.choice(("proof", "proof", "proof", "json", "manifest", "names"))
+    kind = chance.choice(("proof", "proof", "proof", "box", "json", "manifest", "names"))
     if kind == "names":
         written(other_names(members, chance), target)
         return kind
-    names = [name for name in members if name.endswith(".npz") == (kind == "proof") and name != MANIFEST]
+    of_proof = kind in ("proof", "box")
+    names = [name for name in members if name.endswith(".npz") == of_proof and name != MANIFEST]
+    if kind == "box":
+        names = [name for name in names if not name.endswith(f"-{NOISE}.npz")]  # its strips are in other arrays
     name = MANIFEST if kind == "manifest" else chance.choice(names)
-    changed = (other_proof if kind == "proof" else other_json)(members[name], chance)
+    change = {"proof": other_proof, "box": wider_box}.get(kind, other_json)
+    changed = change(members[name], chance)
     written({**members, name: changed}, target, hashed=kind != "manifest")
     return kind
 

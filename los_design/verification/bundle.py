@@ -6,8 +6,10 @@ A bundle is a zip file:
 member                      content
 ==========================  ========================================================================================
 ``manifest.json``           format, versions, SHA-256 of every other member
-``telescope.json``          all values of the telescope's parameters, its requirements among them
-``modal_data/BODY.*``       modal data of a body of the user, where the telescope has one
+``telescope.json``          all values of the telescope's parameters, its requirements among them; without sources of
+                            disturbance and what only images need: no proof depends on them
+``modal_data/BODY.*``       modal data of a body of the user, where the telescope has one; ``BODY-NUMBER.*`` of arrays
+                            and appendages
 ``k_fsm.json``              sampled controllers, as :class:`lftkit.SampledSystem` stores them
 ``k_pma.json``
 ``proofs/STAGE-FIGURE.npz`` of :class:`lftkit.proofs.sampled_loop.LoopProof`
@@ -46,11 +48,12 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise
 from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
+from los_design.verification.check_proof_texts import require_plain
 from los_design.verification.error_sum import PARTS, ErrorSum
 from los_design.verification.error_sums import error_sums
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
-from los_design.verification.loop_models import provable
+from los_design.verification.loop_models import box_of, provable
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
 from los_design.verification.subject import Subject
@@ -61,13 +64,14 @@ from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS,
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.guide_camera import without_images
-from titop_plant.telescope.parameters import OWN_BODIES, Parameters, parameters_hash
+from titop_plant.telescope.layout import APPENDAGES, ARRAYS
+from titop_plant.telescope.parameters import OWN_BODIES, SOURCES, Parameters, parameters_hash
 from titop_plant.telescope.requirements import design_limits, telescope_requirements
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
 PROOFS, MODAL_DATA = "proofs", "modal_data"
-MOST_MEMBERS, LARGEST = 40, 2_000_000_000
+MOST_MEMBERS, LARGEST = 100, 2_000_000_000
 """Of a bundle that is read: members, and their bytes together."""
 SYNTAX_ERRORS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, OSError)
 
@@ -114,7 +118,8 @@ class CheckedBundle:
         Of each stage the frequency [rad/s] up to which no pole of a member crosses the axis, the nominal loop stable:
         infinite where all members are, zero where nothing was proven.
     box : mapping of str to (float, float)
-        Deviations of the parameters from their nominal values; of the angle [rad].
+        Deviations of the parameters from their nominal values, of all statements; of the angle [rad]. It is that of
+        the telescope, also where the box of a proof is wider.
     requirements : tuple of str
         Of the telescope in the bundle.
     name : str
@@ -241,13 +246,14 @@ def write_bundle(
     """
     members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
     of_loop = without_images(parameters)
-    content = {key: dict(value) if isinstance(value, Mapping) else value for key, value in of_loop.items()}
-    for body in OWN_BODIES:
-        file = content[body].get("modal_data", "")
-        if file:
-            name = f"{MODAL_DATA}/{body}{Path(file).suffix}"
-            members[name] = Path(file).read_bytes()
-            content[body] = {**content[body], "modal_data": name}
+    content = {k: dict(v) if isinstance(v, Mapping) else v for k, v in of_loop.items() if k != SOURCES}
+
+    def member(body: str, file: str) -> str:
+        name = f"{MODAL_DATA}/{body}{Path(file).suffix}"
+        members[name] = Path(file).read_bytes()
+        return name
+
+    content = _with_modal_data(content, member)
     members[TELESCOPE] = json.dumps(content, indent=1).encode()
     with tempfile.TemporaryDirectory() as folder:
         for name, system in zip((K_FSM, K_PMA), controllers):
@@ -272,7 +278,8 @@ def open_bundle(path: Path) -> Iterator[Bundle]:
     Raises
     ------
     ProofError
-        Not a bundle, a member is damaged, missing or not named by the manifest, or controllers and telescope are none.
+        Not a bundle, a member is damaged, missing or not named by the manifest, controllers and telescope are none, or
+        a text of the telescope has control characters.
     """
     members = _members(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -300,8 +307,9 @@ def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
 
 
 def _refused(error: BaseException) -> ProofError:
-    known = isinstance(error, ProofError)
-    return ProofError(str(error) if known else f"the file must be a bundle of proofs, got {error!r}"[:300])
+    if isinstance(error, ProofError):
+        return error
+    return ProofError(f"the file must be a bundle of proofs, got {error!r}"[:300])
 
 
 def _members(path: Path) -> dict[str, bytes]:
@@ -333,14 +341,33 @@ def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
 def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
     """Parameters of the telescope; modal data are members."""
     content = json.loads((folder / TELESCOPE).read_bytes())
-    for body in OWN_BODIES:
-        name = content[body].get("modal_data", "")
-        if name:
-            if name not in names or PurePosixPath(name).parent != PurePosixPath(MODAL_DATA):
-                raise ProofError(f"modal data of {body} must be a member in {MODAL_DATA}, got {name!r}")
-            content[body] = {**content[body], "modal_data": str(folder / name)}
+    require_plain({k: v for k, v in content.items() if k != SOURCES}, "texts of the telescope")
+
+    def file(body: str, name: str) -> str:
+        if name not in names or PurePosixPath(name).parent != PurePosixPath(MODAL_DATA):
+            raise ProofError(f"modal data of {body} must be a member in {MODAL_DATA}, got {name!r}")
+        return str(folder / name)
+
+    content = _with_modal_data(content, file)
     _check_limits(content)
     return MappingProxyType(content)
+
+
+def _with_modal_data(content: Mapping[str, Any], changed: Callable[[str, str], str]) -> dict[str, Any]:
+    """The telescope with another name of each file of modal data, made of the body's name and the file's."""
+
+    def of(table: Mapping[str, Any], body: str) -> Mapping[str, Any]:
+        file = table.get("modal_data", "")
+        return {**table, "modal_data": changed(body, file)} if file else table
+
+    found = dict(content)
+    for name in (*OWN_BODIES, ARRAYS, APPENDAGES):
+        tables = content.get(name)
+        if isinstance(tables, (list, tuple)):
+            found[name] = [of(table, f"{name}-{number}") for number, table in enumerate(tables, 1)]
+        elif tables is not None:
+            found[name] = of(tables, name)
+    return found
 
 
 def _check_limits(content: Mapping[str, Any]) -> None:
@@ -392,13 +419,12 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
         open_loop = OpenLoop(control_loop_plant(build_telescope(parameters), parameters), parameters)
         stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
         loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
-        found, stable, box = [], dict.fromkeys(loops, 0.0), {}
+        found, stable = [], dict.fromkeys(loops, 0.0)
         for stage, figure in bundle.figures:
             proof = proof_of_loop(bundle.proof(stage, figure), loops[stage], figure)
             first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
             checked = _checked(proof, each, first)
             stable[stage] = max(stable[stage], checked.stable_below)
-            box = dict(zip(proof.names, proof.box))
             limit = provable(parameters, stage)[figure].limit
             found.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
@@ -410,6 +436,8 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
             if share is not None and steady and loop.sampled_at({})[1].spectral_radius() < 1.0:
                 frames[stage] = share
         noise = {s: checked_noise(bundle, loops[s], each, stable) for s in bundle.noise}
+        loop = next(iter(loops.values()))
+        box = dict(zip((p.name for p in loop.system.parameters), box_of(loop)))  # every proof holds it
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
     requirements = tuple(str(entry["text"]) for entry in bundle.parameters["requirement"])

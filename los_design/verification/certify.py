@@ -11,6 +11,8 @@ import hashlib
 import itertools
 import json
 import math
+import os
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -177,11 +179,17 @@ def prove_part(part: ProofPart) -> PartResult:
 
 
 def kept_part(part: ProofPart) -> PartResult | None:
-    """What was proven before, or that there is no time; None where the part is to be proven."""
+    """What was proven before, or that there is no time; None where the part is to be proven.
+
+    A file that cannot be read, as one whose end is missing after a loss of power, is proven again; one line says so.
+    """
     if part.file.exists():
-        with np.load(part.file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return PartResult(unpacked(arrays, len(part.box)), **json.loads(bytes(arrays["summary"]).decode()))
+        try:
+            arrays, summary = _read_part(part.file)
+            return PartResult(unpacked(arrays, len(part.box)), **summary)
+        except Exception as error:  # of a damaged file numpy raises a dozen kinds, EOFError and BadZipFile among them
+            words = f"is damaged ({type(error).__name__}) and is proven again"
+            sys.stderr.write(f"part {part.file.parent.name}/{part.file.name} {words}\n")
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
     return None
@@ -219,15 +227,24 @@ def keep_part(part: ProofPart, result: PartResult) -> None:
         arrays = {**packed(result.strips, len(part.box)), "summary": text}
         with atomic_file(part.file) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())  # else a loss of power may leave the name of a file without its content
 
 
 def _strips(file: Path) -> tuple[Strip, ...]:
-    """Strips of a part that was proven, none if it was not covered."""
+    """Strips of a part that was proven, none if it was not covered or cannot be read."""
+    try:
+        arrays, summary = _read_part(file)
+        return () if summary["uncovered"] else unpacked(arrays, arrays["boxes"].shape[1])
+    except Exception:  # as in `kept_part`; these strips are a help only
+        return ()
+
+
+def _read_part(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arrays and summary of a part."""
     with np.load(file, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
-    if json.loads(bytes(arrays["summary"]).decode())["uncovered"]:
-        return ()
-    return unpacked(arrays, arrays["boxes"].shape[1])
+    return arrays, json.loads(bytes(arrays["summary"]).decode())
 
 
 def _useful(part: PartTask, strips: tuple[Strip, ...]) -> bool:

@@ -11,7 +11,10 @@ import itertools
 import math
 from dataclasses import dataclass
 
+from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.budget import BAND_EDGE
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.requirements import design_limits, telescope_requirements
 
 FAST = "fast"
 NEAR_EDGE = (BAND_EDGE, 126.0, 128.5, 132.0, 138.0, 150.0, 200.0)
@@ -40,12 +43,15 @@ class ErrorSum:
     value, limit : float
         In `unit`.
     unit : str
+    probability : float, optional
+        With which the value is kept where noise acts: part of the instants or of the windows. None without noise.
     """
 
     name: str
     value: float
     limit: float
     unit: str
+    probability: float | None = None
 
     @property
     def kept(self) -> bool:
@@ -60,12 +66,15 @@ class ErrorSum:
         --------
         >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec").text
         'APE, tone and noise: 9.332 of 12 arcsec'
+        >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec", 0.997).text
+        'APE, tone and noise: 9.332 of 12 arcsec with probability 0.997'
         """
-        return f"{self.name}: {self._of_limit}{'' if self.kept else f', {ABOVE}'}"
+        how_often = "" if self.probability is None else f" {probability_text(self.probability)}"
+        return f"{self.name}: {self._of_limit}{how_often}{'' if self.kept else f', {ABOVE}'}"
 
     @property
     def short_text(self) -> str:
-        """A sum with noise as part of a sentence.
+        """A sum with noise as part of a sentence that says its probability elsewhere.
 
         Examples
         --------
@@ -77,3 +86,33 @@ class ErrorSum:
     @property
     def _of_limit(self) -> str:
         return f"{math.ceil(self.value * 1e3) / 1e3:g} of {self.limit:g} {self.unit}"
+
+
+def probability_text(part: float) -> str:
+    """Words for a probability, with all its digits.
+
+    Examples
+    --------
+    >>> probability_text(0.997), probability_text(0.99999999)
+    ('with probability 0.997', 'with probability 0.99999999')
+    """
+    return f"with probability {part!r}"
+
+
+def required_probabilities(parameters: Parameters, stage: str) -> tuple[float, float]:
+    """Parts of the instants, and of the windows, that must keep the limits of a stage with fine control.
+
+    Each is of the requirement that the limit is made of: that on windows of the mirror alone may be another one than
+    that of all actuators.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> required_probabilities(load_parameters(), "fsm")
+    (0.997, 0.997)
+    """
+    rules = telescope_requirements(parameters)
+    made = design_limits(rules)[1]
+    windows = "rpe_limit_fine" if stage in FORCE_STAGES else "rpe_limit"
+    instants, of_windows = (float(rules[made[name][0]].probability) for name in ("ape_limit", windows))
+    return instants, of_windows

@@ -1,9 +1,10 @@
 """What proven bounds of tones and of noise make together, in the form of the budgets.
 
 A tone of amplitude a along one axis and noise of r rms keep :func:`titop_plant.telescope.budget.combined_level` in the
-required part of windows or instants; it grows with both, so that bounds of them give a bound. The part of the noise
-that can be on the axis of the tone is proven with the noise. A fast tone counts with the least angle that it turns in a
-window: that of the lower end of the part of the band that its bound is of.
+part of windows or instants that the requirement behind the stage's limit asks for; it grows with both, so that bounds
+of them give a bound. The part of the noise that can be on the axis of the tone is proven with the noise. A fast tone
+counts with the least angle that it turns in a window: that of the lower end of the part of the band that its bound is
+of.
 
 Slow and fast tones at once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``,
 and random phases (:func:`titop_plant.telescope.budget.two_tone_level`). The largest level over the shares is the sum.
@@ -21,13 +22,12 @@ import numpy as np
 from scipy import optimize
 
 from lftkit.proofs.sampled_loop.noise import NoiseBound
-from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE, ErrorSum
+from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE, ErrorSum, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import LEAST_ON_AXIS, combined_level, two_tone_level
 from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
 
 SHARES = 17
 """Shares of slow and fast tones between which the largest sum is searched."""
@@ -54,15 +54,14 @@ def error_sums(
     slow = tones.get("slow", math.nan) / RAD_PER_MAS
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
     fast = fast_pieces(parameters, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
-    found: list[tuple[str, float, float, str]] = []
+    found: list[tuple[str, float, float, str, float]] = []
     if noise is not None:
-        rules = telescope_requirements(parameters)
+        instants, windows = required_probabilities(parameters, stage)
         wide, fine = _scaled(noise[0], RAD_PER_ARCSEC), _scaled(noise[1], RAD_PER_MAS)
-        windows = window_probability(rules)
         alone = max((_level(bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
         both = max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
-        values = (_level(absolute, wide, instant_probability(rules)), _level(slow, fine, windows), alone, both)
-        limits = ((arcsec, "arcsec"), (mas, "mas"), (mas, "mas"), (mas, "mas"))
+        values = (_level(absolute, wide, instants), _level(slow, fine, windows), alone, both)
+        limits = ((arcsec, "arcsec", instants), *((mas, "mas", windows),) * 3)
         found = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
     sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
     inputs = channels(parameters)

@@ -10,9 +10,17 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from los_design.verification.error_sum import PARTS, WITH_NOISE, ErrorSum
+from los_design.verification.error_sum import (
+    PARTS,
+    WITH_NOISE,
+    ErrorSum,
+    probability_text,
+    required_probabilities,
+)
 from los_design.verification.subject import BUNDLE, Subject
+from titop_plant.telescope.parameters import Parameters
 
 SHIPPED = Path(__file__).with_name("statements.json")
 
@@ -41,6 +49,8 @@ class Statement:
     relative: float | None = None
     with_noise: tuple[str, ...] = ()
     """Proven sums of tones and noise, each with its limit; none where the noise was not proven."""
+    probabilities: tuple[float, ...] = ()
+    """With which each of these sums is kept."""
 
     @property
     def text(self) -> str:
@@ -55,10 +65,20 @@ class Statement:
 
         Examples
         --------
-        >>> Statement("0", (), True, with_noise=("APE 9.947 of 12 arcsec", "slow tone 65.581 of 90 mas")).noise_text
-        'with noise, proven: APE 9.947 of 12 arcsec, slow tone 65.581 of 90 mas'
+        >>> sums = ("APE 9.947 of 12 arcsec", "slow tone 65.581 of 90 mas")
+        >>> Statement("0", (), True, None, sums, (0.997, 0.997)).noise_text
+        'with noise, proven: APE 9.947 of 12 arcsec, slow tone 65.581 of 90 mas, each with probability 0.997'
+        >>> Statement("0", (), True, None, sums, (0.997, 0.9999)).noise_text[20:]
+        'APE 9.947 of 12 arcsec with probability 0.997, slow tone 65.581 of 90 mas with probability 0.9999'
         """
-        return f"with noise, proven: {', '.join(self.with_noise)}" if self.with_noise else ""
+        if not self.with_noise:
+            return ""
+        words = [probability_text(part) for part in self.probabilities]
+        if len(set(words)) == 1:
+            said = [*self.with_noise, f"each {words[0]}"]
+        else:
+            said = [f"{text} {how_often}" for text, how_often in zip(self.with_noise, words)]
+        return f"with noise, proven: {', '.join(said)}"
 
 
 TONES = ("slow", "fast")
@@ -78,7 +98,9 @@ def relative_error(levels: Mapping[str, float]) -> float | None:
     return max(levels[name] for name in TONES) if set(TONES) <= set(levels) else None
 
 
-def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement | None:
+def statement_of(
+    subject: Subject, stage: str, folder: Path | None, parameters: Parameters | None = None
+) -> Statement | None:
     """What is proven of controllers on a telescope.
 
     Parameters
@@ -88,18 +110,19 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
         With fine control.
     folder : Path or None
         Of a user's controllers, where a bundle may be.
+    parameters : mapping, optional
+        Of the telescope. The probability of the mirror's requirement on windows is no part of the subject's name: where
+        another one is asked for, the sums with noise are computed for it. Without, they are of the shipped telescope;
+        their text says the probability.
     """
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
         rows = [row for row in shipped["figures"] if row["stage"] == stage]
         found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
-        sums = tuple(
-            ErrorSum(row["name"], row["value"], row["limit"], row["unit"]).short_text
-            for row in shipped["sums"].get(stage, ())
-            if row["name"] in WITH_NOISE
-        )
-        return Statement(shipped["name"], found, True, relative_error(levels), sums) if found else None
+        sums = _sums(shipped, stage, levels, parameters)
+        texts, parts = tuple(row.short_text for row in sums), tuple(float(row.probability or 0.0) for row in sums)
+        return Statement(shipped["name"], found, True, relative_error(levels), texts, parts) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from lftkit.proofs.trusted.proof import ProofError
@@ -114,3 +137,22 @@ def statement_of(subject: Subject, stage: str, folder: Path | None) -> Statement
             return Statement(bundle.name, figures, False, relative) if figures else None
     except ProofError:
         return None
+
+
+def _sums(
+    shipped: Mapping[str, Any], stage: str, levels: Mapping[str, float], parameters: Parameters | None
+) -> list[ErrorSum]:
+    """Sums of tones and noise of the shipped pair, with the probabilities that a telescope asks for."""
+    names = ("name", "value", "limit", "unit", "probability")
+    found = [ErrorSum(*(row[name] for name in names)) for row in shipped["sums"].get(stage, ())]
+    found = [row for row in found if row.name in WITH_NOISE]
+    if parameters is None or not found:
+        return found
+    instants, windows = required_probabilities(parameters, stage)
+    if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in found):
+        return found
+    from lftkit.proofs.sampled_loop.noise import NoiseBound
+    from los_design.verification.error_sums import error_sums
+
+    absolute, relative = (NoiseBound(**bound) for bound in shipped["noise"][stage])
+    return [row for row in error_sums(parameters, stage, levels, (absolute, relative)) if row.name in WITH_NOISE]

@@ -26,13 +26,14 @@ from support.stored_proofs import (
 from lftkit.proofs.sampled_loop import check_loop_proof
 from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.files import read_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseProof, noise_bound
+from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, noise_bound
 from lftkit.proofs.trusted.strips import windows_of
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
 from los_design.verification.certify import nominal_stable
-from los_design.verification.error_sum import PARTS
+from los_design.verification.error_sum import PARTS, ErrorSum
+from los_design.verification.error_sums import error_sums
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED
@@ -127,6 +128,20 @@ def test_shipped_statements_are_those_of_the_stored_proofs(bundle: Bundle) -> No
         proof = NoiseProof.from_file(bundle.folder / member_of(stage, "noise"))
         for bound, window in zip(said["noise"][stage], (0.0, 0.02)):
             assert noise_bound(proof.model, proof.parts, window).rms == pytest.approx(bound["rms"], rel=1e-12)
+
+
+@pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
+def test_shipped_sums_are_those_of_the_shipped_bounds(stage: str) -> None:
+    """Made of the stated levels and noise, for the probabilities that the reference asks for; so are their texts."""
+    said, parameters = json.loads(SHIPPED.read_text("utf-8")), load_parameters()
+    tones = {row["figure"]: row["level"] * row["limit"] for row in said["figures"] if row["stage"] == stage}
+    absolute, relative = (NoiseBound(**bound) for bound in said["noise"][stage])
+    sums = error_sums(parameters, stage, tones, (absolute, relative))
+    for row, found in zip(said["sums"][stage], sums, strict=True):
+        assert row["value"] == pytest.approx(found.value, rel=1e-9) and row["kept"] == found.kept
+        stated = ErrorSum(row["name"], row["value"], row["limit"], row["unit"], row["probability"])
+        assert row == {**asdict(stated), "text": stated.text, "kept": stated.kept}
+        assert stated.probability == found.probability and (found.name, found.unit) == (row["name"], row["unit"])
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import random
 import sys
 from pathlib import Path
 
@@ -23,10 +24,31 @@ sys.modules["bundle_fuzz"] = script
 SPEC.loader.exec_module(script)
 
 STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
+NAME = bundles.member_of(STAGE, FIGURE)
+PATCHED = ((checker, ["stable_below"]), (bundles, ["OpenLoop", "build_telescope", "control_loop_plant"]))
+"""What the script replaces."""
+
+
+def test_a_proof_of_a_wider_box_states_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or another level that is proven: the box that is stated is that of the telescope."""
+    for place, names in PATCHED:
+        for name in names:
+            monkeypatch.setattr(place, name, getattr(place, name))  # put back at the end
+    proof = unpack(FOLDER / f"{STAGE}-{FIGURE}{SUFFIX}", tmp_path / "proof.npz")
+    write_bundle(tmp_path / "bundle.zip", load_parameters(), load_designs("implemented"), {(STAGE, FIGURE): proof})
+    each, members = script.remember(), script.members_of(tmp_path / "bundle.zip")
+    with script.open_bundle(tmp_path / "bundle.zip") as bundle:
+        own = script.stated(script.check_bundle(bundle, each))
+    chance, found = random.Random(1), set()
+    for _ in range(6):
+        wider = {**members, NAME: script.wider_box(members[NAME], chance)}
+        script.written(wider, tmp_path / "wider.zip")
+        found.add(script.outcome(tmp_path / "wider.zip", own, each))
+    assert "FORGED" not in found and found & {"same", "proven"}
 
 
 def test_no_mutation_is_accepted_with_another_statement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for place, names in ((checker, ["stable_below"]), (bundles, ["OpenLoop", "build_telescope", "control_loop_plant"])):
+    for place, names in PATCHED:
         for name in names:
             monkeypatch.setattr(place, name, getattr(place, name))  # put back at the end
     monkeypatch.chdir(tmp_path)

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from los_testbed.cli.designs.check_proof import _sentences
 from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseProof
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.proof import ProofError, Strip
 from los_design.synthesis.store import load_designs
 from los_design.verification import statements
 from los_design.verification.bundle import (
@@ -29,6 +30,7 @@ from los_design.verification.bundle import (
     MANIFEST,
     TELESCOPE,
     Bundle,
+    as_mapping,
     check_bundle,
     checked_noise,
     member_of,
@@ -142,6 +144,30 @@ def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, t
         assert Path(bundle.parameters["body"]["modal_data"]).read_text() == "any content\n"
 
 
+@pytest.mark.parametrize("name", ["appendage", "solar_array"])
+def test_modal_data_of_mounted_bodies_go_with_it(
+    name: str, written: Path, loop: ImplementedLoop, tmp_path: Path
+) -> None:
+    """Two tables with a file and one without; sources of disturbance, which no proof depends on, stay behind."""
+    tables: list[dict[str, Any]] = [{"name": "rigid"}]
+    for number in range(2):
+        (tmp_path / f"mine_{number}.csv").write_text(f"content {number}\n")
+        tables.append({"name": f"body {number}", "modal_data": str(tmp_path / f"mine_{number}.csv")})
+    source = {"name": "mine", "text": "two\nlines", "folder": str(tmp_path)}
+    own = {**loop.parameters, name: tables, "disturbance": [source]}
+    with open_bundle(written) as bundle:
+        proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
+        write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
+    digest = parameters_hash(own)
+    for number in range(2):
+        (tmp_path / f"mine_{number}.csv").unlink()
+    with open_bundle(tmp_path / BUNDLE) as bundle:
+        assert parameters_hash(bundle.parameters) == digest
+        assert str(tmp_path) not in (bundle.folder / TELESCOPE).read_text()
+        found = [Path(table["modal_data"]).read_text() for table in bundle.parameters[name][1:]]
+        assert found == ["content 0\n", "content 1\n"] and "modal_data" not in bundle.parameters[name][0]
+
+
 def members_of(bundle: Bundle) -> dict[str, bytes]:
     return {name: (bundle.folder / name).read_bytes() for name in bundle.names}
 
@@ -244,12 +270,32 @@ def file_of_the_machine(members: dict[str, bytes]) -> None:
     members[TELESCOPE] = json.dumps(content).encode()
 
 
+def file_of_the_machine_for_an_antenna(members: dict[str, bytes]) -> None:
+    content = json.loads(members[TELESCOPE])
+    content["appendage"] = [{"name": "antenna", "modal_data": "/etc/passwd"}]
+    members[TELESCOPE] = json.dumps(content).encode()
+
+
+def lines_of_the_check(members: dict[str, bytes]) -> None:
+    """The requirement is the same; its line break is a line of what the check prints."""
+    members[TELESCOPE] = members[TELESCOPE].replace(b" at 95 %", b"\\n at\\n95 %", 1)
+
+
+def control_characters_in_a_name(members: dict[str, bytes]) -> None:
+    content = json.loads(members[TELESCOPE])
+    content["requirement"][0]["name"] = "\x1b[2K\rproven: stable"
+    members[TELESCOPE] = json.dumps(content).encode()
+
+
 def other_requirement(members: dict[str, bytes]) -> None:
     """Its text is printed, and no digest has it."""
     members[TELESCOPE] = members[TELESCOPE].replace(b"10 arcsec", b"1 arcsec")
 
 
-MUTATIONS = [relabelled, outside, without_k_pma, swapped, no_telescope, file_of_the_machine, other_requirement]
+MUTATIONS = [
+    *(relabelled, outside, without_k_pma, swapped, no_telescope, file_of_the_machine, other_requirement),
+    *(file_of_the_machine_for_an_antenna, lines_of_the_check, control_characters_in_a_name),
+]
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.__name__)
@@ -268,6 +314,31 @@ def test_a_proof_with_the_name_of_another_figure_is_refused(written: Path, tmp_p
         pytest.raises(ProofError, match=r"fsm\+pma, fast: .*band of frequencies"),
     ):
         check_bundle(bundle)
+
+
+def test_the_box_is_that_of_all_proofs(loop: ImplementedLoop, tmp_path: Path) -> None:
+    """The last proof is of a box five times as wide, at a level that is easy to prove: no other one is of that box.
+
+    Strips count as proven here.
+    """
+    box = box_of(loop)
+    names = tuple(p.name for p in loop.system.parameters)
+    wide = tuple((5.0 * low, 5.0 * high) for low, high in box)
+    files = {}
+    for figure, own, level in (("fast, 128.5 to 132", box, 0.494), ("fast, 150 to 200", wide, 1000.0)):
+        metric = provable(loop.parameters, STAGE)[figure]
+        model = telescope_model(loop, metric)
+        scalings = tuple(np.array([np.eye(len(group), dtype=complex)] * 2) for group in model.groups)
+        strip = Strip(own, np.array(metric.band), scalings, scalings, np.ones(2))
+        files[STAGE, figure] = tmp_path / f"{figure}.npz"
+        write_loop_proof(LoopProof(model, names, own, metric.band, level, (strip,)), files[STAGE, figure])
+    write_bundle(tmp_path / BUNDLE, loop.parameters, loop.pair, files)
+    with open_bundle(tmp_path / BUNDLE) as bundle:
+        checked = check_bundle(bundle, lambda function, strips: [1 for _ in strips])
+    assert [figure.level for figure in checked.figures] == [0.494, 1000.0]
+    assert dict(checked.box) == dict(zip(names, box)) == as_mapping(checked)["box"]
+    (line,) = [line for line in _sentences(checked) if "deviations" in line]
+    assert "wheel_1.speed [-1047.2, 1047.2]" in line
 
 
 def test_the_matrices_of_the_file_are_not_used(loop: ImplementedLoop, proof: LoopProof) -> None:

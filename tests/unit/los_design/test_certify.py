@@ -21,7 +21,14 @@ from lftkit.proofs.state_space import ProofError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs
-from los_design.verification.certify import ProofPart, certify_figure, parts_of, prove_part
+from los_design.verification.certify import (
+    ProofPart,
+    certify_figure,
+    kept_part,
+    parts_of,
+    prove_part,
+    task_of,
+)
 from los_design.verification.loop_models import (
     NYQUIST,
     box_of,
@@ -166,6 +173,24 @@ def test_a_part_of_another_level_is_used(part: ProofPart, tmp_path: Path) -> Non
     after = {(node, strip.box) for strip in found.strips for node in strip.nodes}
     assert len(before & after) > 0.8 * len(before)
     assert check_loop_proof(LoopProof(part.model, tuple("1234567"), part.box, BAND, 0.97, found.strips)).level == 0.97
+
+
+@pytest.mark.parametrize("left", [0, 1, 0.5, -1], ids=["empty", "one byte", "half", "all but one"])
+def test_a_damaged_part_is_proven_again(
+    left: float, part: ProofPart, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As an interruption of power may leave it; as help for another level it is left out."""
+    whole = (prove_part(part), part.file.read_bytes())
+    data = whole[1][: int(left * len(whole[1])) if left == 0.5 else int(left)]
+    damaged = dataclasses.replace(part, file=tmp_path / "000.npz")
+    damaged.file.write_bytes(data)
+    assert task_of(dataclasses.replace(part, others=(damaged.file,))).others == ((),)
+    capsys.readouterr()
+    found = prove_part(damaged)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"part {tmp_path.name}/000.npz is damaged (") and line.endswith(" and is proven again")
+    assert found.finished and not found.uncovered and len(found.strips) == len(whole[0].strips)
+    assert kept_part(damaged) is not None and not capsys.readouterr().err
 
 
 def test_a_part_without_time_is_open_and_not_kept(part: ProofPart, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -9,12 +10,14 @@ import pytest
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.noise import NoiseBound
-from los_design.verification.error_sum import PARTS
+from los_design.verification.error_sum import PARTS, required_probabilities
 from los_design.verification.error_sums import error_sums, fast_pieces
 from los_design.verification.figure_texts import bound_text, margin_text
+from los_design.verification.statements import SHIPPED, statement_of
+from los_design.verification.subject import Subject
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import combined_level
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
 
 TONES = {"APE": 6.9 * RAD_PER_ARCSEC, "slow": 19.0 * RAD_PER_MAS, "fast": 20.0 * RAD_PER_MAS}
 ALONG = math.sqrt(0.7)
@@ -94,3 +97,45 @@ def test_a_disk_margin_in_words_is_never_more_than_what_is_proven() -> None:
         assert max(1.0 - low, high - 1.0) * peak <= 1.0 + 1e-9
     assert bound_text("sensitivity, mirror", 0.9, 2.0).startswith("sensitivity, mirror 1.8 of 2 (disk margin 0.555:")
     assert bound_text("one more tick, mirror", 0.5, 1.0) == "one more tick, mirror 0.5 of 1 (kept)"
+
+
+def asking_for(part: str) -> Parameters:
+    """The reference telescope with another probability of the mirror's requirement on windows."""
+    parameters = load_parameters()
+    rows = [dict(row) for row in parameters["requirement"]]
+    (row,) = (row for row in rows if "< 100 mas" in row["text"])
+    row["text"] = row["text"].replace("0.997", part)
+    return {**parameters, "requirement": rows}
+
+
+def test_a_sum_is_of_the_requirement_that_its_limit_is_made_of() -> None:
+    """The mirror alone in all but 1e-8 of the windows, both stages in 99.7 %; the telescope has the same digest."""
+    parameters = asking_for("0.99999999")
+    assert parameters_hash(parameters) == parameters_hash(load_parameters())
+    assert required_probabilities(parameters, "fsm") == (0.997, 0.99999999)
+    assert required_probabilities(parameters, "fsm+pma") == (0.997, 0.997)
+    found = {row.name: row for row in error_sums(parameters, "fsm", TONES, NOISE)}
+    slow = found["RPE, slow tone of norm 1 and noise"]
+    assert slow.value == pytest.approx(combined_level(19.0, 11.0, 0.99999999, 0.7, 0.0))
+    assert slow.probability == 0.99999999 and "of 100 mas with probability 0.99999999" in slow.text
+    ape = found["APE, tone of norm 1 and noise"]
+    assert ape.probability == 0.997 and ape.text.endswith(" of 10 arcsec with probability 0.997")
+    assert {row.probability for row in found.values() if "without noise" in row.name} == {None}
+    both = {row.name: row for row in error_sums(parameters, "fsm+pma", TONES, NOISE)}
+    assert both["RPE, slow tone of norm 1 and noise"].probability == 0.997
+
+
+def test_sums_with_noise_are_stated_for_the_probability_that_is_asked_for() -> None:
+    """A requirement that the shipped telescope does not have: sums of its own, above those of 99.7 %."""
+    subject = Subject(**json.loads(SHIPPED.read_text("utf-8"))["subject"])
+    own = statement_of(subject, "fsm", None, load_parameters())
+    assert own is not None and own == statement_of(subject, "fsm", None)
+    assert own.noise_text.endswith(" mas, each with probability 0.997") and own.noise_text.count("probability") == 1
+    other = statement_of(subject, "fsm", None, asking_for("0.99999999"))
+    assert other is not None and other.probabilities == (0.997, *(0.99999999,) * 3)
+    assert other.with_noise[0] == own.with_noise[0] and other.figures == own.figures
+    values = [[float(text.split(" of ")[0].split()[-1]) for text in found.with_noise[1:]] for found in (own, other)]
+    assert all(one + 5.0 < two for one, two in zip(*values))
+    assert other.noise_text.count(" with probability 0.99999999") == 3 and "(bound above" in other.noise_text
+    unchanged = statement_of(subject, "fsm+pma", None, asking_for("0.99999999"))
+    assert unchanged == statement_of(subject, "fsm+pma", None)

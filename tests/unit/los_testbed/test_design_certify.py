@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 
+import los_design
+
 PROGRAM = """
 import signal, sys
 from los_testbed.cli.app import main
@@ -230,6 +232,28 @@ def test_controllers_of_another_telescope_are_refused(capsys: pytest.CaptureFixt
         shutil.copyfile(design_file(kind), tmp_path / name)
     (tmp_path / "telescope.toml").write_text("[fsm]\nlos_sensitivity = 0.2\n")
     assert "los_sensitivity" in refused(capsys, str(tmp_path), f"--output={tmp_path / 'new'}")
+
+
+def test_controllers_for_other_values_are_refused_before_the_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A telescope with another isolator beside the shipped pair; on its own telescope the pair is taken."""
+    from los_design.synthesis.store import design_file
+
+    designs, output = tmp_path / "designs", tmp_path / "new"
+    designs.mkdir()
+    for kind, name in (("k-fsm", "k_fsm.json"), ("k-pma", "k_pma.json")):
+        shutil.copyfile(design_file(kind), designs / name)
+    (designs / "telescope.toml").write_text("[isolator]\nmass = 1.6\n")
+    shutil.copy(Path(los_design.__file__).parent / "search" / "worst_points.json", designs)
+    options = ["--figure=slow", "--stage=fsm", "--level=0.1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
+    line = refused(capsys, str(designs), f"--output={output}", *options)
+    assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
+    (designs / "telescope.toml").unlink()
+    with pytest.raises(SystemExit) as stopped:
+        main(["design", "certify", str(designs), f"--output={output}", *options])
+    assert stopped.value.code == 1, "violated: the level is below what is known"
+    assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "violated"
 
 
 def test_proofs_that_are_no_proofs_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

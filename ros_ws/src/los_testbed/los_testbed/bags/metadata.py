@@ -11,7 +11,8 @@ from pathlib import Path
 import yaml
 
 from los_design.synthesis.provenance import commit
-from los_testbed.config import RunConfig, is_code, physical_hash
+from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
+from los_testbed.config import is_code, physical_hash
 from los_testbed.factories import RunParts
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import source_hashes
@@ -22,12 +23,11 @@ from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
-from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.guide_camera import IMAGE_OPTICS, NOISE_CURVE, TABLE
-from titop_plant.telescope.parameters import Parameters, differences, parameters_hash
+from titop_plant.telescope.parameters import Parameters, differences
 from titop_plant.telescope.sensors import noise_of_samples
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
@@ -43,7 +43,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
     ``optics`` are those of its images, ``camera`` the table of a guide camera that takes images; ``sensors`` are topic,
     unit, rate and noise of each sensor.
-    ``proof`` says what is proven of the controllers that fly, with fine control.
+    ``proof`` says what is proven of the loop, with fine control (:mod:`los_testbed.bags.proven_loop`).
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
     """
@@ -107,35 +107,6 @@ def _sources(parts: RunParts) -> dict[str, str]:
     return {"disturbances": json.dumps(rows), "disturbances_sha256": parts.sources_digest}
 
 
-def proof_of(parts: RunParts) -> dict[str, str]:
-    """What is proven of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
-
-    Nothing for a stage without fine control.
-
-    Code of the user, and a camera at another rate than the telescope's, are no part of any proof.
-    """
-    config = parts.config
-    if config.loop not in MIRROR_STAGES:
-        return {}
-    from los_design.verification.statements import NO_PROOF, statement_of
-    from los_design.verification.subject import Subject
-
-    found = None
-    if not (parts.code or config.other_plant) and config.frame_ticks == RunConfig().frame_ticks:
-        folders = {path.parent for path in parts.files.values()}
-        folder = folders.pop() if len(folders) == 1 else None
-        found = statement_of(
-            Subject.of(**parts.models, telescope=parameters_hash(parts.parameters)), config.loop, folder
-        )
-    if found is None:
-        return {"proof": NO_PROOF}
-    said = {"proof": found.text} | ({"proof_noise": found.noise_text} if found.noise_text else {})
-    if found.relative is None:
-        return said
-    window = float(parts.parameters["weights"]["rpe_window"])
-    return {**said, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
-
-
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run; without noise where it has none."""
     config = parts.config
@@ -167,7 +138,9 @@ def final_metadata(
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.spectra.tone_budget`).
     """
     budget = _budget(parts.parameters, parts.config.loop)
-    record = {**run_metadata(parts, start), BUDGET: json.dumps(budget)}
+    record = run_metadata(parts, start)
+    record |= {key: "" for key in PROOF_KEYS if key in record}  # a key that is left out stays as at the start
+    record |= {**proof_of(parts, statistics), BUDGET: json.dumps(budget)}
     plant = dict(statistics.get("plant", {}))
     for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:

@@ -15,6 +15,7 @@ from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
+from los_testbed.run.summary.screen import printable
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 
@@ -27,7 +28,7 @@ CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stabi
 
 The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
 `lftkit/proofs/trusted` and nothing else): it optimises nothing. Exit code 1 if the
-proof is refused.
+proof is refused, 2 if its texts have control characters or line breaks, which could look like lines of this command.
 
 A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
 proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--of FOLDER`; the
@@ -60,6 +61,7 @@ def check_proof(
     from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
     from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
     from lftkit.proofs.trusted.proof import ProofError
+    from los_design.verification.check_proof_texts import TextError
 
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
@@ -74,9 +76,16 @@ def check_proof(
             raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
             _check_system(file, json_)
+    except TextError as error:
+        raise ValueError(f"{file}: {error}") from None
     except ProofError as error:
-        sys.stderr.write(f"refused: {error}\n")
+        sys.stderr.write(f"refused: {_one_line(str(error))}\n")
         raise typer.Exit(1) from None
+
+
+def _one_line(text: str) -> str:
+    """Words that may have those of a file in them."""
+    return printable(text).replace("\n", "\\n")
 
 
 def _check_system(file: Path, json_: bool) -> None:
@@ -84,16 +93,18 @@ def _check_system(file: Path, json_: bool) -> None:
     from lftkit.proofs import CheckedProof, ProofError
     from lftkit.proofs import check_proof as check
     from lftkit.support.threads import one_thread
+    from los_design.verification.check_proof_texts import require_plain
 
     with one_thread():
         checked = check(file)
     if not isinstance(checked, CheckedProof):
         raise ProofError(f"the file must be a proof of a system, got one of {type(checked).__name__}")
+    require_plain((checked.box, checked.disks), "names of a proof")
     band = [checked.band[0], None if math.isinf(checked.band[1]) else checked.band[1]]
     if json_:
         print_json({**vars(checked), "band": band, "margin": min(checked.margin, 1e300)})
         return
-    box = ", ".join(f"{name} in [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
+    box = ", ".join(f"{_one_line(name)} in [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
     frequencies = f"from {checked.band[0]:g} rad/s " + ("on" if band[1] is None else f"to {band[1]:g} rad/s")
     if checked.kind == "gain":
         sys.stdout.write(f"proven: gain below {checked.level:.6g} at all frequencies {frequencies}\n")
@@ -109,17 +120,19 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
     from lftkit.proofs.trusted.proof import ProofError
     from lftkit.support.progress import Progress
     from lftkit.support.threads import one_thread
+    from los_design.verification.check_proof_texts import require_plain
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
 
     whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
     proof = read_loop_proof(file)
+    require_plain((proof.names, proof.about), "names and words of a proof")
     stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
     compared = ProofComparison((f"stage, got {stage}",))
     if stage in MIRROR_STAGES:
         loop = loops_of(of, [stage])[0][stage]
         compared = compare_proof(proof, loop, figure)
         proof = proof_of_loop(proof, loop, figure) if compared.same else proof
-    other = ", ".join(compared.mismatches)
+    other = _one_line(", ".join(compared.mismatches))
     if of is not None and other:
         raise ProofError(f"it is not of {whose}: other {other}")
     with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
@@ -135,6 +148,7 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
         sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
     box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
+    box, about = _one_line(box), _one_line(about)
     sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
     sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
     sys.stdout.write(f"{_stability(checked.stable_below)}\n")
@@ -166,7 +180,7 @@ def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
     if json_:
         print_json(as_mapping(checked))
         return
-    sys.stdout.write("\n".join(_sentences(checked)) + "\n")
+    sys.stdout.write("\n".join(map(_one_line, _sentences(checked))) + "\n")
 
 
 def _sentences(checked: CheckedBundle) -> list[str]:

@@ -110,7 +110,7 @@ def certify(
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
     until = time.monotonic() + wall_limit
-    loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or ())
+    loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or (), same_telescope=True)
     with cluster.workers() as pool, told_how_to_go_on("parts that are proven", output):
         found = prove_figures(chosen, loops, known, output, pool, until, level, gap or 0.0)
     if json_:
@@ -184,7 +184,7 @@ def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
 
 
 def loops_of(
-    folder: Path | None, stages: list[str], uncertain: Sequence[str] = ()
+    folder: Path | None, stages: list[str], uncertain: Sequence[str] = (), *, same_telescope: bool = False
 ) -> tuple[dict[str, ImplementedLoop], list[WorstPoint]]:
     """The implemented loops, and the worst points that are known of them.
 
@@ -195,6 +195,8 @@ def loops_of(
     stages : list of str
     uncertain : sequence of str
         Further uncertain factors of the telescope, as ``isolator.stiffness=10%``. Known points have them at 1.
+    same_telescope : bool
+        Refuse controllers that were made for another telescope than that of the folder.
     """
     from los_design.search.worst_points import load_worst_points
     from los_design.synthesis.store import load_designs
@@ -210,6 +212,8 @@ def loops_of(
         parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
     else:
         parameters, k_fsm, k_pma = designs_in(folder)
+        if same_telescope:
+            refuse_other_telescope(folder, parameters, (k_fsm, k_pma))
         refuse_devices(parameters, k_fsm, k_pma)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
@@ -221,6 +225,39 @@ def loops_of(
         points = [point for table in load_worst_points(folder).values() for point in table.values()]
     open_loop = OpenLoop(system, parameters)
     return {stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points
+
+
+def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Sequence[SampledSystem]) -> None:
+    """Refuse controllers that were made for another telescope than that of their folder.
+
+    Parameters
+    ----------
+    folder : Path
+        For the message.
+    parameters : mapping
+        Of its telescope, without the factors of ``--uncertain``.
+    controllers : sequence of SampledSystem
+        One that does not say what it was made for is not refused.
+
+    Raises
+    ------
+    ValueError
+        One was: its proof would be of a loop that nobody designed, hours later.
+    """
+    from titop_plant.interface import design_warnings
+    from titop_plant.telescope.parameters import design_basis
+
+    basis = design_basis(parameters)
+    design_warnings(controllers, basis, closed=True)  # another sensitivity of the mirror has words of its own
+    present = basis.parameters_hash
+    for controller in controllers:
+        made = str(controller.design_basis.get("parameters_hash", present))
+        if made != present:
+            raise ValueError(
+                f"{controller.name} in {folder} must be made for the telescope there, parameters_hash {present}, got "
+                f"one for {made}: `design all` makes new ones; without FOLDER the shipped pair is proven on the "
+                "reference telescope"
+            )
 
 
 def refuse_devices(parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:

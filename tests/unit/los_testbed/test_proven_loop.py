@@ -1,0 +1,135 @@
+"""What a bag says to be proven of its loop: of the loop that proofs are about, and of no other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from los_testbed.bags.metadata import final_metadata, run_metadata
+from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_KEYS, proof_of
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.summary.summary import remarks_of
+from simple_telescope import SimpleTelescope
+
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+
+SOURCE = '[[disturbance]]\nname = "cooler"\nkind = "cooler"\nplace = "bus"\nfrequency = 40.0\n'
+HARMONICS = "harmonics = [{ order = 1.0, force = [0.0, 0.0, 0.2] }]\n"
+OTHER: list[tuple[dict[str, Any], str]] = [
+    ({"camera_dropout": 0.95}, "camera_dropout is 0.95, proofs have 0"),
+    ({"camera_dropout": 1.0}, "camera_dropout is 1, proofs have 0"),
+    ({"camera_rate": 25.0}, "camera_rate is 25, proofs have 50"),
+    ({"nonlinear": True}, "nonlinear is on, proofs have off"),
+    ({"fsm_authority": 0.001}, "fsm_authority is 0.001, proofs have the telescope's 0.0053"),
+    ({"pma_authority": 1.0}, "pma_authority is 1, proofs have the telescope's 31.6"),
+    ({"scenario": "ramp", "theta_rate": 0.01, "ramp_duration": 2.0}, "array angle or wheel speeds vary"),
+    ({"wheel_acceleration": (1.0, 0.0, 0.0, 0.0), "ramp_duration": 2.0}, "array angle or wheel speeds vary"),
+    ({"theta_rate": 0.01, "ramp_duration": 2.0, "profile": "trapezoidal"}, "array angle or wheel speeds vary"),
+    (
+        {"plant": "simple_telescope:SimpleTelescope", "start": "rest"},
+        "plant is simple_telescope:SimpleTelescope, proofs have none",
+    ),
+    ({"device": "my:Rig", "mode": "realtime", "start": "rest"}, "device is my:Rig, proofs have none"),
+    ({"k_fsm": "my.laws:Observer", "start": "rest"}, "k_fsm is code: my.laws:Observer"),
+    ({"disturbance_source": "my.code:Shaker"}, "other disturbances than the tones of the scenario act"),
+]
+SAME: list[dict[str, Any]] = [
+    {},
+    {"scenario": "unit_norm", "seed": 9, "theta": 0.7, "omega_1": 0.71},
+    {"noise": False, "start": "rest", "mode": "lockstep", "loop": "fsm"},
+    {"fsm_authority": 0.0053, "old_frames": "drop", "lost_samples": "hold", "hold_ticks": 3},
+    {"disturbance_source": "my.code:Shaker", "disturbance": False},
+    {"theta_rate": 0.01, "profile": "trapezoidal"},  # for no time
+]
+
+
+@pytest.mark.parametrize(("settings", "reason"), OTHER)
+def test_another_loop_has_no_proof(settings: dict[str, Any], reason: str) -> None:
+    """Neither a line nor a bound: the reason in their place."""
+    base = {"mode": "inprocess", **settings}
+    for loop in ("fsm", "fsm+pma"):
+        parts = RunParts(RunConfig(**base, loop=loop))
+        assert proof_of(parts) == {"proof": f"no proof of this run: {reason}"}
+
+
+@pytest.mark.parametrize("settings", SAME)
+def test_the_proven_loop_has_one(settings: dict[str, Any]) -> None:
+    """Other members, tones, seeds and machines are those of the proof."""
+    found = proof_of(RunParts(RunConfig(**settings)))
+    assert set(found) == set(PROOF_KEYS) and found["proof"].startswith("proven for every telescope of the family")
+
+
+def test_every_setting_is_admitted_judged_or_fixed() -> None:
+    """A new setting is none that a proof admits, before somebody says so."""
+    assert not ADMITTED & JUDGED and set(RunConfig.SETTINGS) > ADMITTED | JUDGED
+    fixed = set(RunConfig.SETTINGS) - ADMITTED - JUDGED
+    assert fixed == {"nonlinear", "plant", "device", "camera_rate", "camera_dropout"}
+
+
+def test_disturbances_of_the_telescope_have_none(tmp_path: Path) -> None:
+    """The hash of the parameters, which names the telescope of a proof, has no sources."""
+    own = tmp_path / "own.toml"
+    own.write_text(SOURCE + HARMONICS, "utf-8")
+    with_source = proof_of(RunParts(RunConfig(parameters=str(own))))
+    assert with_source == {"proof": "no proof of this run: other disturbances than the tones of the scenario act"}
+    assert proof_of(RunParts(RunConfig(parameters=str(own), disturbance=False)))["proof"].startswith("proven")
+
+
+def test_several_reasons_stand_in_one_line() -> None:
+    """All that a user would have to change."""
+    found = proof_of(RunParts(RunConfig(nonlinear=True, camera_dropout=0.5)))["proof"]
+    assert found == "no proof of this run: nonlinear is on, proofs have off; camera_dropout is 0.5, proofs have 0"
+
+
+@pytest.mark.parametrize(
+    ("node", "values", "reason"),
+    [
+        ("plant", {"missed_ticks": "3"}, "3 ticks had an older command"),
+        ("plant", {"changes": '[{"tick": 5, "name": "camera_dropout", "value": 0.5}]'}, "camera_dropout changed"),
+        ("controller", {"changes": '[{"tick": 5, "name": "loop", "value": "fsm"}]'}, "loop changed"),
+        ("estimator", {"changes": '[{"tick": 5, "name": "active", "value": false}]'}, "what was active changed"),
+    ],
+)
+def test_what_happened_in_the_run_counts_at_its_end(node: str, values: dict[str, str], reason: str) -> None:
+    """The head of the bag says what is proven of the run as it was asked for, the end of the run as it was."""
+    parts = RunParts(RunConfig(mode="lockstep", start="rest"))
+    assert run_metadata(parts)["proof"].startswith("proven")
+    found = final_metadata(parts, {node: values})
+    assert [found[key] for key in PROOF_KEYS] == [f"no proof of this run: {reason}", "", ""]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"missed_ticks": "0", "ticks": "9"},
+        {"changes": '[{"tick": 5, "name": "noise", "value": false}, {"tick": 7, "name": "stop", "value": true}]'},
+        {"changes": "[1, 2"},
+        {"changes": "null"},
+    ],
+)
+def test_other_events_leave_the_proof(values: dict[str, str]) -> None:
+    """Noise and disturbance off are within it."""
+    parts = RunParts(RunConfig(mode="lockstep", start="rest"))
+    assert final_metadata(parts, {"plant": values})["proof"].startswith("proven")
+
+
+def test_a_plant_of_a_program_has_none(tmp_path: Path) -> None:
+    """`run_in_process` takes an object that no setting names."""
+    run_in_process(RunConfig(duration=0.2, mode="inprocess"), tmp_path / "bag", plant=SimpleTelescope())
+    found = Run.open(tmp_path / "bag").parameters
+    assert found["proof"] == "no proof of this run: plant is an object of a program"
+    assert not found["proof_rpe"] and not found["proof_noise"]
+
+
+def test_bag_and_summary_say_the_reason(tmp_path: Path) -> None:
+    """The line of the command, of the report and of its JSON is that of the bag."""
+    run_in_process(RunConfig(duration=1.0, mode="inprocess", loop="fsm", camera_dropout=0.95), tmp_path / "bag")
+    run = Run.open(tmp_path / "bag")
+    remarks = remarks_of(run, summarise(run))
+    assert "no proof of this run: camera_dropout is 0.95, proofs have 0" in remarks
+    assert "proven" not in json.dumps(remarks)
