@@ -52,8 +52,9 @@ def test_chunks_hold_all_members_once() -> None:
         ({"seed": 2}, "seed"),
         ({"depth": "model"}, "depth"),
         ({"sampling": "lhs"}, "sampling"),
-        ({"identity": {"version": "2"}}, "identity"),
-        ({"base": replace(BASE, loop="fsm")}, "run"),
+        ({"identity": {"version": "2"}}, "version"),
+        ({"identity": {"version": "1", "telescope": "2"}}, "telescope"),
+        ({"base": replace(BASE, loop="fsm")}, "loop"),
     ],
 )
 def test_folder_of_another_campaign_is_refused(change: dict[str, Any], key: str, tmp_path: Path) -> None:

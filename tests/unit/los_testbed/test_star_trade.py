@@ -42,7 +42,7 @@ def test_a_parameter_file_keeps_what_the_user_wrote(tmp_path: Path) -> None:
     assert (found["camera"]["magnitude"], found["camera"]["exposure"]) == (12.5, 0.04)
     assert found["camera"]["read_noise"] == 5.0 and found["body"]["damping"] == 0.004
     assert "RPE, mine" in [row["name"] for row in found["requirement"]]
-    assert str(tmp_path / "beam.toml") in parameter_text({"a": {"b": "beam.toml"}}, tmp_path, 1.0, 0.02)
+    assert str(tmp_path / "beam.toml") in parameter_text({"payload": {"modal_data": "beam.toml"}}, tmp_path, 1.0, 0.02)
 
 
 def test_what_a_user_s_file_holds_is_the_same_in_that_of_a_star(tmp_path: Path) -> None:

@@ -213,11 +213,14 @@ class ResultFolder:
         """
         present = read_manifest(self.path)
         for key, value in campaign.manifest().items():
-            if present.get(key) != value:
-                raise ValueError(
-                    f"{self.path} holds another campaign: {key} must be {_short(present.get(key))} as there, "
-                    f"got {_short(value)}"
-                )
+            if (there := present.get(key)) == value:
+                continue
+            if isinstance(there, dict) and isinstance(value, dict):  # of a table, the first entry that is another
+                key = next(name for name in (*value, *there) if there.get(name) != value.get(name))
+                there, value = there.get(key), value.get(key)
+            raise ValueError(
+                f"{self.path} holds another campaign: {key} must be {_short(there)} as there, got {_short(value)}"
+            )
 
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
         """Make the folder, or go on in it; the chunks that are there already.

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import atexit
 import contextlib
 import hashlib
 import json
 import os
-import shutil
 import ssl
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
@@ -27,8 +24,10 @@ from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
+from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
+from los_testbed.input_files import input_digests
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
@@ -46,15 +45,13 @@ CRASHES = 3
 EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow", "cryptography": "cryptography"}
 """Modules of the extra ``campaign``, and how they are called."""
 
-FILES = ("k_fsm", "k_pma", "parameters")
-"""Settings that are files; their content travels with the campaign, so that workers need nothing but the package."""
-
 
 def identity(base: RunConfig) -> dict[str, str]:
     """Version of the package and hashes of what the rows depend on: the same on all workers, or there is no campaign.
 
     Requirements are named where they are not those of the reference telescope, and so are its optics where requirements
-    are on the image of a star.
+    are on the image of a star. A parameter file has a digest of its own of all its values, sources of disturbance and
+    sensors, too, and of the files that it names: ``parameters`` is the hash of what designs depend on.
 
     Raises
     ------
@@ -78,6 +75,7 @@ def identity(base: RunConfig) -> dict[str, str]:
         **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
         **_image_optics(parts),
         **_star_camera(parts),
+        **input_digests(base),
     }
 
 
@@ -208,7 +206,7 @@ def check_workers(campaign: Campaign, client: Any) -> None:
     ValueError
         Workers with another version of the package, other parameters or controllers.
     """
-    content = _portable(campaign.base, campaign.identity)
+    content = portable(campaign.base, campaign.identity)
     for address, found in client.run(worker_identity, content, on_error="return").items():
         if isinstance(found, BaseException):
             reason = " ".join(str(found).split()) or type(found).__name__
@@ -259,7 +257,7 @@ def _compute(
 ) -> None:
     from distributed import as_completed
 
-    content = _portable(campaign.base, campaign.identity)
+    content = portable(campaign.base, campaign.identity)
     waiting = campaign.chunks(done)
     known: dict[Any, tuple[int, list[dict[str, Any]]]] = {}
 
@@ -383,38 +381,7 @@ def _difference(here: Mapping[str, str], there: Mapping[str, str]) -> str:
 
 def worker_identity(content: str) -> dict[str, str]:
     """:func:`identity` of the process that calls it."""
-    return identity(_base(content))
-
-
-def _portable(base: RunConfig, here: Mapping[str, str]) -> str:
-    """Configuration, content of its files and identity of this process as one text."""
-    files = {name: Path(path).read_text("utf-8") for name in FILES if (path := getattr(base, name))}
-    return json.dumps({"run": base.to_mapping(), "files": files, "identity": dict(here)}, sort_keys=True)
-
-
-def _worker_folder() -> str | None:
-    """Folder of this Dask worker, which is removed when the worker ends; None outside of one."""
-    from distributed import get_worker
-
-    try:
-        return str(get_worker().local_directory)
-    except ValueError:
-        return None
-
-
-@lru_cache(maxsize=2)
-def _base(content: str) -> RunConfig:
-    """Configuration with its files on this machine."""
-    given = json.loads(content)
-    if not given["files"]:
-        return RunConfig.from_mapping(given["run"])
-    folder = Path(tempfile.mkdtemp(prefix="los_testbed_files_", dir=_worker_folder()))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for name, text in given["files"].items():
-        path = folder / f"{name}{Path(given['run'][name]).suffix}"
-        path.write_text(text, "utf-8")
-        given["run"][name] = str(path)
-    return RunConfig.from_mapping(given["run"])
+    return identity(base_of(content))
 
 
 @lru_cache(maxsize=2)
@@ -422,7 +389,7 @@ def _evaluator(content: str) -> MemberEvaluator:
     """Evaluator of this process, which may have joined the cluster after the others were compared."""
     if difference := _difference(json.loads(content)["identity"], worker_identity(content)):
         raise WorkerMismatchError(f"a worker has another installation: {difference}")
-    return MemberEvaluator.of(_base(content))
+    return MemberEvaluator.of(base_of(content))
 
 
 def _digest(path: Path) -> str:

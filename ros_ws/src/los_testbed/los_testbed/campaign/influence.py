@@ -55,7 +55,7 @@ def influences(parameters: FloatArray, metric: FloatArray) -> list[Influence]:
 
 
 def first_order_index(values: FloatArray, metric: FloatArray) -> float:
-    """Variance of the means in equally filled bins over the whole variance, less what chance would make of it.
+    """Variance of the means in bins of the values (:func:`bins_of`) over the whole variance, less what chance makes.
 
     Examples
     --------
@@ -66,13 +66,27 @@ def first_order_index(values: FloatArray, metric: FloatArray) -> float:
     bins = min(MOST_BINS, len(metric) // PER_BIN)
     if bins < 3:
         return float("nan")
-    groups = np.array_split(metric[np.argsort(values, kind="stable")], bins)
-    between = sum(len(g) * (g.mean() - metric.mean()) ** 2 for g in groups)
-    within = sum(float(((g - g.mean()) ** 2).sum()) for g in groups)
-    if between + within == 0.0:
+    if np.ptp(metric) == 0.0:
         return 0.0
-    chance = (bins - 1) * within / (len(metric) - bins)
-    return float(np.clip((between - chance) / (between + within), 0.0, 1.0))
+    return float(np.clip(_share(bins_of(values, bins), metric), 0.0, 1.0))
+
+
+def bins_of(values: FloatArray, bins: int) -> IntArray:
+    """Bin of each value, numbered from 0: one for each distinct value where these are no more than `bins`.
+
+    More are put into at most `bins` bins that are filled as equally as they can be: **equal values are in one bin**.
+
+    Examples
+    --------
+    >>> bins_of(np.array([3.0, 1.0, 3.0, 1.0]), 20), bins_of(np.array([5.0, 0.0, 0.0, 0.0, 1.0, 2.0]), 2)
+    (array([1, 0, 1, 0]), array([1, 0, 0, 0, 1, 1]))
+    """
+    distinct, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    if len(distinct) <= bins:
+        return place
+    middle = np.cumsum(count) - 0.5 * count  # rank of the middle one of each value
+    _, number = np.unique((middle * bins / len(values)).astype(int), return_inverse=True)
+    return np.asarray(number[place])
 
 
 @dataclass(frozen=True)
@@ -106,14 +120,17 @@ def pair_effects(parameters: FloatArray, metric: FloatArray) -> list[PairEffect]
     bins = min(MOST_CELLS, int(np.sqrt(len(y) / PER_BIN)))
     if bins < 3 or np.ptp(y) == 0.0:
         return []
-    places = np.argsort(np.argsort(x, axis=0, kind="stable"), axis=0, kind="stable") * bins // len(y)
+    places = np.stack([bins_of(column, bins) for column in x.T], axis=1)
     alone = [_share(places[:, i], y) for i in range(x.shape[1])]
-    chance = 2.0 * np.sqrt(2.0) * bins / len(y)  # twice the scatter of a share of nothing
+    chance = 2.0 * np.sqrt(2.0) / len(y)  # twice the scatter of a share of nothing, for a single cell
+    filled = 1.0 + places.max(axis=0)
     found = []
     for i, j in combinations(range(x.shape[1]), 2):
         both = _share(places[:, i] * bins + places[:, j], y)
         share = both - alone[i] - alone[j]
-        found.append(PairEffect((COLUMNS[i], COLUMNS[j]), share if share > chance else 0.0))
+        found.append(
+            PairEffect((COLUMNS[i], COLUMNS[j]), share if share > chance * np.sqrt(filled[i] * filled[j]) else 0.0)
+        )
     return sorted(found, key=lambda effect: -effect.share)
 
 

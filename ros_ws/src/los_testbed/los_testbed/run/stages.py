@@ -24,6 +24,7 @@ from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
+from los_testbed.input_files import input_digests
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
@@ -264,7 +265,8 @@ def _begin(plan: Plan) -> None:
         A folder of something else.
     """
     file, runs = plan.folder / PLAN, plan.runs()
-    origin = {**provenance(plan), "parameters": parameters_hash(RunParts(plan.base).parameters)}
+    parameters = parameters_hash(RunParts(plan.base).parameters)
+    origin = {**provenance(plan), "parameters": parameters, "inputs": input_digests(plan.base)}
     asked = json.loads(json.dumps({"runs": {run.name: run.config.to_mapping() for run in runs}, "origin": origin}))
     if not plan.folder.exists():
         plan.folder.mkdir(parents=True)

@@ -7,7 +7,6 @@ with parameter file, designs, bag and ``row.json``, which is there when all is d
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
+from los_testbed.input_files import content_digest, input_digests, map_files
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import check_output, write_text
@@ -155,15 +155,14 @@ class Trade:
 
 def _asked(base: RunConfig, magnitudes: Sequence[float], rates: Sequence[float], redesign: bool) -> dict[str, Any]:
     """What a trade depends on, as it is read from JSON."""
-    files = [Path(base.parameters)] if base.parameters else []
-    if not redesign:
-        files += RunParts(base).model_files.values()
+    files = [] if redesign else list(RunParts(base).model_files.values())
     found = {
         "magnitudes": list(magnitudes),
         "rates": list(rates),
         "redesign": redesign,
         "run": dataclasses.asdict(base),
-        "sha256": [hashlib.sha256(file.read_bytes()).hexdigest() for file in files],
+        "sha256": [content_digest(file) for file in files],
+        "inputs": input_digests(base),
     }
     return dict(json.loads(json.dumps(found, default=str)))
 
@@ -232,18 +231,12 @@ def parameter_text(own: Mapping[str, Any], folder: Path, magnitude: float, expos
 
     star = {"magnitude": float(magnitude), "exposure": round(exposure, 9)}
     sensors, camera = {**own.get("sensors", {}), "camera": "image"}, {**own.get("camera", {}), **star}
-    return tomli_w.dumps(_with_whole_paths({**own, "sensors": sensors, "camera": camera}, folder))
+    return tomli_w.dumps(map_files({**own, "sensors": sensors, "camera": camera}, _whole_path, folder))
 
 
-def _with_whole_paths(value: Any, folder: Path) -> Any:
-    """A value of a parameter file; the name of a file in the folder becomes its whole path."""
-    if isinstance(value, Mapping):
-        return {key: _with_whole_paths(entry, folder) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_with_whole_paths(entry, folder) for entry in value]
-    if isinstance(value, str) and value and (folder / value).is_file():
-        return str((folder / value).resolve())
-    return value
+def _whole_path(file: Path) -> str:
+    """Name of a file that is the same from another folder."""
+    return str(file.resolve())
 
 
 def measure(point: TradePoint, bag: Path) -> dict[str, Any]:

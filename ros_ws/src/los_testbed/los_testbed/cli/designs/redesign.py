@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +19,7 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
 from los_testbed.cli.output import number, print_json
+from los_testbed.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
 from los_testbed.variants import TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import atomic_file
@@ -27,13 +27,14 @@ from pointing_analysis.files.atomic_output import atomic_file
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers
     from los_design.verification.certify import FigureBounds
+    from titop_plant.telescope.parameters import Parameters
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
-Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml into a folder. A design of the
-same telescope that was interrupted, or ended by its time limit, goes on in its descent or after its last search.
-With --certify the proofs of all figures, bounds.json and bundle.zip follow, as `design certify` makes them. The exit
-code is 1 if a requirement is not met, or a figure not proven.
+Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml, with copies of the files that
+it names, into a folder. A design of the same telescope that was interrupted, or ended by its time limit, goes on in
+its descent or after its last search. With --certify the proofs of all figures, bounds.json and bundle.zip follow, as
+`design certify` makes them. The exit code is 1 if a requirement is not met, or a figure not proven.
 
 **Examples**
 
@@ -56,6 +57,7 @@ FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force"
 def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str] = ()) -> None:
     """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
 
+    With them are the files that they name, so that the folder is whole wherever it is moved to.
     Further uncertain factors become the table ``[uncertain]`` of the file that is kept.
 
     Raises
@@ -66,31 +68,35 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
     from titop_plant.telescope.parameters import load_parameters, parameters_hash
     from titop_plant.telescope.tables.uncertain import UNCERTAIN, with_uncertain
 
-    own = with_uncertain(load_parameters(parameters), uncertain)
+    given = load_parameters(parameters)
+    own = with_uncertain(given, uncertain)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--output must be a folder, got the file {folder}")
     kept = folder / TELESCOPE_FILE
     if kept.exists() and parameters_hash(load_parameters(kept)) != parameters_hash(own):
         raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
+    if uncertain and UNCERTAIN in given:
+        raise ValueError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
+    text, beside = ("", {}) if parameters is None else with_files_beside(parameters)
+    if uncertain:
+        table = "".join(f"{name} = {spread!r}\n" for name, spread in own[UNCERTAIN].items())
+        text = f"{text}\n[{UNCERTAIN}]\n{table}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        beside = [own["body"]["modal_data"], own["payload"]["modal_data"], own["optics"]["pupil"]]
-        beside.append(own["camera"]["noise_curve"])
-        if uncertain:
-            text = "" if parameters is None else parameters.read_text("utf-8")
-            if any(beside) or UNCERTAIN in load_parameters(parameters):
-                raise ValueError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
-            table = "".join(f"{name} = {spread!r}\n" for name, spread in own[UNCERTAIN].items())
-            with atomic_file(kept) as temporary:
-                temporary.write_text(f"{text}\n[{UNCERTAIN}]\n{table}", "utf-8")
+        if kept.exists() and parameters is not None and kept.samefile(parameters) and not uncertain:
             return
-        if parameters is None or any(beside):
-            return  # the reference, or files that belong beside the file
-        if not (kept.exists() and kept.samefile(parameters)):
-            with atomic_file(kept) as temporary:
-                shutil.copyfile(parameters, temporary)
+        if text or kept.exists():  # without, the folder is of the reference
+            _write_telescope(folder, text, beside)
     except OSError as error:
         raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
+
+
+def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> None:
+    """Write the telescope's values, and before them the files that they name, below the folder."""
+    for name, content in {**beside, TELESCOPE_FILE: text.encode()}.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        with atomic_file(folder / name) as temporary:
+            temporary.write_bytes(content)
 
 
 @with_cluster
@@ -120,7 +126,7 @@ def design_all(
 
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    own = load_parameters(parameters)
+    own = with_uncertain(load_parameters(parameters), uncertain or ())
     if certify and (devices := Placed.of(own)) != NO_DEVICES:
         names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
         raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
@@ -132,7 +138,7 @@ def design_all(
     with cluster.workers() as pool, kept:
         with Progress("design") as bar:
             summary = redesign.design_all(
-                with_uncertain(own, uncertain or ()),
+                own,
                 output,
                 seed=seed,
                 effort=effort,
@@ -142,16 +148,26 @@ def design_all(
                 wall_limit=ROUNDS_OF_ALL * time_limit if certify else time_limit,
                 workers=pool,
             )
-        bounds = _proven(output, pool, until) if certify else ()
+        bounds = _proven(own, output, pool, until) if certify else ()
     show_implemented(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds)
 
 
-def _proven(folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
-    """Bounds of all figures of the designs of a folder; the proofs and their bundle go there, too."""
-    from titop_plant.telescope.layout import mirror_stages
+def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
+    """Bounds of all figures of the designs of a folder; the proofs and their bundle go there, too.
 
-    stages = mirror_stages(designs_in(folder)[0])
-    loops, known = loops_of(folder, list(stages))
+    Raises
+    ------
+    ValueError
+        The telescope of the folder is not that of the designs, or the controllers were made for another one.
+    """
+    from titop_plant.telescope.layout import mirror_stages
+    from titop_plant.telescope.parameters import parameters_hash
+
+    wanted, telescope = parameters_hash(parameters), designs_in(folder)[0]
+    if (found := parameters_hash(telescope)) != wanted:
+        raise ValueError(f"{folder / TELESCOPE_FILE} must be of the telescope {wanted} to be proven, got {found}")
+    stages = mirror_stages(telescope)
+    loops, known = loops_of(folder, list(stages), same_telescope=True)
     chosen = [(stage, name) for stage in stages for name in FIGURES[stage]]
     return prove_figures(chosen, loops, known, folder, workers, until)
 

@@ -101,10 +101,9 @@ def _going_on(
     from los_design.synthesis.provenance import source_digest
     from los_design.verification.stage_check import RESULTS
     from los_testbed.campaign.cluster_work import versions
-    from titop_plant.telescope.parameters import parameters_hash
+    from los_testbed.input_files import telescope_digest
 
-    # the hash has the content of modal data files, the mapping what no design depends on
-    telescope = [parameters_hash(parameters), dict(parameters), [dict(values) for values in at]]
+    telescope = [telescope_digest(parameters), [dict(values) for values in at]]
     depends = [versions(), source_digest(), telescope, [one.to_json() for one in designs]]
     job = hashlib.sha256(json.dumps(depends, default=repr).encode()).hexdigest()
     parts, done = output.with_name(f"{output.name}.parts"), False

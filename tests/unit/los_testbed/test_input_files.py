@@ -1,0 +1,165 @@
+"""What runs are made of beside settings and controllers: results that go on are of the same, wherever the files are."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from los_testbed.campaign.dataset import Campaign, ResultFolder
+from los_testbed.campaign.execution import identity
+from los_testbed.campaign.portable import base_of, portable
+from los_testbed.config import RunConfig
+from los_testbed.factories import RunParts
+from los_testbed.input_files import input_digests, telescope_digest, with_files_beside
+from los_testbed.run import stages
+from los_testbed.run.stages import Plan, perform
+from los_testbed.run.star_trade import Trade
+
+from titop_plant.structures.modal_file import write_modal_data
+from titop_plant.structures.reference import build_payload
+from titop_plant.telescope.parameters import load_parameters, parameters_hash
+
+COOLER = """
+[[disturbance]]
+name = "cooler"
+kind = "cooler"
+place = "payload"
+frequency = 45.0
+harmonics = [{{ order = 1, force = [{force}, 0.0, 0.1] }}]
+"""
+SHAKER = '[[disturbance]]\nname = "shaker"\nkind = "series"\nplace = "payload"\nfile = "shake.csv"\nrepeat = true\n'
+SENSOR = '[[sensor]]\nname = "probe"\nplace = "bus"\nnoise = {noise}\n'
+BROAD = "[reaction_wheel.broadband]\nfrequency = [1.0, 200.0]\nradial_force = [{noise}, 1e-9]\n"
+
+
+def written(path: Path, text: str) -> str:
+    """A parameter file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, "utf-8")
+    return str(path)
+
+
+def shaken(folder: Path, force: float) -> str:
+    """A parameter file with a source whose force is in a file beside it."""
+    file = written(folder / "own.toml", SHAKER)
+    t = np.arange(2000) / 1000.0
+    rows = (f"{a:.3f},{b:.6f}\n" for a, b in zip(t, force * np.sin(2 * np.pi * 45.0 * t)))
+    (folder / "shake.csv").write_text("time (s),Fx (N)\n" + "".join(rows), "utf-8")
+    return file
+
+
+def own_payload(folder: Path) -> str:
+    """A parameter file with modal data of the payload in a file beside it."""
+    file = written(folder / "mine.toml", '[payload]\nmodal_data = "modes.toml"\n')
+    write_modal_data(build_payload(load_parameters()), folder / "modes.toml")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        (COOLER, ({"force": 0.2}, {"force": 20.0})),
+        (SENSOR, ({"noise": 1e-4}, {"noise": 2e-4})),
+        (BROAD, ({"noise": 1e-8}, {"noise": 2e-8})),
+        ("[optics]\nwavelength = {wave}\n", ({"wave": 633e-9}, {"wave": 700e-9})),
+    ],
+)
+def test_what_no_design_depends_on_is_in_the_digest(tmp_path: Path, text: str, values: Any) -> None:
+    """The hash of the parameters does not have it."""
+    one, other = (load_parameters(written(tmp_path / f"{i}.toml", text.format(**v))) for i, v in enumerate(values))
+    assert parameters_hash(one) == parameters_hash(other) and telescope_digest(one) != telescope_digest(other)
+
+
+def test_the_content_of_files_counts_and_their_place_does_not(tmp_path: Path) -> None:
+    here, there, louder = (shaken(tmp_path / name, force) for name, force in (("a", 0.1), ("b", 0.1), ("c", 30.0)))
+    digests = [telescope_digest(load_parameters(file)) for file in (here, there, louder)]
+    assert digests[0] == digests[1] != digests[2]
+    (tmp_path / "a" / "shake.csv").unlink()
+    with pytest.raises(ValueError, match=r"cannot read .*shake\.csv: No such file"):
+        telescope_digest(load_parameters(here))
+
+
+def test_files_of_a_run_are_in_its_digests(tmp_path: Path) -> None:
+    """Of sources that no telescope has, and of a profile; of the reference telescope with its tones there is none."""
+    assert input_digests(RunConfig()) == {}
+    found = []
+    for force in (0.1, 30.0):
+        shaken(tmp_path, force)
+        written(tmp_path / "ramp.csv", f"time,theta,w1,w2,w3,w4\n0,0,1,1,1,1\n{force},0,1,1,1,1\n")
+        found.append(input_digests(RunConfig(disturbance_files=str(tmp_path / "shake.csv"))))
+        found.append(input_digests(RunConfig(profile=str(tmp_path / "ramp.csv"))))
+    assert [set(one) for one in found] == [{"disturbances"}, {"profile"}] * 2
+    assert found[0] != found[2] and found[1] != found[3]
+
+
+@pytest.mark.parametrize("make", [shaken, lambda folder, force: written(folder / "t.toml", COOLER.format(force=force))])
+def test_a_campaign_does_not_go_on_with_another_disturbance(make: Any, tmp_path: Path) -> None:
+    """A cooler of 20 N in place of one of 0.2 N, in the parameter file or in a file that it names."""
+
+    def asked(force: float) -> Campaign:
+        base = RunConfig(mode="inprocess", parameters=make(tmp_path / "t", force))
+        return Campaign.of(base, "uniform", 3, 1, "time", identity(base))
+
+    folder = ResultFolder(tmp_path / "c")
+    folder.open(asked(0.2), False)
+    assert folder.open(asked(0.2), True) == frozenset()
+    with pytest.raises(ValueError, match=r"c holds another campaign: telescope must be .* as there, got "):
+        folder.open(asked(20.0), True)
+
+
+@pytest.mark.parametrize("make", [lambda folder: shaken(folder, 0.1), own_payload])
+def test_a_worker_has_the_files_that_the_parameter_file_names(make: Any, tmp_path: Path) -> None:
+    """They travel with the campaign: the worker's telescope is the same to the last digit."""
+    base = RunConfig(mode="inprocess", parameters=make(tmp_path / "here"))
+    content = portable(base, identity(base))
+    (tmp_path / "here").rename(tmp_path / "gone")
+    there = base_of(content)
+    assert there.parameters and not there.parameters.startswith(str(tmp_path))
+    moved = replace(base, parameters=str(tmp_path / "gone" / Path(str(base.parameters)).name))
+    assert identity(there) == identity(moved)
+    assert len(RunParts(there).sources) == len(RunParts(moved).sources)
+
+
+def test_stages_do_not_go_on_with_another_disturbance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stages, "record", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    plan = Plan(
+        RunConfig(duration=1.1, mode="inprocess", parameters=shaken(tmp_path, 0.2)), tmp_path / "s", ("imbalance",), 1
+    )
+    for _ in range(2):  # the same goes on
+        with pytest.raises(KeyboardInterrupt):
+            perform(plan)
+    shaken(tmp_path, 20.0)
+    with pytest.raises(ValueError, match="--output must be a new folder, or one of the same stages"):
+        perform(plan)
+
+
+def test_a_trade_does_not_go_on_with_another_file(tmp_path: Path) -> None:
+    """The parameter file is the same, the file that it names is not."""
+    base = RunConfig(mode="inprocess", duration=1.0, parameters=shaken(tmp_path / "t", 0.1))
+    Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
+    Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
+    shaken(tmp_path / "t", 30.0)
+    with pytest.raises(ValueError, match="--output must be a new folder or one of the same trade"):
+        Trade.begin(base, tmp_path / "o", (10.0,), (50.0,), redesign=False)
+
+
+def test_a_copy_with_its_files_is_the_same_telescope_anywhere(tmp_path: Path) -> None:
+    """Two files of one name have two, one that is named twice is there once; without files the text stays."""
+    file = Path(shaken(tmp_path / "t", 0.1))
+    shaken(tmp_path / "t" / "below", 0.3)
+    one, two = (SHAKER.replace('"shaker"', f'"{name}"') for name in ("first", "second"))
+    file.write_text(SHAKER + one.replace("shake.csv", "below/shake.csv") + two, "utf-8")
+    text, beside = with_files_beside(file)
+    assert sorted(beside) == ["telescope_files/2-shake.csv", "telescope_files/shake.csv"]
+    for name, content in itertools.chain([("telescope.toml", text.encode())], beside.items()):
+        (tmp_path / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "copy" / name).write_bytes(content)
+    copied, original = (RunParts(RunConfig(parameters=str(p))) for p in (tmp_path / "copy" / "telescope.toml", file))
+    assert len(copied.sources) == len(original.sources) == 3
+    assert telescope_digest(copied.parameters) == telescope_digest(original.parameters)
+    plain = Path(written(tmp_path / "plain.toml", "# mine\n[isolator]\ndamping = 0.02\n"))
+    assert with_files_beside(plain) == (plain.read_text("utf-8"), {})
