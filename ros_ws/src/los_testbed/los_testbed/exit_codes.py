@@ -28,7 +28,7 @@ MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.RESTARTED: "finished, but a node died and was restarted, or a topic had a second publisher",
         ExitCode.MISSED_TICKS: "finished, but more ticks were missed than `--max-missed` permits",
         ExitCode.CONTRADICTION: "finished, but a bag contradicts its own digests",
-        ExitCode.DEVICE: "a device failed or fell silent; the message says whether mirror and forces were brought to zero",
+        ExitCode.DEVICE: "a device failed or fell silent; the message says whether mirror and forces are at zero",
         ExitCode.INTERRUPTED: "interrupted by SIGINT, SIGTERM or SIGHUP",
     }
 )
