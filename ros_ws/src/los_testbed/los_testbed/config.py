@@ -24,6 +24,9 @@ from titop_plant.settings import STRICT, setting, settings_class, unknown
 NAMESPACE = "/telescope"
 """Namespace of nodes and topics where none is given."""
 
+ACTIVE = "active"
+"""Change during a run that lets the output of a node fade to zero or in again."""
+
 MODES = ("realtime", "lockstep", "inprocess")
 
 STARTS = ("steady", "rest")

@@ -12,9 +12,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from los_testbed.config import RunConfig, is_code
+from los_testbed.config import ACTIVE, RunConfig, is_code
 from los_testbed.factories import RunParts
-from los_testbed.loop.changes import ACTIVE
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.telescope.parameters import design_basis, parameters_hash

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from los_testbed.config import RunConfig
+from los_testbed.config import ACTIVE, RunConfig
 from pointing_analysis.files.structured_text import is_number
 from titop_plant.interface import RATE, TICK_NS
 
@@ -32,9 +32,6 @@ STOP = "stop"
 
 RESET = "reset"
 """Change that ends the run and begins it again, with the settings of the start."""
-
-ACTIVE = "active"
-"""Change that lets the output of a node fade to zero or in again."""
 
 Apply = Callable[[Any], None]
 

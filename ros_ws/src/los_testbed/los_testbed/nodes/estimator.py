@@ -10,9 +10,9 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import codec_for
-from los_testbed.config import RunConfig
+from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_estimator
-from los_testbed.loop.changes import ACTIVE, Fade
+from los_testbed.loop.changes import Fade
 from los_testbed.loop.slow_sensor import SlowSensor
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from los_testbed.loop.changes import ACTIVE, RESET, STOP
+from los_testbed.config import ACTIVE
+from los_testbed.loop.changes import RESET, STOP
 from los_testbed.topics import NODES
 from pointing_analysis.read.run import Run
 from titop_plant.interface import RATE

@@ -23,8 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from los_testbed.bags.diagnostics import Status, write_diagnostics
-from los_testbed.config import NAMESPACE
-from los_testbed.loop.changes import ACTIVE, NAMES, Apply, Changes
+from los_testbed.config import ACTIVE, NAMESPACE
+from los_testbed.loop.changes import NAMES, Apply, Changes
 from los_testbed.loop.members import members
 from los_testbed.loop.scheduling import (
     CPU_INDEX,
