@@ -31,6 +31,7 @@ from lftkit.tuning.structures.bounds import bounds_of
 from lftkit.tuning.structures.structures import Structure
 
 MIN_DECAY = 1e-6
+GAINS_OVER_LIMIT = 1e4  # largest entry of a gain matrix over the largest magnitude of a parameter
 AT_LIMIT = 0.2  # of the largest magnitude of a parameter, from which on it counts as reached
 
 
@@ -228,12 +229,21 @@ class Problem:
         """Order of the closed loop of model k."""
         return len(self._bare[k].A)
 
+    def too_large(self, K: FloatArray) -> bool:
+        """Whether the gain matrix `K` has an entry beyond the limit, or one that is no number."""
+        return not np.abs(K).max(initial=0.0) <= GAINS_OVER_LIMIT * np.max(self.limit)
+
     def closed(self, k: int, K: FloatArray) -> ClosedLoop:
         """Closed loop of model k with the gain matrix `K`, without inputs and outputs."""
         return self._bare[k].closed(K)
 
     def abscissa_of(self, k: int, K: FloatArray) -> float:
-        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s], infinite as above."""
+        """Largest real part of the closed-loop poles of model k with the gain matrix `K` [rad/s], infinite as above.
+
+        Infinite also beyond a limit of the gains: a structure may make any of them from parameters within theirs.
+        """
+        if self.too_large(K):
+            return np.inf
         try:
             return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
         except scipy.linalg.LinAlgError:

@@ -116,6 +116,8 @@ class DecayLimit:
     def _followed(self, x: FloatArray, poles: Sequence[FollowedPole]) -> tuple[FollowedPole, ...]:
         """The poles at `x` (size,), by inverse iteration; none where one of them is lost."""
         K = self._problem.structure.gain_matrix(x)
+        if self._problem.too_large(K):
+            return ()
         loops = {pole.model: self._problem.closed(pole.model, K) for pole in poles}
         found = []
         for pole in poles:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.tuning.descent.minimax.simplex_qp import prox_direction
@@ -48,9 +49,14 @@ def prox_linear(
         if stop():
             return ProxLinear(x, weight, taken)
         here = working.at(x)
+        if here.merit[1] == np.inf:  # there are no values to lower
+            return ProxLinear(x, FIRST_WEIGHT, taken)
         history = history or [here.merit]
         if taken % METRIC == 0:
-            factor = here.factor()
+            try:
+                factor = here.factor()
+            except (linalg.LinAlgError, ValueError):  # values too large for a metric: no step can be told
+                return ProxLinear(x, FIRST_WEIGHT, taken)
         found = _step(here, factor, weight, working.planes, stop)
         if found is None:
             return ProxLinear(x, FIRST_WEIGHT, taken)
