@@ -173,7 +173,7 @@ def _is_same(reduced: System, given: System) -> bool:
     except linalg.LinAlgError:
         return False
     size = np.abs(expected).max(axis=0, initial=0.0)
-    size = np.maximum(size, 1e-9 * size.max(initial=0.0))
+    size = np.maximum(size, TOLERANCE / SAME * size.max(initial=0.0))  # an entry may be zero but for rounding
     return bool(np.all(np.abs(found - expected) <= SAME * size))
 
 

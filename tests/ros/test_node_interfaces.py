@@ -119,9 +119,12 @@ def seen(tmp_path_factory):
             found["set"] = user.call(
                 SetParameters, "/telescope/controller/set_parameters", SetParameters.Request(parameters=change)
             ).results
+            user.spin_until(lambda: all(len(user.reports(name)) >= 3 and user.statistics[name] for name in NODES))
+            # the graph knows a node later than its topics
+            wanted = {(name, "/telescope") for name in NODES}
+            user.spin_until(lambda: wanted <= set(user.node.get_node_names_and_namespaces()))
             found["topics"] = dict(user.node.get_topic_names_and_types())
             found["nodes"] = set(user.node.get_node_names_and_namespaces())
-            user.spin_until(lambda: all(len(user.reports(name)) >= 3 and user.statistics[name] for name in NODES))
             found["diagnostics"], found["frames"] = list(user.diagnostics), user.frames
             found["statistics"] = user.statistics
         finally:

@@ -249,6 +249,11 @@ def test_controllers_for_other_values_are_refused_before_the_work(
     options = ["--figure=slow", "--stage=fsm", "--level=0.1", "--workers=1", "--uncertain=isolator.stiffness=10%"]
     line = refused(capsys, str(designs), f"--output={output}", *options)
     assert "must be made for the telescope there, parameters_hash" in line and not output.exists()
+    (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
+    with pytest.raises(SystemExit) as stopped:
+        main(["design", "certify", str(designs), f"--output={output}", *options[:-1]])
+    assert stopped.value.code == 1, "the table is the same as the option"
+    shutil.rmtree(output)
     (designs / "telescope.toml").unlink()
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", str(designs), f"--output={output}", *options])

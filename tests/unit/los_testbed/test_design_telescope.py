@@ -96,6 +96,14 @@ def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, 
     assert telescope_digest(designs_in(moved)[0]) == wanted
 
 
+def test_a_file_of_the_reference_with_sources_of_its_own_is_left_as_it_is(tmp_path: Path) -> None:
+    """Its hash of designs is that of the reference, so the command goes on there without ``--parameters``."""
+    text = '# mine\n[[disturbance]]\nname = "fan"\nkind = "psd"\nplace = "payload"\nfile = "fan.csv"\n'
+    (tmp_path / TELESCOPE_FILE).write_text(text)
+    check_output(tmp_path, None, ())
+    assert (tmp_path / TELESCOPE_FILE).read_text() == text
+
+
 def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     """They were refused beside a file with files of its own."""
     mine = tmp_path / "mine.toml"

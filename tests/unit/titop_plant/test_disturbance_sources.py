@@ -225,3 +225,16 @@ def test_the_same_bits_after_a_reset_and_in_any_order(family: simulation.PlantFa
     later = [one.tick(k, INSTANTS) for k in (5, 900, 3)]
     assert all(np.array_equal(a, other.tick(k, INSTANTS)) for a, k in zip(later, (5, 900, 3)))
     assert plant.tones == pytest.approx(2 * np.pi * np.array([hz for hz, _, _ in TONES]))
+
+
+@pytest.mark.parametrize("drift", [3.5, 7.0, 30.0])
+def test_noise_with_a_drift_is_faded_into_its_beginning(drift):
+    """Its step across the ends is less than the largest one of the noise, but it is one of all that is slow."""
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((20_000, 6))
+    assert len(repeated(noise, 2000.0)) == 20_000
+    drifting = noise + drift * np.linspace(-0.5, 0.5, 20_000)[:, None]
+    twice = np.vstack([repeated(drifting, 2000.0)] * 2)
+    assert len(twice) == 2 * 19_000
+    means = twice.reshape(-1, 100, 6).mean(axis=1)
+    assert np.abs(np.diff(means, axis=0)).max() < 0.6 + 0.3 * drift

@@ -26,6 +26,8 @@ PHASES_KEPT = 20_000
 OTHER_STEP = 1.5
 """A step, or a bend, from the end of a record to its beginning that is so many times the largest one in it is none of
 its own. It is not 1: of tones with eight samples in a period the largest one may be there."""
+FEWEST_MEANS = 8
+"""Means of a record that are compared with the one across its ends; fewer do not tell what is usual in it."""
 NOISE_SECONDS = 600.0
 """Longest stretch of noise that is made; a longer run has it again."""
 
@@ -222,9 +224,10 @@ class SampledSignal:
 
 
 def closes(values: FloatArray) -> bool:
-    """Whether the beginning of a record continues its end: steps and bends there are as those in it.
+    """Whether the beginning of a record continues its end: steps and bends there are as those in it, also of its means.
 
-    So it is for a record of whole periods, and for noise without drift.
+    So it is for a record of whole periods, and for noise without drift. In noise with a drift the step from the end to
+    the beginning is one of means over many samples, which are compared over 4, 16, 64 ... of them.
 
     Examples
     --------
@@ -237,6 +240,14 @@ def closes(values: FloatArray) -> bool:
         inside, across = (np.abs(np.diff(one, order, axis=0)) for one in (values, joint))
         if len(inside) and (across.max(axis=0) > inside.max(axis=0) * OTHER_STEP).any():
             return False
+    length = 4
+    while len(values) >= FEWEST_MEANS * length:
+        count = len(values) // length
+        means = values[: count * length].reshape(count, length, -1).mean(axis=1)
+        across = np.abs(values[-length:].mean(axis=0) - means[0])
+        if (across > np.abs(np.diff(means, axis=0)).max(axis=0) * OTHER_STEP).any():
+            return False
+        length *= 4
     return True
 
 
@@ -260,12 +271,13 @@ def noise_of_density(
 ) -> SampledSignal:
     """Gaussian noise of a one-sided power spectral density, interpolated between its points on logarithmic axes.
 
+    From a first point at 0 Hz, which has no place on such axes, it is interpolated on linear ones, so that the power
+    does not depend on the length of the run.
+
     Parameters
     ----------
     frequency : ndarray, shape (f,)
-        Hz, ascending; below the first and above the last one, and above `PASSES`, the density is 0. A first one of 0
-        has no place on a logarithmic axis: its density is that of the lowest frequency of the noise that is made, one
-        period in its length.
+        Hz, ascending; below the first and above the last one, and above `PASSES`, the density is 0.
     density : ndarray, shape (f, 6)
         N^2/Hz, Nm^2/Hz; the axes are independent.
     seconds : float
@@ -278,18 +290,26 @@ def noise_of_density(
     n = fft.next_fast_len(math.ceil(min(seconds + 2.0, NOISE_SECONDS) * rate), real=True)
     grid = np.arange(n // 2 + 1) * rate / n
     values = np.zeros((n, 6))
-    if frequency[0] == 0.0:
-        above = frequency > grid[1]
-        frequency, density = np.r_[grid[1], frequency[above]], np.vstack([density[:1], density[above]])
     inside = (grid >= frequency[0]) & (grid <= min(frequency[-1], PASSES)) & (grid > 0)
     for axis in np.flatnonzero(density.any(axis=0)):
-        with np.errstate(divide="ignore"):
-            level = np.exp(np.interp(np.log(grid[inside]), np.log(frequency), np.log(density[:, axis])))
+        level = _interpolated(grid[inside], frequency, density[:, axis])
         spectrum = np.zeros(grid.size, complex)
         normal = rng.standard_normal((2, level.size))
         spectrum[inside] = np.sqrt(level * rate * n / 4.0) * (normal[0] + 1j * normal[1])
         values[:, axis] = fft.irfft(spectrum, n)
     return SampledSignal(values, rate, dt)
+
+
+def _interpolated(points: FloatArray, frequency: FloatArray, density: FloatArray) -> FloatArray:
+    """Density at positive frequencies: logarithmic axes, linear ones from a first frequency of 0 to the next."""
+    positive = frequency > 0.0
+    with np.errstate(divide="ignore"):
+        logarithmic = np.interp(np.log(points), np.log(frequency[positive]), np.log(density[positive]))
+    level = np.exp(logarithmic)
+    if not positive[0]:
+        low = points < frequency[1]
+        level[low] = np.interp(points[low], frequency[:2], density[:2])
+    return np.asarray(level)
 
 
 def tone_signal(

@@ -130,3 +130,16 @@ def test_a_derivative_of_an_element_s_output_is_said_to_be_one():
     assert ((s + q) / (s + m) * ((s + q) / (s + m))).system()(2.0) == pytest.approx(1.0)
     with pytest.raises(ValueError, match="nor of an element's output"):
         ((s + q) ** 2 / (s + m) ** 2).system()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_output_that_is_zero_by_cancellation_keeps_no_state(seed):
+    """What is computed for it is rounding, before and after."""
+    rng = np.random.default_rng(seed)
+    w, zeta = rng.uniform(0.5, 20.0), 10.0 ** rng.uniform(-3, -1)
+    A, B, C = np.array([[0.0, 1.0], [-w * w, -2 * zeta * w]]), np.array([[0.0], [1.0]]), rng.normal(size=(1, 2))
+    A, B, C = np.kron(np.eye(2), A), np.vstack([B, B]), np.block([[C, np.zeros((1, 2))], [C, -C]])
+    T = rng.normal(size=(4, 4)) + 3.0 * np.eye(4)
+    turned = T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T)
+    given = state_space(*turned, np.zeros((2, 1)), [Port("u", 1)], [Port("y", 2)])
+    assert minimal_realisation(given).removed_states == 2

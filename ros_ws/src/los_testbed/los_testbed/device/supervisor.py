@@ -307,9 +307,8 @@ def refused_in_words(counts: Mapping[str, int]) -> list[str]:
 
     Examples
     --------
-    >>> counts = {"impossible_time_camera_los": 2, "impossible_time_fsm_angle": 2, "absent_accel_Ip": 3}
-    >>> refused_in_words(counts)
-    ['camera_los, fsm_angle: 2 samples with a time of acquisition later than now, or negative, were not used']
+    >>> refused_in_words({"impossible_time_one": 2, "impossible_time_other": 2, "absent_one": 3})
+    ['one, other: 2 samples with a time of acquisition later than now, or negative, were not used']
     """
     ports: dict[int, list[str]] = {}
     for name, count in sorted(counts.items()):

@@ -266,7 +266,8 @@ def _begin(plan: Plan) -> None:
     """
     file, runs = plan.folder / PLAN, plan.runs()
     parameters = parameters_hash(RunParts(plan.base).parameters)
-    origin = {**provenance(plan), "parameters": parameters, "inputs": input_digests(plan.base)}
+    inputs = {"inputs": digests} if (digests := input_digests(plan.base)) else {}
+    origin = {**provenance(plan), "parameters": parameters, **inputs}
     asked = json.loads(json.dumps({"runs": {run.name: run.config.to_mapping() for run in runs}, "origin": origin}))
     if not plan.folder.exists():
         plan.folder.mkdir(parents=True)

@@ -162,7 +162,7 @@ def _asked(base: RunConfig, magnitudes: Sequence[float], rates: Sequence[float],
         "redesign": redesign,
         "run": dataclasses.asdict(base),
         "sha256": [content_digest(file) for file in files],
-        "inputs": input_digests(base),
+        **({"inputs": digests} if (digests := input_digests(base)) else {}),
     }
     return dict(json.loads(json.dumps(found, default=str)))
 

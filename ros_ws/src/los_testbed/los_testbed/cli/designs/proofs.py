@@ -235,7 +235,8 @@ def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Se
     folder : Path
         For the message.
     parameters : mapping
-        Of its telescope, without the factors of ``--uncertain``.
+        Of its telescope, without the factors of ``--uncertain``. Controllers made without those of its table
+        ``[uncertain]`` are not refused either: the option and the table are the same.
     controllers : sequence of SampledSystem
         One that does not say what it was made for is not refused.
 
@@ -245,14 +246,16 @@ def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Se
         One was: its proof would be of a loop that nobody designed, hours later.
     """
     from titop_plant.interface import design_warnings
-    from titop_plant.telescope.parameters import design_basis
+    from titop_plant.telescope.parameters import design_basis, parameters_hash
+    from titop_plant.telescope.tables.uncertain import UNCERTAIN
 
     basis = design_basis(parameters)
     design_warnings(controllers, basis, closed=True)  # another sensitivity of the mirror has words of its own
     present = basis.parameters_hash
+    without = parameters_hash({name: table for name, table in parameters.items() if name != UNCERTAIN})
     for controller in controllers:
         made = str(controller.design_basis.get("parameters_hash", present))
-        if made != present:
+        if made not in (present, without):
             raise ValueError(
                 f"{controller.name} in {folder} must be made for the telescope there, parameters_hash {present}, got "
                 f"one for {made}: `design all` makes new ones; without FOLDER the shipped pair is proven on the "

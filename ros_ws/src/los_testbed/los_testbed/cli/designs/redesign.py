@@ -85,7 +85,7 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
         folder.mkdir(parents=True, exist_ok=True)
         if kept.exists() and parameters is not None and kept.samefile(parameters) and not uncertain:
             return
-        if text or kept.exists():  # without, the folder is of the reference
+        if text:  # without, the folder is of the reference, or of the telescope of its file, which has the same hash
             _write_telescope(folder, text, beside)
     except OSError as error:
         raise ValueError(f"--output must be a folder that can be written to, got {folder}: {error.strerror}") from None
