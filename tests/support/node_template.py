@@ -1,6 +1,6 @@
 """Nodes of a run as copies of one process that has imported what they need: a fork in place of a start of Python.
 
-A start of Python with the imports of a node costs half a second of processor time, and a run has four nodes. In
+A start of Python with the imports of a node costs half a second of processor time, and a run has three of them. In
 ``tests/ros`` the runner gets its nodes from here (see ``conftest.py`` there): processes of their own as ever, each with
 the environment, folder and descriptors that the runner gives it, its parent the process of the runner. Whatever a fork
 cannot give is started as outside the tests: another command than that of a node, other variables of the interpreter or
@@ -29,8 +29,9 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = "los_testbed.nodes"
+PROGRAMS = ("plant", "estimator", "controller", "estimator_controller", "recorder")
 NODES = {
-    **{("-m", f"{PACKAGE}.{name}"): f"{PACKAGE}.{name}" for name in ("plant", "estimator", "controller", "recorder")},
+    **{("-m", f"{PACKAGE}.{name}"): f"{PACKAGE}.{name}" for name in PROGRAMS},
     **{(str(Path(__file__).with_name(f"{name}.py")),): name for name in ("simple_telescope", "attacker")},
 }
 """Modules with a `main`, by the arguments of the interpreter that start them."""

@@ -70,7 +70,7 @@ def _string(text: str) -> bytes:
     return _LENGTH.pack(len(raw)) + raw
 
 
-def _template(type_name: str, size: int, frame_id: str) -> tuple[bytes, int]:
+def _template(type_name: str, size: int, frame_id: str, names: Sequence[str]) -> tuple[bytes, int]:
     """Message of zeros, and the offset of its values."""
     data = ENCAPSULATION + bytes(STAMP.size) + _string(frame_id)
     if type_name == HEADER:
@@ -83,7 +83,7 @@ def _template(type_name: str, size: int, frame_id: str) -> tuple[bytes, int]:
     if type_name == JOINT_STATE:
         data = _padded(data, 4) + _LENGTH.pack(size)
         for i in range(size):
-            data = _padded(data, 4) + _string(JOINT_NAMES[i] if i < len(JOINT_NAMES) else f"joint_{i + 1}")
+            data = _padded(data, 4) + _string(names[i] if i < len(names) else f"joint_{i + 1}")
         data = _padded(data, 4) + bytes(2 * _LENGTH.size) + _LENGTH.pack(size)  # no positions, no velocities
     data = _padded(data, 8)
     return data + bytes(8 * _FIXED.get(type_name, size)), len(data)
@@ -101,6 +101,8 @@ class Encoder:
         number of efforts, the square of a whole number (pixels, row by row), 0 (header).
     frame_id : str
         Frame in the header.
+    names : sequence of str
+        What the efforts of a JointState belong to.
 
     Raises
     ------
@@ -114,7 +116,7 @@ class Encoder:
     ('00010000 01000000 80841e00', 44)
     """
 
-    def __init__(self, type_name: str, size: int, frame_id: str) -> None:
+    def __init__(self, type_name: str, size: int, frame_id: str, names: Sequence[str] = JOINT_NAMES) -> None:
         if type_name not in (*_FIXED, JOINT_STATE, IMAGE):
             raise ValueError(f"type_name must be one of {', '.join((*_FIXED, JOINT_STATE, IMAGE))}, got {type_name!r}")
         if not 0 <= size <= _FIXED.get(type_name, size):
@@ -124,7 +126,7 @@ class Encoder:
         self.type_name = type_name
         self.size = size
         self.frame_id = frame_id
-        template, self._offset = _template(type_name, size, frame_id)
+        template, self._offset = _template(type_name, size, frame_id, names)
         self._buffer = bytearray(template)
         self.number = np.dtype("<u2" if type_name == IMAGE else "<f8")
         self._values = np.frombuffer(self._buffer, self.number, size, self._offset) if size else _NO_VALUES
@@ -134,6 +136,11 @@ class Encoder:
     def length(self) -> int:
         """Bytes of a message."""
         return len(self._buffer)
+
+    @property
+    def message(self) -> bytearray:
+        """The message that was encoded last."""
+        return self._buffer
 
     def encode(self, stamp_ns: int, values: FloatArray = _NO_VALUES) -> bytearray:
         """Message with this stamp [ns] and `values` (size,); the next call uses the same buffer."""

@@ -44,7 +44,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"{node} = {NAME}.nodes.{node}:main" for node in ("plant", "estimator", "controller", "recorder", "live")
+            f"{program} = {NAME}.nodes.{program}:main"
+            for program in ("plant", "estimator", "controller", "estimator_controller", "recorder", "live")
         ]
         + [f"los-testbed = {NAME}.program:main"],
     },

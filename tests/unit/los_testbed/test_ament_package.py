@@ -35,7 +35,7 @@ def test_package_xml_is_that_of_an_ament_python_package(described):
 
 def test_every_node_has_a_program_that_can_be_imported(described):
     programs = dict(entry.split(" = ") for entry in described["entry_points"]["console_scripts"])
-    assert {"plant", "estimator", "controller", "recorder"} <= set(programs)
+    assert {"plant", "estimator", "controller", "estimator_controller", "recorder"} <= set(programs)
     pytest.importorskip("rclpy")
     for target in programs.values():
         module, function = target.split(":")

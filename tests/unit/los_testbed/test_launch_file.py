@@ -68,6 +68,7 @@ def test_every_argument_is_declared_with_a_description(launched):
         "loop",
         "scenario",
         "output",
+        "composed",
         "record",
         "live",
         "respawn",
@@ -79,7 +80,7 @@ def test_every_argument_is_declared_with_a_description(launched):
 @pytest.mark.parametrize(("mode", "simulated"), [("", False), ("realtime", False), ("lockstep", True)])
 def test_simulated_time_and_restarts_follow_from_the_mode(launched, mode, simulated):
     nodes, _ = actions(launched, mode=mode)
-    assert set(nodes) == {"plant", "estimator", "controller", "recorder"}
+    assert set(nodes) == {"plant", "estimator_controller", "recorder"}
     for node in nodes.values():
         values = node.parameters[1]
         assert values["use_sim_time"] is simulated
@@ -92,7 +93,7 @@ def test_simulated_time_and_restarts_follow_from_the_mode(launched, mode, simula
 def test_the_mode_may_stand_in_the_parameter_file(launched, tmp_path):
     file = tmp_path / "run.yaml"
     file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"mode": "lockstep"}}}))
-    nodes, _ = actions(launched, params=str(file), namespace="/foo", duration="2.5", record="false")
+    nodes, _ = actions(launched, params=str(file), namespace="/foo", duration="2.5", record="false", composed="false")
     assert set(nodes) == {"plant", "estimator", "controller"}
     values = nodes["plant"].parameters[1]
     assert values == {"mode": "lockstep", "duration": 2.5, "use_sim_time": True, "wait_for_recorder": False}
@@ -103,6 +104,7 @@ def test_the_mode_may_stand_in_the_parameter_file(launched, tmp_path):
     ("given", "reason"),
     [
         ({"params": "/nowhere.yaml"}, "params must be a file, got /nowhere.yaml"),
+        ({"composed": "1"}, "composed must be true or false, got '1'"),
         ({"record": "perhaps"}, "record must be true or false, got 'perhaps'"),
     ],
 )
@@ -118,7 +120,7 @@ def test_viewers_are_served_on_request_and_without_a_part_in_the_end_of_the_run(
 
 
 def test_a_run_without_failures_ends_with_the_plant(launched):
-    _, ends = actions(launched)
+    _, ends = actions(launched, composed="false")
     (over,) = ends["plant"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=False))
     assert over.event.reason == "the run is over"
     for name in ("estimator", "controller"):
@@ -128,7 +130,7 @@ def test_a_run_without_failures_ends_with_the_plant(launched):
 
 
 def test_a_node_that_died_is_started_again_and_the_launch_fails_at_the_end(launched):
-    _, ends = actions(launched)
+    _, ends = actions(launched, composed="false")
     for _ in range(3):
         (told,) = ends["controller"](SimpleNamespace(returncode=-9), SimpleNamespace(is_shutdown=False))
         assert told.msg == "controller ended with code -9; it is started again"
@@ -141,6 +143,6 @@ def test_a_node_that_died_is_started_again_and_the_launch_fails_at_the_end(launc
 
 
 def test_in_lockstep_a_node_that_dies_ends_the_run(launched):
-    _, ends = actions(launched, mode="lockstep")
+    _, ends = actions(launched, mode="lockstep", composed="false")
     (over,) = ends["estimator"](SimpleNamespace(returncode=1), SimpleNamespace(is_shutdown=False))
     assert over.event.reason == "estimator ended with code 1"

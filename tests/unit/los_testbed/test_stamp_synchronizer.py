@@ -17,7 +17,7 @@ def make(camera_every=2):
     codec = Codec(VECTOR3, 2, "f")
     parts = [
         TickPart(codec, slice(0, 2)),
-        TickPart(codec, slice(2, 4), every=camera_every, nan_allowed=True),
+        TickPart(codec, slice(2, 4), every=camera_every, intermittent=range(2)),
         TickPart(codec, slice(4, 6)),
     ]
     return StampSynchronizer(parts, 6)
@@ -250,7 +250,7 @@ def own_time(old="correct", latency_ms=0, every=20):
     """Synchronizer of a run in real time whose camera (part 1) sees 0.1 of the gauge (part 2)."""
     camera = SlowSensor("camera", slice(2, 4), every * MS, latency_ms * MS, old, slice(4, 6), 0.1)
     codec = Codec(VECTOR3, 2, "f")
-    parts = [TickPart(codec, slice(0, 2)), TickPart(codec, slice(2, 4), every, True), TickPart(codec, slice(4, 6))]
+    parts = [TickPart(codec, slice(0, 2)), TickPart(codec, slice(2, 4), every, range(2)), TickPart(codec, slice(4, 6))]
     return StampSynchronizer(parts, 6, {1: camera}), camera
 
 

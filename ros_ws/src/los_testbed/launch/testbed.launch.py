@@ -1,6 +1,7 @@
 """All nodes of a run; it ends when the plant has finished, with an error if one of them failed.
 
 ros2 launch los_testbed testbed.launch.py duration:=60.0 loop:=fsm
+ros2 launch los_testbed testbed.launch.py composed:=false
 ros2 launch los_testbed testbed.launch.py params:=/path/to/run.yaml namespace:=/foo mode:=lockstep record:=false
 """
 
@@ -16,7 +17,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from los_testbed.config import NAMESPACE, RunConfig
 
-NODES = ("plant", "estimator", "controller", "recorder")
+SEPARATE = ("plant", "estimator", "controller", "recorder")
+COMPOSED = ("plant", "estimator_controller", "recorder")
+"""Programs of a run, with estimator and controller in two processes or in one."""
 SETTINGS = ("mode", "duration", "loop", "scenario", "output")
 ARGUMENTS = {
     "params": ("", "parameter file; empty for the one that is installed with the package"),
@@ -25,6 +28,7 @@ ARGUMENTS = {
         name: ("", f"{own.text}; {own.range}" if (own := RunConfig.SETTINGS[name]).range else own.text)
         for name in SETTINGS
     },
+    "composed": ("true", "whether estimator and controller are two nodes of one process"),
     "record": ("true", "whether a recorder takes part"),
     "live": ("false", "whether to serve viewers on 127.0.0.1: Foxglove's protocol on port 8765, a page on 8766"),
     "respawn": ("true", "in real time: whether a node that dies is started again, at most three times"),
@@ -53,7 +57,7 @@ def start(context):
         No such parameter file, or an argument that is neither true nor false.
     """
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    for name in ("record", "live", "respawn"):
+    for name in ("composed", "record", "live", "respawn"):
         if given[name].lower() not in ("true", "false"):
             raise ValueError(f"{name} must be true or false, got {given[name]!r}")
     file = Path(given["params"] or Path(get_package_share_directory("los_testbed"), "config", "run.yaml"))
@@ -62,7 +66,8 @@ def start(context):
     record = given["record"].lower() == "true"
     values = settings(file, given, record)
     respawn = given["respawn"].lower() == "true" and values["mode"] == "realtime"
-    names = NODES if record else NODES[:3]
+    programs = COMPOSED if given["composed"].lower() == "true" else SEPARATE
+    names = programs if record else programs[:-1]
     # a recorder with a bag of a given name cannot begin it twice
     again = {name: respawn and not (name == "recorder" and values.get("output")) for name in names}
     nodes = {

@@ -29,6 +29,12 @@ ACTIVE = "active"
 
 MODES = ("realtime", "lockstep", "inprocess")
 
+AUTO = "auto"
+"""Mode of the command line: real time where the machine keeps pace, else lockstep; see :mod:`los_testbed.run.modes`."""
+
+PROCESSES = COMPOSED, SEPARATE = ("composed", "separate")
+"""Estimator and controller in one process, or each in its own."""
+
 STARTS = ("steady", "rest")
 """Start of a run: in the steady state of the loop under its tones and the sensors' bias; all states zero."""
 
@@ -100,11 +106,15 @@ class RunConfig(PhysicalSettings):
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
     namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")
     domain: int | None = setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0")
+    processes: str = setting(PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES)
     priority: bool = setting(True, "ask for real-time scheduling and locked memory")
     pin: bool = setting(True, "keep each node on one processor, if real-time scheduling is permitted")
     wait_for_recorder: bool = setting(False, "begin only when a recorder sees every topic")
     wait_for_start: bool = setting(False, "begin only when the service plant/start is called")
     start_timeout: float = setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
+    exercise: float = setting(0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60)
+    max_missed: float = setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0)
+    mode_choice: str | None = setting(None, "why the program chose the mode", absent="it was asked for")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
 
+BOTH_LAWS = "estimator_controller"
+"""Program with estimator and controller in one process."""
+
 IMAGE_VECTOR = "image"
 """Vector of the pixels of a frame, row by row."""
 

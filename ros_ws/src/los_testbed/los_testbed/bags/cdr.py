@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.topics import TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
-from pointing_analysis.read.messages.message_types import JOINT_STATE
+from pointing_analysis.read.messages.message_types import JOINT_NAMES, JOINT_STATE
 
 _FRAME_OFFSET = STAMP_OFFSET + STAMP.size
 _LITTLE_ENDIAN = ENCAPSULATION[:2]
@@ -36,8 +38,8 @@ class Codec(Encoder):
     (1002000000, [1e-06, -2e-06])
     """
 
-    def __init__(self, type_name: str, size: int, frame_id: str) -> None:
-        super().__init__(type_name, size, frame_id)
+    def __init__(self, type_name: str, size: int, frame_id: str, names: Sequence[str] = JOINT_NAMES) -> None:
+        super().__init__(type_name, size, frame_id, names)
         self._fixed = bytes(self._buffer[_FRAME_OFFSET : self._offset])
 
     def decode(self, data: bytes, out: FloatArray) -> int:

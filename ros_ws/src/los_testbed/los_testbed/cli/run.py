@@ -22,12 +22,13 @@ from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
-from los_testbed.config import BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.config import AUTO, BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import RunParts
+from los_testbed.run.modes import first_choice, in_lockstep, late_answers
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.processes.viewers import Live
-from los_testbed.run.results import MAX_MISSED, Results, RunError
+from los_testbed.run.results import Results, RunError
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
@@ -73,7 +74,10 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 """
 
 
-@with_settings(without=("disturbance", "disturbance_source", "disturbance_files"), metavars={"domain": "INTEGER|free"})
+@with_settings(
+    without=("disturbance", "disturbance_source", "disturbance_files", "exercise", "mode_choice"),
+    metavars={"domain": "INTEGER|free", "mode": "auto|realtime|lockstep|inprocess", "max_missed": "PERCENT"},
+)
 def run(
     *,
     given: dict[str, Any],
@@ -112,9 +116,6 @@ def run(
         bool,
         typer.Option("--isolated", help="A network of the run's own: no other program is on its ROS domain."),
     ] = False,
-    max_missed: Annotated[
-        float, typer.Option(metavar="PERCENT", min=0.0, max=100.0, help="Most ticks in real time that may be missed.")
-    ] = MAX_MISSED,
     sign_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
     ] = None,
@@ -132,7 +133,8 @@ def run(
             given["domain"] = held.enter_context(free_domain(given["namespace"] or NAMESPACE))
             sys.stderr.write(f"ROS domain {given['domain']}\n")
         given |= _disturbance(disturbance, no_disturbance)
-        chosen = configure(config, settings or [], given, case=case, cases=cases, sample=sample, designs=designs)
+        free_mode = only is None and trace is None
+        chosen = configure(config, settings or [], given, case, cases, sample, designs, free_mode=free_mode)
         if only is not None:
             _watch_code_of_user(chosen.code_of_user, chosen.bag)
             _run_alone(only, chosen, sign_key is not None, isolated, trace)
@@ -150,7 +152,7 @@ def run(
             key = private_key("--sign-key", sign_key)
         _watch_code_of_user(chosen.code_of_user, chosen.bag)
         parts = RunParts(chosen)
-        _run_and_tell(parts, Nodes(viewers, isolated, not free), max_missed, report, json_, key, trace)
+        _run_and_tell(parts, Nodes(viewers, isolated, not free), report, json_, key, trace)
 
 
 def _watch_code_of_user(code: Sequence[str], bag: Path) -> None:
@@ -192,7 +194,6 @@ def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace
 def _run_and_tell(
     parts: RunParts,
     nodes: Nodes,
-    max_missed: float,
     report: bool,
     json_: bool,
     key: Ed25519PrivateKey | None = None,
@@ -224,19 +225,22 @@ def _run_and_tell(
     except ValueError as error:  # no mistake of the user that shows before the work
         code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
         raise RunError(f"not evaluated: {error}", code) from None
-    print_summary(console, summaries, max_missed)
+    print_summary(console, summaries)
     if json_:
         print_json(summaries.runs[0])
     if ended is not None:
         raise typer.Exit(ended)
     if not whole:
         raise typer.Exit(ExitCode.FAILED)
-    if (share := missed_share(summaries.runs[0])) > max_missed:
+    if (share := missed_share(summaries.runs[0])) > parts.config.max_missed:
         message = (
-            f"missed ticks must be at most {max_missed:g} % (--max-missed), got {share:.2f} %: this machine was too "
-            f"slow or too busy for the loop; --mode lockstep misses none on any; the bag is whole: {bag}"
+            f"missed ticks must be at most {parts.config.max_missed:g} % (--max-missed), got {share:.2f} %: this "
+            "machine was too slow or too busy for the loop; --mode lockstep misses none on any; the bag is whole: "
+            f"{bag}"
         )
-        raise RunError(message, ExitCode.MISSED_TICKS)
+        if parts.config.mode_choice is None:
+            raise RunError(message, ExitCode.MISSED_TICKS)
+        say(console, message, "warning")
 
 
 def configure(
@@ -247,10 +251,12 @@ def configure(
     cases: Path | None = None,
     sample: str | None = None,
     designs: str | None = None,
+    free_mode: bool = False,
 ) -> RunConfig:
     """Configuration from folder of designs, file, named case, random member, ``--set`` and options; later ones win.
 
-    Where none of them names a member of the telescope's family, the scenario chooses it.
+    Where none of them names a member of the telescope's family, the scenario chooses it. The mode ``auto``, which is
+    the default where the mode is free, is the first choice of :mod:`los_testbed.run.modes`.
 
     Raises
     ------
@@ -267,6 +273,11 @@ def configure(
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
     settings_given = layered(first, named, drawn, stated, options)
+    if settings_given.get("mode", AUTO if free_mode and "max_missed" not in settings_given else "") == AUTO:
+        free_mode = not settings_given.get("device")
+        settings_given.pop("mode", None)
+    else:
+        free_mode = False
     code = any(is_code(str(settings_given.get(name) or "")) for name in ("k_fsm", "k_pma"))
     other = settings_given.get("plant") or settings_given.get("device")
     if other or code:  # what is steady is known of the telescope and of linear laws only
@@ -275,14 +286,17 @@ def configure(
         chosen = RunConfig.from_mapping(settings_given)
     else:
         chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
+    if free_mode:
+        chosen = first_choice(chosen)
     if chosen.output is None:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
 
 
 def new_bag(config: RunConfig) -> Path:
-    """Name for a bag that is not there yet, under bags/."""
-    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{config.mode}-{config.loop}"
+    """Name for a bag that is not there yet, under bags/; with the mode that was asked for."""
+    mode = config.mode if config.mode_choice is None else AUTO
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{mode}-{config.loop}"
     folder = Path("bags")
     names = (folder / (stem if i == 0 else f"{stem}-{i}") for i in range(1000))
     return next(name for name in names if not name.exists())
@@ -403,6 +417,8 @@ def execute(parts: RunParts, nodes: Nodes) -> Results:
     warn(warnings)
     for line in telescope_differences(config.parameters):
         sys.stderr.write(f"telescope: {line}\n")
+    if config.mode == "inprocess" and config.mode_choice:
+        sys.stderr.write(f"{config.mode_choice}: run in one process\n")
     with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
 
         def progress(ticks: int) -> None:
@@ -426,5 +442,9 @@ def execute(parts: RunParts, nodes: Nodes) -> Results:
         results = Runner(
             watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain
         ).run()
+    if results.too_slow is not None:
+        told = late_answers(config, results.too_slow)
+        sys.stderr.write(f"{told}: the run goes on in lockstep; --mode realtime insists on real time\n")
+        return execute(replace(parts, config=in_lockstep(config, results.too_slow)), nodes)
     results.warnings = [warning for warning in results.warnings if warning not in warnings]
     return results

@@ -63,6 +63,15 @@ class CommandGate:
         except CodecError as error:
             self.rejected[error.reason] += 1
             return False
+        return self._judge(stamp, now_ns, source)
+
+    def offer_values(self, stamp: int, values: FloatArray, now_ns: int, source: str = OURS) -> bool:
+        """Take values (size,) that came with those of other gates in one message, as :meth:`offer`."""
+        self._candidate[:] = values
+        return self._judge(stamp, now_ns, source)
+
+    def _judge(self, stamp: int, now_ns: int, source: str) -> bool:
+        """Hold the candidate, or reject it."""
         reason = self._fault(stamp, now_ns, source)
         if reason:
             self.rejected[reason] += 1

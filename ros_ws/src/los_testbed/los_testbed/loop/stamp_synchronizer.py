@@ -38,15 +38,33 @@ class TickPart:
         Columns in the joined vector.
     every : int
         Due on ticks whose number (stamp / 1 ms) is a multiple of this.
-    nan_allowed : bool
-        Whether NaN is a value (a dropped camera frame); otherwise such a message is rejected.
+    intermittent : sequence of int
+        Those of its values that may be NaN (a dropped camera frame, a sensor without a sample at this tick); a message
+        with another one is rejected.
+    frames : sequence of (int, int)
+        Slow sensors whose samples come in this message: their number among the slow ones and the column of their age.
     """
 
-    def __init__(self, codec: Codec, columns: slice, every: int = 1, nan_allowed: bool = False) -> None:
+    def __init__(
+        self,
+        codec: Codec,
+        columns: slice,
+        every: int = 1,
+        intermittent: Sequence[int] = (),
+        frames: Sequence[tuple[int, int]] = (),
+    ) -> None:
         self.codec = codec
         self.columns = columns
         self.period_ns = every * TICK_NS
-        self.nan_allowed = nan_allowed
+        self.frames = tuple(frames)
+        self._required = np.setdiff1d(np.arange(codec.size), intermittent) if len(intermittent) else None
+
+    def valid(self, values: FloatArray) -> bool:
+        """Whether all values are finite, but for NaN where that is allowed."""
+        needed = values if self._required is None else values[self._required]
+        # x - x is 0 for a finite number only; one product is cheaper than np.isfinite on each
+        energy = float(needed.dot(needed))
+        return energy - energy == 0.0 and (self._required is None or not np.isinf(values).any())
 
 
 class StampSynchronizer:
@@ -62,8 +80,9 @@ class StampSynchronizer:
     size : int
         Length of the joined vector; what is not due is NaN.
     slow : mapping of int to SlowSensor, optional
-        In real time: parts that are used when they come, which no tick waits for. Stamps of the others may then be off
-        the grid, by a fixed part and less than half a tick of jitter: they count for the nearest tick.
+        In real time: parts that are used when they come, which no tick waits for; numbers behind those of the parts are
+        of sensors whose samples come in the message of a part (:attr:`TickPart.frames`). Stamps of the others may then
+        be off the grid, by a fixed part and less than half a tick of jitter: they count for the nearest tick.
 
     Examples
     --------
@@ -82,7 +101,7 @@ class StampSynchronizer:
         self.parts = tuple(parts)
         self.slow = dict(slow or {})
         self.off_grid: Counter[int] = Counter()
-        self.latest = [HOLD_STAMP] * len(self.parts)
+        self.latest = [HOLD_STAMP] * (max([len(self.parts) - 1, *self.slow]) + 1)
         self._snaps = slow is not None
         self._phases: dict[int, int] = {}
         self.rejected: Counter[str] = Counter()
@@ -139,7 +158,9 @@ class StampSynchronizer:
                 self.rejected[source] += 1
                 return None
             if stamp != HOLD_STAMP and index in self.slow:
-                self._take_frame(index, sent, stamp, data)
+                values = np.empty(part.columns.stop - part.columns.start)
+                part.codec.decode(data, values)
+                self._take_frame(index, sent, stamp, values)
                 return None
             if stamp != HOLD_STAMP and (stamp <= self.last or self._stamps[slot] > stamp):
                 self.rejected["late"] += 1
@@ -152,11 +173,12 @@ class StampSynchronizer:
         except CodecError as error:
             self.rejected[error.reason] += 1
             return None
-        # x - x is 0 for a finite number only; one product is cheaper than np.isfinite on each
-        energy = float(values.dot(values))
-        if energy - energy != 0.0 and not (part.nan_allowed and not np.isinf(values).any()):
+        if not part.valid(values):
             self.rejected["not_finite"] += 1
             return None
+        if self._snaps and stamp != HOLD_STAMP:
+            for number, age in part.frames:
+                self._take_bundled(number, self._rows[slot], stamp, age)
         self._newest = max(self._newest, stamp)
         self.latest[index] = stamp
         seen = self._seen[slot] = self._seen[slot] | 1 << index
@@ -207,11 +229,18 @@ class StampSynchronizer:
         self.off_grid[index] += stamp % TICK_NS != 0
         return (stamp - phase + TICK_NS // 2) // TICK_NS * TICK_NS
 
-    def _take_frame(self, index: int, sent: int, tick: int, data: bytes) -> None:
+    def _take_bundled(self, index: int, row: FloatArray, stamp: int, age: int) -> None:
+        """A frame that came with the samples of a tick, as old as the column `age` says; NaN: none came."""
+        columns, seconds = self.slow[index].columns, row[age]
+        values = row[columns].copy()
+        row[columns] = np.nan
+        if seconds == seconds:
+            sent = stamp - round(seconds * 1e9)
+            self._take_frame(index, sent, self._nearest(index, sent), values)
+
+    def _take_frame(self, index: int, sent: int, tick: int, values: FloatArray) -> None:
         """A frame of a slow sensor is kept there for its tick or, where that is over, for the next one."""
-        part, sensor = self.parts[index], self.slow[index]
-        values = np.empty(part.columns.stop - part.columns.start)
-        part.codec.decode(data, values)
+        sensor = self.slow[index]
         if np.isinf(values).any():
             self.rejected["not_finite"] += 1
         elif sensor.note(sent, tick, self.now, self.horizon):

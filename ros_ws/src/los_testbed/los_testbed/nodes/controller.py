@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fsm_pma_controller.runtime import FsmPmaController
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_controller
 from los_testbed.law_devices import NO_DEVICES
 from los_testbed.loop.changes import Apply, Fade
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
+from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.transport.bundle import Bundle
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
@@ -43,48 +44,105 @@ def main(
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        own = build is not build_controller
-        run = RunParts(context.config)
-        controller = made_by(build, context.config, "controller") if own else run.controller()
-        control, reset = watched(controller.step, "step"), watched(controller.reset, "reset")
-        if not own:
-            context.warn_alone(run.check())
-        devices = NO_DEVICES if own else run.used["k_pma"]
-        further = tuple(shifted(topic, ACCEL.stop) for topic in sensor_topics(devices.sensors))
-        size = ACCEL.stop + sum(topic.size for topic in further)
+        law = ControllerLaw(context, build)
+        further = tuple(shifted(topic, ACCEL.stop) for topic in law.further)
         parts = [
             TickPart(codec_for(ISOLATOR_ACCEL), ACCEL),
             *(TickPart(codec_for(topic), topic.columns) for topic in further),
             TickPart(codec_for(LOS_ESTIMATE), ESTIMATE),
         ]
-        topics = (*actuator_topics(devices.actuators), *COMMANDS)  # the last ones close the tick
-        outputs = [(RawPublisher(context.node, t.name, t.type_name), codec_for(t), t.columns) for t in topics]
-        command, nothing = (np.zeros(COMMAND_SIZE + len(devices.actuators)) for _ in range(2))
-        fill = context.config.lost_samples
-        step = GapStepper(lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), size, fill=fill)
-        fade = Fade(context.config.fade_ticks)
-        changes = context.allow_changes({ACTIVE: fade.turn, **_appliers(controller)}, _limits(run.basis))
-        slots = [(publisher, codec, command[c], nothing[c]) for publisher, codec, c in outputs]
-
-        def tick(stamp: int, sample: FloatArray, gap: int) -> None:
-            if stamp == HOLD_STAMP:
-                reset()
-                for publisher, codec, _, zero in slots:
-                    publisher.publish(codec.encode(stamp, zero))
-                return
-            step(sample, gap, command)
-            if not fade.whole:
-                np.multiply(command, fade.weight(), out=command)
-            for publisher, codec, values, _ in slots:
-                publisher.publish(codec.encode(stamp, values))
-
-        synchronizer = StampSynchronizer(parts, size, {} if context.config.mode == "realtime" else None)
-        follower = Follower(context, (ISOLATOR_ACCEL, *further, LOS_ESTIMATE), synchronizer, tick, changes)
-        code = follower.run()
-        settle([publisher for publisher, _, _ in outputs])
-        return code
+        synchronizer = StampSynchronizer(parts, law.size, {} if context.config.mode == "realtime" else None)
+        return Follower((ISOLATOR_ACCEL, *further, LOS_ESTIMATE), synchronizer, [law]).run()
 
     return run_node("controller", arguments, body)
+
+
+class ControllerLaw:
+    """Mirror and proof-mass laws in their node, see :class:`~los_testbed.nodes.support.follower.Law`.
+
+    Parameters
+    ----------
+    context : NodeContext
+    build : callable
+        Makes the controller.
+
+    Attributes
+    ----------
+    further : tuple of TopicDefinition
+        Further sensors whose values it takes in behind estimate and platform acceleration.
+    size : int
+        Number of its inputs.
+    command : ndarray, shape (8 or more,)
+        Its output [rad, N], the same array at every tick.
+    """
+
+    def __init__(self, context: NodeContext, build: Callable[[RunConfig], ControllerCore] = build_controller) -> None:
+        self.context = context
+        own = build is not build_controller
+        run = RunParts(context.config)
+        controller = made_by(build, context.config, "controller") if own else run.controller()
+        if not own:
+            context.warn_alone(run.check())
+        devices = NO_DEVICES if own else run.used["k_pma"]
+        self._reset, control = watched(controller.reset, "reset"), watched(controller.step, "step")
+        self.further = sensor_topics(devices.sensors)
+        self.size = ACCEL.stop + sum(topic.size for topic in self.further)
+        self.command = np.zeros(COMMAND_SIZE + len(devices.actuators))
+        topics = (*actuator_topics(devices.actuators), *COMMANDS)  # the last ones close the tick
+        self._outputs = [
+            (RawPublisher(context.node, t.name, t.type_name), codec_for(t), self.command[t.columns]) for t in topics
+        ]
+        self._sample = np.zeros(self.size)
+        self._estimate: FloatArray = np.zeros(0)
+        self._columns: IntArray | None = None
+        fill = context.config.lost_samples
+        self._step = GapStepper(
+            lambda sample, out: control(sample[ESTIMATE], sample[ESTIMATE.stop :], out), self.size, fill=fill
+        )
+        self._fade = Fade(context.config.fade_ticks)
+        changing = {ACTIVE: self._fade.turn, **_appliers(controller)}
+        self.changes = context.allow_changes(changing, _limits(run.basis))
+
+    def compose(self, estimate: FloatArray, columns: IntArray, bundle: Bundle) -> None:
+        """Take the estimate from an observer of this process, and send the commands in one message before their topics.
+
+        Parameters
+        ----------
+        estimate : ndarray, shape (2,)
+            Output of the observer, the same array at every tick.
+        columns : ndarray of int
+            Where the other inputs are in the joined vector of a tick.
+        bundle : Bundle
+            The message.
+        """
+        self._estimate, self._columns = estimate, columns
+        whole = RawPublisher(self.context.node, bundle.name, bundle.type_name), bundle.codec(), self.command
+        self._outputs.insert(0, whole)
+
+    def reset(self) -> None:
+        """Back to the start of the run."""
+        self._reset()
+        self.command[:] = 0.0
+
+    def step(self, vector: FloatArray, gap: int) -> None:
+        """Step on the inputs in `vector`, after `gap` missing ticks."""
+        sample = vector
+        if self._columns is not None:
+            sample = self._sample
+            sample[ESTIMATE] = self._estimate
+            sample[ESTIMATE.stop :] = vector[self._columns]
+        self._step(sample, gap, self.command)
+        if not self._fade.whole:
+            self.command *= self._fade.weight()
+
+    def publish(self, stamp: int) -> None:
+        """Send the commands."""
+        for publisher, codec, values in self._outputs:
+            publisher.publish(codec.encode(stamp, values))
+
+    def settle(self) -> None:
+        """Let the readers take in what was sent last."""
+        settle([publisher for publisher, _, _ in self._outputs])
 
 
 def _appliers(controller: ControllerCore) -> dict[str, Apply]:

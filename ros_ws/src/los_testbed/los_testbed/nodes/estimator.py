@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_estimator
 from los_testbed.loop.changes import Fade
 from los_testbed.loop.slow_sensor import SlowSensor
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, StampSynchronizer, TickPart
+from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
-from los_testbed.topics import CAMERA_LOS, FSM_ANGLE, LOS_ESTIMATE, SENSORS, sensor_topics, shifted
+from los_testbed.topics import CAMERA_LOS, FSM_ANGLE, LOS_ESTIMATE, SENSORS, TopicDefinition, sensor_topics, shifted
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import ESTIMATES, HELD, MEASUREMENTS, TICK_NS
@@ -32,55 +32,97 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
-        own = build is not build_estimator
-        estimator = made_by(build, context.config, "estimator") if own else build(context.config)
-        estimate, reset = watched(estimator.step, "step"), watched(estimator.reset, "reset")
-        further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].sensors)
+        law = EstimatorLaw(context, build)
         # those of every tick before the one that wakes this node
-        topics = (*SENSORS[:-1], *(shifted(topic, MEASUREMENTS) for topic in further), SENSORS[-1])
-        parts = [TickPart(codec_for(t), t.columns, t.every(context.config.frame_ticks), t.framed) for t in topics]
-        size = MEASUREMENTS + sum(topic.size for topic in further)
-        codec = codec_for(LOS_ESTIMATE)
-        publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
-        los, nothing = np.zeros(ESTIMATES), np.zeros(ESTIMATES)
-        fade = Fade(context.config.fade_ticks)
-        changes = context.allow_changes({ACTIVE: fade.turn})
-        step = GapStepper(estimate, size, HELD, context.config.lost_samples)
-
-        def tick(stamp: int, measurement: FloatArray, gap: int) -> None:
-            if stamp == HOLD_STAMP:
-                reset()
-                publisher.publish(codec.encode(stamp, nothing))
-                return
-            step(measurement, gap, los)
-            if not fade.whole:
-                np.multiply(los, fade.weight(), out=los)
-            publisher.publish(codec.encode(stamp, los))
-
-        slow = slow_sensors(context.config) if context.config.mode == "realtime" else None
-        follower = Follower(context, topics, StampSynchronizer(parts, size, slow), tick, changes)
-        code = follower.run()
-        settle([publisher])
-        return code
+        further = (shifted(topic, MEASUREMENTS) for topic in law.further)
+        topics: tuple[TopicDefinition, ...] = (*SENSORS[:-1], *further, SENSORS[-1])
+        ticks = [topic.every(context.config.frame_ticks) for topic in topics]
+        parts = [
+            TickPart(codec_for(t), t.columns, every, range(t.size) if t.framed else ())
+            for t, every in zip(topics, ticks, strict=True)
+        ]
+        slow = None
+        if context.config.mode == "realtime":
+            slow = {
+                i: slow_sensor(context.config, t)
+                for i, (t, every) in enumerate(zip(topics, ticks, strict=True))
+                if t.framed and every > 1
+            }
+        return Follower(topics, StampSynchronizer(parts, law.size, slow), [law]).run()
 
     return run_node("estimator", arguments, body)
 
 
-def slow_sensors(config: RunConfig) -> dict[int, SlowSensor]:
-    """Sensors that no tick waits for, by their place among the topics; the mirror moves what the camera sees."""
-    moved = {CAMERA_LOS.name: (FSM_ANGLE.columns, RunParts(config).basis.los_sensitivity or 0.0)}
-    return {
-        index: SlowSensor(
-            topic.name,
-            topic.columns,
-            topic.every(config.frame_ticks) * TICK_NS,
-            round(config.camera_latency * TICK_NS) if topic.name == CAMERA_LOS.name else 0,
-            config.old_frames,
-            *moved.get(topic.name, (None, 0.0)),
-        )
-        for index, topic in enumerate(SENSORS)
-        if topic.framed and topic.every(config.frame_ticks) > 1
-    }
+class EstimatorLaw:
+    """The observer in its node, see :class:`~los_testbed.nodes.support.follower.Law`.
+
+    Parameters
+    ----------
+    context : NodeContext
+    build : callable
+        Makes the observer.
+    columns : ndarray of int, optional
+        Where its inputs are in the joined vector of a tick; default: the vector has nothing else.
+
+    Attributes
+    ----------
+    further : tuple of TopicDefinition
+        Further sensors whose values it takes in behind the measurement.
+    size : int
+        Number of its inputs.
+    los : ndarray, shape (2,)
+        Its output [rad], the same array at every tick.
+    """
+
+    def __init__(self, context: NodeContext, build: Callable[[RunConfig], EstimatorCore] = build_estimator) -> None:
+        self.context = context
+        own = build is not build_estimator
+        estimator = made_by(build, context.config, "estimator") if own else build(context.config)
+        self._reset = watched(estimator.reset, "reset")
+        self.further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].sensors)
+        self.size = MEASUREMENTS + sum(topic.size for topic in self.further)
+        self.columns: IntArray | None = None
+        self.los = np.zeros(ESTIMATES)
+        self._sample = np.zeros(self.size)
+        self._codec = codec_for(LOS_ESTIMATE)
+        self._publisher = RawPublisher(context.node, LOS_ESTIMATE.name, LOS_ESTIMATE.type_name)
+        self._fade = Fade(context.config.fade_ticks)
+        self.changes = context.allow_changes({ACTIVE: self._fade.turn})
+        self._step = GapStepper(watched(estimator.step, "step"), self.size, HELD, context.config.lost_samples)
+
+    def reset(self) -> None:
+        """Back to the start of the run."""
+        self._reset()
+        self.los[:] = 0.0
+
+    def step(self, vector: FloatArray, gap: int) -> None:
+        """Step on the inputs in `vector`, after `gap` missing ticks."""
+        sample = vector if self.columns is None else vector.take(self.columns, out=self._sample)
+        self._step(sample, gap, self.los)
+        if not self._fade.whole:
+            self.los *= self._fade.weight()
+
+    def publish(self, stamp: int) -> None:
+        """Send the estimate."""
+        self._publisher.publish(self._codec.encode(stamp, self.los))
+
+    def settle(self) -> None:
+        """Let the readers take in what was sent last."""
+        settle([self._publisher])
+
+
+def slow_sensor(config: RunConfig, topic: TopicDefinition) -> SlowSensor:
+    """A sensor that no tick waits for in real time; the mirror moves what the camera sees."""
+    camera = topic.name == CAMERA_LOS.name
+    return SlowSensor(
+        topic.name,
+        topic.columns,
+        topic.every(config.frame_ticks) * TICK_NS,
+        round(config.camera_latency * TICK_NS) if camera else 0,
+        config.old_frames,
+        FSM_ANGLE.columns if camera else None,
+        (RunParts(config).basis.los_sensitivity or 0.0) if camera else 0.0,
+    )
 
 
 if __name__ == "__main__":

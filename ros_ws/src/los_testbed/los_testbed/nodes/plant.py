@@ -14,6 +14,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
@@ -30,6 +31,7 @@ from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
 from los_testbed.loop.tick_clock import TickClock
+from los_testbed.nodes.support.exercise import exercise
 from los_testbed.nodes.support.handshake import OtherPlants, wait_for_followers
 from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
@@ -37,12 +39,16 @@ from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plants import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line, made_by
+from los_testbed.run.results import Exercised, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 
 RING = 64
+
+TRIALS = 2
+"""The loop is tried so often before it is found to be too slow."""
 
 OWN_PLANT = "start must be rest, in every node, for another plant than the telescope, got steady"
 
@@ -123,6 +129,7 @@ class PlantLoop:
         self.changes = context.allow_changes(appliers)
         self.services = RunServices(context.node, self.changes, context.config.wait_for_start, context.requesters)
         self._again = False
+        self._exercised: Exercised | None = None
 
     def _begin_counts(self) -> None:
         """Counts and times of a run."""
@@ -152,6 +159,9 @@ class PlantLoop:
             context, self.io, lambda: self.services.may_begin, others.refuse_running, meanwhile=self._meanwhile
         )
         others.close()
+        if context.config.exercise and context.config.mode == "realtime" and not self._keeps_pace():
+            context.event("done", statistics={})
+            return 0
         while True:
             if context.stop:
                 context.event("done", statistics={})
@@ -171,6 +181,17 @@ class PlantLoop:
         if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         return 0
+
+    def _keeps_pace(self) -> bool:
+        """Whether the loop, which is tried, answers in time; a single stall of the machine is not its pace."""
+        config = self.context.config
+        for trial in range(TRIALS):
+            self._exercised = found = exercise(self.context, self.io, config.exercise)
+            if found.share <= config.max_missed or self.context.stop:
+                return True
+            if trial == TRIALS - 1:
+                self.context.event("too_slow", **asdict(found))
+        return False
 
     def _ask_again(self, value: bool) -> None:
         self._again = True
@@ -284,18 +305,13 @@ class PlantLoop:
 
     def _take_commands(self, now: int) -> None:
         """Offer all commands that arrived to the gates; count the latency of the mirror commands."""
-        io, steady = self.io, time.monotonic_ns()
-        for one in io.commands:
-            if one is not io.mirror:
-                while (taken := one.source.take()) is not None:
-                    one.gate.offer(taken[0], now, one.source.sort(taken, steady))
-        source, gate = io.mirror.source, io.mirror.gate
-        while (taken := source.take()) is not None:
-            if gate.offer(taken[0], now, source.sort(taken, steady)):
-                tick = (gate.last_stamp - io.start) // TICK_NS
-                latency = taken.received - self._woke[tick % RING]
-                if 0 <= latency < CLOCK_STEP_NS:
-                    self.latency.add(latency)
+        self.io.take(now, time.monotonic_ns(), self._note_latency)
+
+    def _note_latency(self, stamp: int, received: int) -> None:
+        """Count the time from the samples of a tick to the arrival of its mirror command."""
+        latency = received - self._woke[(stamp - self.io.start) // TICK_NS % RING]
+        if 0 <= latency < CLOCK_STEP_NS:
+            self.latency.add(latency)
 
     def _step(self, now: int) -> None:
         """Changes, commands and plant of a tick."""
@@ -306,6 +322,7 @@ class PlantLoop:
                 changes.advance(changes.now)
             io.apply(now, command)
             self.plant.step(command, self._measurement, self._truth)
+            io.pack(now, self._measurement, self._further)
         except BlockFailedError:  # says itself what failed
             raise
         except RAISED as error:
@@ -388,6 +405,7 @@ class PlantLoop:
             **({} if lockstep else {"period_mean_us": f"{self.period.mean_us:.3f}"}),
             **({} if lockstep else {"period_max_us": f"{self.period.maximum_us:g}"}),
             **self.execution.summary("execution"),
+            **({} if self._exercised is None else in_statistics(self._exercised)),
             **self.io.rejections(),
             **self.io.watch.statistics(),
             **self.changes.record(),

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from los_testbed.config import RunConfig
 from los_testbed.topics import LATE_REPORTS, LIVELINESS_LOST, REPORT_DEADLINE_S
 
-MAX_MISSED = 0.5
+MAX_MISSED = float(RunConfig.SETTINGS["max_missed"].default)
 """Percent of the ticks of a run in real time that may be missed."""
 
 
@@ -18,6 +19,45 @@ class RunError(RuntimeError):
     def __init__(self, message: str, code: int = 1) -> None:
         super().__init__(message)
         self.code = code
+
+
+@dataclass(frozen=True)
+class Exercised:
+    """Answers to the ticks with which the loop was tried before a run.
+
+    Parameters
+    ----------
+    ticks, late, lost : int
+        Ticks that were sent, those of them without an answer within their period, and periods that the plant lost.
+    median_us : float
+        Median time from a tick to its answer [us]; 0 without any.
+    """
+
+    ticks: int
+    late: int
+    lost: int
+    median_us: float
+
+    @property
+    def share(self) -> float:
+        """Late answers [%].
+
+        Examples
+        --------
+        >>> Exercised(1400, 7, 0, 300.0).share
+        0.5
+        """
+        return 100.0 * self.late / max(self.ticks, 1)
+
+
+def in_statistics(exercised: Exercised) -> dict[str, str]:
+    """As the statistics of the plant have it."""
+    return {
+        "exercised_ticks": str(exercised.ticks),
+        "exercised_late": str(exercised.late),
+        "exercised_lost": str(exercised.lost),
+        "exercised_median_us": f"{exercised.median_us:.0f}",
+    }
 
 
 def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict[str, int]:
@@ -65,6 +105,7 @@ class Results:
     latency : histogram of the plant's latencies, microseconds to counts
     earlier : bags of the same run from before its plant was started again
     interrupted : whether the run was ended before its time
+    too_slow : what was measured where the machine was too slow for the run to begin; None elsewhere
     """
 
     statistics: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -74,3 +115,4 @@ class Results:
     latency: dict[int, int] = field(default_factory=dict)
     earlier: list[Path] = field(default_factory=list)
     interrupted: bool = False
+    too_slow: Exercised | None = None

@@ -29,14 +29,17 @@ from los_testbed.run.processes.node_launch import (
     module_of,
     node_command,
     parameter_text,
+    programs,
     ros_arguments,
 )
 from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.viewers import LIVE, Live
-from los_testbed.run.results import Results, RunError, counted, late_reports
+from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
 from los_testbed.run_start import START_VARIABLE, at_rest, for_nodes
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE
+
+LAWS = ("estimator", "controller")
 
 RESTARTS = 3
 """A node that dies during the run is started again this often."""
@@ -82,8 +85,9 @@ class Runner:
         self._network = Network()
         self._config = at_rest(config) if commands and "plant" in commands else config
         self._progress = progress
-        own = {name: node_command(module_of(name, config)) for name in NODES}
-        self._commands = {name: (commands or {}).get(name, own[name]) for name in NODES}
+        self._programs = programs(config, own=not commands)
+        own = {name: node_command(module_of(name, config)) for name in self._programs}
+        self._commands = {name: (commands or {}).get(name, own[name]) for name in self._programs}
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
         self._seen: dict[tuple[str, str], dict[str, Any]] = {}
@@ -103,7 +107,7 @@ class Runner:
     @property
     def processes(self) -> dict[str, int]:
         """Process numbers of the nodes that run."""
-        return {name: node.process.pid for name, node in self._nodes.items()}
+        return {name: program.process.pid for program in self._nodes.values() for name in program.nodes}
 
     @property
     def ticks_done(self) -> int:
@@ -164,7 +168,7 @@ class Runner:
     def _unlisted(self) -> str:
         """Beginning of the list of members: programs of the user's own in a node's place may list nothing."""
         space = self._config.namespace.rstrip("/")
-        own = [name for name in ("estimator", "controller") if self._commands[name] != node_command(name)]
+        own = [name for name in LAWS if name in self._commands and self._commands[name] != node_command(name)]
         return "".join(complete_line(f"{space}/{name}") for name in own)
 
     def _perform(self) -> None:
@@ -174,9 +178,13 @@ class Runner:
                 self._start(LIVE)
                 self._until(LIVE, "ready", 120.0)
             self._until("plant", "alone", 30.0)
-            for name in NODES[1:]:
+            for name in list(self._programs)[1:]:
                 self._start(name)
-            self._until("plant", "running", None if self._config.wait_for_start else self._config.start_timeout + 120.0)
+            begun = None if self._config.wait_for_start else self._config.start_timeout + 120.0
+            self._until("plant", "running", begun, or_kind="too_slow")
+            if slow := self._seen.get(("plant", "too_slow")):
+                self.results.too_slow = Exercised(slow["ticks"], slow["late"], slow["lost"], slow["median_us"])
+                return
             self._until("plant", "done", None)
         except KeyboardInterrupt:
             self.results.interrupted = True
@@ -189,10 +197,11 @@ class Runner:
 
     def _accept_ends(self) -> None:
         """The run ends: nodes that a signal has ended before they were asked to have done their work."""
-        for name, node in self._nodes.items():
-            if (name, ENDED) in self._seen:
-                self._seen[name, "done"] = self._seen.pop((name, ENDED))
-                node.asked_to_stop = True
+        for node in self._nodes.values():
+            for name in node.nodes:
+                if (name, ENDED) in self._seen:
+                    self._seen[name, "done"] = self._seen.pop((name, ENDED))
+                    node.asked_to_stop = True
 
     def _finish(self) -> None:
         """Followers first, so that their last samples reach the recorder; then the recorder.
@@ -200,9 +209,10 @@ class Runner:
         It has the nodes' last statistics from here: where other programs have the processor, reports may be lost.
         """
         served = [LIVE] if LIVE in self._nodes else []
-        for name in ("estimator", "controller", *served):
+        laws = [name for name in self._programs if name not in ("plant", "recorder")]
+        for name in (*laws, *served):
             self._nodes[name].interrupt()
-        self._await_exit(("plant", "estimator", "controller"))
+        self._await_exit(("plant", *laws))
         for name in NODES[:-1]:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
         assert self._statistics is not None
@@ -252,17 +262,20 @@ class Runner:
         files = [file.descriptor for file in shared if file is not None]
         files += self._live.sockets if name == LIVE and self._live is not None else ()
         files += self._network.descriptors
-        node = self._nodes[name] = NodeProcess(name, self._network.command(command), self._variables, files)
+        nodes = self._programs.get(name, (name,))
+        node = self._nodes[name] = NodeProcess(name, self._network.command(command), self._variables, files, nodes)
         for stream in node.streams:
             os.set_blocking(stream.fileno(), False)
             self._selector.register(stream, selectors.EVENT_READ, node)
 
-    def _until(self, name: str, kind: str, timeout: float | None) -> None:
-        """Watch all nodes until this one reported this event; one that was asked to end is asked again."""
+    def _until(self, name: str, kind: str, timeout: float | None, or_kind: str = "") -> None:
+        """Watch all nodes until this one reported this event, or the other; one that was to end is asked again."""
         end = None if timeout is None else time.monotonic() + timeout
         remind = time.monotonic() + REMIND_S
-        while (name, kind) not in self._seen:
+        while (name, kind) not in self._seen and (name, or_kind) not in self._seen:
             self._poll(0.1)
+            if (name, or_kind) in self._seen:
+                return
             self._check()
             self._check_awaited(name, kind)
             if end is not None and time.monotonic() > end:
@@ -293,15 +306,17 @@ class Runner:
                 node.errors = (node.errors + data.decode(errors="replace"))[-4000:]
             else:
                 for event in node.feed(data):
-                    self._handle(node.name, event)
+                    told = str(event.get("node", node.name))
+                    self._handle(told if told in node.nodes else node.name, event, node)
 
-    def _may_end(self, name: str) -> bool:
+    def _may_end(self, node: NodeProcess) -> bool:
         """Whether a node that a signal ends does as it should."""
-        return self._nodes[name].asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
+        return node.asked_to_stop or self.results.interrupted or ("plant", "done") in self._seen
 
-    def _handle(self, name: str, event: dict[str, Any]) -> None:
+    def _handle(self, name: str, event: dict[str, Any], node: NodeProcess) -> None:
+        """Note an event of a node of this program."""
         kind = str(event["event"])
-        if kind == "done" and event.get("signal") and not self._may_end(name):
+        if kind == "done" and event.get("signal") and not self._may_end(node):
             kind = ENDED
             if event.get("bag"):
                 self._closed_by_recorder = [Path(event["bag"])]
@@ -323,6 +338,8 @@ class Runner:
             self._live.tell(str(event["foxglove"]), str(event["page"]))
         elif kind == "bag":
             self.results.earlier.append(Path(event["path"]))
+        elif kind == "left":
+            self._go_on_without(name)
         elif kind == "error":
             self._errors.append((name, str(event["message"])))
         self._seen[(name, kind)] = event
@@ -336,26 +353,27 @@ class Runner:
             self._poll(0.1)
             if ("plant", "done") in self._seen:
                 self._accept_ends()
-            if code == 0 and (node.name, "done") in self._seen:
+            if code == 0 and all((name, "done") in self._seen for name in node.nodes):
                 if ("plant", "running") not in self._seen:
                     raise RunError(f"{node.name} was told to end before the run began")
-                if ("plant", "done") not in self._seen:
-                    self._go_on_without(node.name)
+                for name in node.nodes if ("plant", "done") not in self._seen else ():
+                    self._go_on_without(name)
                 continue
-            told = [message for name, message in self._errors if name == node.name]
+            told = [message for name, message in self._errors if name in node.nodes]
+            ended = [self._seen[name, ENDED] for name in node.nodes if (name, ENDED) in self._seen]
             if node.name == LIVE and (LIVE, "ready") in self._seen:  # the run does without
                 node.asked_to_stop = True
                 how = [f"code {code}", *told][-1]
                 self.results.warnings.append(f"the server for viewers ended unexpectedly: {how}")
                 continue
-            if told and (node.name, ENDED) not in self._seen:
+            if told and not ended:
                 # the plant refuses publishers until it runs
                 working = "running" if node.name == "plant" else "ready"
-                before_work = (node.name, working) not in self._seen
+                before_work = not any((name, working) in self._seen for name in node.nodes)
                 before_work = before_work and ("plant", "running") not in self._seen
                 known = code == ExitCode.DEVICE or (code == ExitCode.USER_ERROR and before_work)
                 raise RunError(f"{node.name}: {told[-1]}", code if known else 1)
-            number = int(self._seen.get((node.name, ENDED), {}).get("signal", 0))
+            number = max([0, *(int(event.get("signal", 0)) for event in ended)])
             self._replace(node, node.how_it_ended(code, number), code < 0 or number > 0)
             return
 
@@ -377,7 +395,7 @@ class Runner:
         """
         # in lockstep the tick that waits for the node can no longer be answered
         running = ("plant", "running") in self._seen
-        possible = self._config.mode == "realtime" if running else killed and node.name in NODES[1:]
+        possible = self._config.mode == "realtime" if running else killed and node.name in list(self._programs)[1:]
         rest = self._config.ticks - self._ticks_done
         if not possible or sum(self._replaced.values()) >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
@@ -392,8 +410,9 @@ class Runner:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(stream)
             stream.close()
-        for kind in ("done", "ready", ENDED):
-            self._seen.pop((node.name, kind), None)
+        for name in node.nodes:
+            for kind in ("done", "ready", ENDED):
+                self._seen.pop((name, kind), None)
         self._start(node.name)
 
     def _left_by(self, node: NodeProcess) -> str:

@@ -1,9 +1,10 @@
-"""Loop of a node that follows the plant's clock: wait for the last sample of a tick, synchronize by stamp, compute."""
+"""Loop of a process that follows the plant's clock: wait for the samples of a tick, synchronize by stamp, compute."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import stamp_of
@@ -13,6 +14,7 @@ from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_clock import PlantClock
+from los_testbed.nodes.support.transport.bundle import Bundle
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
 from titop_plant.interface import TICK_NS
@@ -24,93 +26,227 @@ DECISION_NS = 20_000_000
 CHANGE_REPORT_NS = 5_000_000
 """A change is reported this long after it was applied, in another tick than the answer to the request."""
 
-Tick = Callable[[int, FloatArray, int], None]
+SERVICE_NS, REPORT_NS = 200_000_000, 1_000_000_000
+"""Time between answers to requests, and between reports, of a node."""
 
 
-class Follower:
-    """Takes samples as they come and calls `tick(stamp, vector, gap)` once for each complete tick.
+class Law(Protocol):
+    """Observer or controller in its node."""
+
+    context: NodeContext
+    changes: Changes
+
+    def reset(self) -> None:
+        """A run begins, or the plant holds: back to the start, the output is zero."""
+
+    def step(self, vector: FloatArray, gap: int) -> None:
+        """Step over `gap` missing ticks and on the joined vector of a tick."""
+
+    def publish(self, stamp: int) -> None:
+        """Send the output."""
+
+    def settle(self) -> None:
+        """Let the readers take in what was sent last."""
+
+
+class LawLoop:
+    """A law in the loop of its process: its settings, times and reports.
 
     Parameters
     ----------
-    context : NodeContext
-        The node.
-    topics : sequence of TopicDefinition
-        Inputs, in the order of the synchronizer's parts; the last one is published last and wakes the loop.
+    law : Law
+    """
+
+    def __init__(self, law: Law) -> None:
+        self.law = law
+        self.context = law.context
+        self.ticks = 0
+        self.next_service = self.next_report = 0
+        self._held = self._told = False
+        self._troubles = (0, 0)
+        self._begin_times()
+
+    def _begin_times(self) -> None:
+        self.execution, self.period = LatencyHistogram(), LatencyHistogram()
+        self._last = 0
+        self._health = LoopHealth(self.context.config.mode == "realtime")
+
+    def step(self, since: int, vector: FloatArray, gap: int) -> None:
+        """One tick, `since` [ns] after the start of the run, or at a hold tick (-1)."""
+        if since < 0:
+            if not self._held:  # hold ticks are repeated until they are answered
+                self.law.reset()
+            self._held = True
+            return
+        self._held = False
+        changes = self.law.changes
+        changes.now = since
+        if since >= changes.due:
+            changes.advance(since)
+        self.law.step(vector, gap)
+        self.ticks += 1
+
+    def tell_end(self) -> None:
+        """Say once that the node was ended while others of its process go on."""
+        if not self._told:
+            self._told = True
+            self.context.event("left")
+
+    def timed(self, begin: int, end: int) -> None:
+        """Note when the work of a tick began and ended (steady clock [ns])."""
+        self.execution.add(end - begin)
+        if self._last:
+            self.period.add(begin - self._last)
+        self._last = begin
+
+    def begin_again(self) -> None:
+        """The plant holds after a run: the next one has the settings of the start and counts of its own."""
+        self.context.finish_work()  # the report has the counts of the moment at which it is written
+        self.ticks = 0
+        self.law.changes.restore()
+        self._begin_times()
+        self._troubles = (0, 0)
+
+    def statistics(self, synchronizer: StampSynchronizer, names: Sequence[str]) -> dict[str, str]:
+        """Counts and times of the loop."""
+        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(synchronizer.rejected.items())}
+        off_grid = {f"off_grid_{names[i]}": str(n) for i, n in sorted(synchronizer.off_grid.items()) if n}
+        frames = {name: text for sensor in synchronizer.slow.values() for name, text in sensor.statistics().items()}
+        return {
+            "ticks": str(self.ticks),
+            "gap_ticks": str(synchronizer.gaps),
+            **self.execution.summary("execution"),
+            **rejected,
+            **off_grid,
+            **frames,
+            **self.law.changes.record(),
+        }
+
+    def report(self, synchronizer: StampSynchronizer, names: Sequence[str]) -> None:
+        """Diagnostics, and values for plots, by later calls of the context's work."""
+        level, message, values = self._health.assess(self.ticks, time.monotonic_ns(), self.execution)
+        troubles = (synchronizer.gaps, synchronizer.rejected.total())
+        if level == OK and troubles != self._troubles:
+            level, message = WARN, "samples missing or rejected"
+        if silent := synchronizer.silent():
+            level = max(level, WARN)
+            message = ", ".join(f"{names[i]} silent for {t * 1e-9:.2g} s" for i, t in silent)
+        news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
+        self._troubles = troubles
+        period = {"period_mean_us": f"{self.period.mean_us:.3f}", "period_max_us": f"{self.period.maximum_us:g}"}
+        self.context.diagnose(
+            level,
+            message,
+            lambda: {**values, **period, **self.statistics(synchronizer, names)},
+            synchronizer.stamp,
+        )
+        self.context.plot(
+            lambda: {
+                **self.period.window("period"),
+                **self.execution.window("execution"),
+                "ticks": self.ticks,
+                "gap_ticks": news[0],
+                "rejected_samples": news[1],
+            }
+        )
+
+
+class Follower:
+    """Takes samples as they come and steps the laws of this process once for each complete tick.
+
+    Parameters
+    ----------
+    inputs : sequence of TopicDefinition or Bundle
+        In the order of the synchronizer's parts; the last one is published last and wakes the loop.
     synchronizer : StampSynchronizer
         Joins them by stamp.
-    tick : callable
-        What to do with a tick; publishes its result.
-    changes : Changes
-        Settings that may change during the run.
+    laws : sequence of Law
+        In the order in which they are stepped; what the last one sends is sent first.
     """
 
     def __init__(
         self,
-        context: NodeContext,
-        topics: Sequence[TopicDefinition],
+        inputs: Sequence[TopicDefinition | Bundle],
         synchronizer: StampSynchronizer,
-        tick: Tick,
-        changes: Changes,
+        laws: Sequence[Law],
     ) -> None:
-        self._context = context
+        self._laws = [LawLoop(law) for law in laws]
+        self._context = laws[0].context
         self._synchronizer = synchronizer
-        self._tick = tick
-        self._changes = changes
         self._start = 0
-        self._names = [topic.name for topic in topics]
-        every = context.config.mode == "lockstep"
+        self._names = [topic.name for topic in inputs]
+        self._names += [sensor.name for number, sensor in synchronizer.slow.items() if number >= len(inputs)]
+        mode = self._context.config.mode
+        every = mode == "lockstep"
         self._subscriptions = [
             RawSubscription(
-                context.node, t.name, t.type_name, LOCKSTEP_DEPTH if every else READER_DEPTH, every, t.publisher
+                self._context.node, t.name, t.type_name, LOCKSTEP_DEPTH if every else READER_DEPTH, every, t.publisher
             )
-            for t in topics
+            for t in inputs
         ]
-        self._on_trigger = Waiter(context.node, self._subscriptions[-1:])
-        self._on_any = Waiter(context.node, self._subscriptions)
+        self._on_trigger = Waiter(self._context.node, self._subscriptions[-1:])
+        self._on_any = Waiter(self._context.node, self._subscriptions)
         early = [i for i, part in enumerate(synchronizer.parts[:-1]) if part.period_ns == TICK_NS]
         # in lockstep each further wake-up would cost time: nothing goes on meanwhile
         self._early = early if len(early) > 1 and not every else []
-        self._gathered = [-1] * len(topics)
-        self._execution = LatencyHistogram()
-        self._period = LatencyHistogram()
-        self._health = LoopHealth(context.config.mode == "realtime")
-        self._troubles = (0, 0)
-        self._clock = PlantClock() if context.config.mode == "realtime" else None  # in lockstep no time is too early
-        self.ticks = 0
+        self._gathered = [-1] * len(inputs)
+        self._clock = PlantClock() if mode == "realtime" else None  # in lockstep no time is too early
+        self._begun = 0
+        self._choose_working()
+
+    def _choose_working(self) -> None:
+        """Laws up to the first one that was ended: those behind it have no input."""
+        ended = [i for i, law in enumerate(self._laws) if law.context.ended]
+        self._working = self._laws[: min([len(self._laws), *ended])]
+        for i in ended if len(ended) < len(self._laws) and not self._context.stop else ():
+            self._laws[i].tell_end()
 
     def run(self) -> int:
-        """Work until a signal comes."""
-        context = self._context
-        context.become_real_time()
-        context.all_listed()
-        context.event("ready")
-        next_report, next_service, next_decision, last = time.monotonic_ns(), 0, 0, 0
-        while not context.stop:
+        """Work until a signal comes, or until all laws were ended."""
+        for law in self._laws:
+            law.context.all_listed()
+        self._context.become_real_time()
+        now = time.monotonic_ns()
+        for i, law in enumerate(self._laws):  # not in the same tick
+            law.next_service = now + i * SERVICE_NS // len(self._laws)
+            law.next_report = now + i * REPORT_NS // len(self._laws)
+            law.context.event("ready")
+        next_decision = 0
+        while not all(law.context.ended for law in self._laws):
             gathering = self._wait()
-            before = time.monotonic_ns()
-            if self._drain():
-                self._execution.add(time.monotonic_ns() - before + gathering)
-                if last:
-                    self._period.add(before - last)
-                last = before
-            if before >= next_decision:
-                next_decision = before + DECISION_NS
+            now = time.monotonic_ns()
+            self._begun = now - gathering
+            self._drain()
+            if now >= next_decision:
+                next_decision = now + DECISION_NS
                 for subscription in self._subscriptions:
-                    subscription.decide(before)
-            if self._changes.told and next_report > before + CHANGE_REPORT_NS:
-                next_service, next_report = before, before + CHANGE_REPORT_NS
-            if before >= next_service:  # in the slack after the tick's work
-                next_service = before + 200_000_000
-                context.service()
-            elif context.work():
-                pass
-            elif before >= next_report:
-                next_report = before + 1_000_000_000
-                self._report()
-        self._report()
-        context.finish_work()
-        context.event("done", statistics=self.statistics())
+                    subscription.decide(now)
+            self._background(now)
+        for law in self._laws:
+            law.report(self._synchronizer, self._names)
+            law.context.finish_work()
+            law.context.event("done", statistics=law.statistics(self._synchronizer, self._names))
+            law.law.settle()
         return 0
+
+    def _background(self, now: int) -> None:
+        """One piece of work that is not urgent, in the slack after the work of a tick."""
+        for law in self._laws:
+            if law.law.changes.told and law.next_report > now + CHANGE_REPORT_NS:
+                law.next_service, law.next_report = now, now + CHANGE_REPORT_NS
+            if now >= law.next_service:
+                law.next_service = now + SERVICE_NS
+                law.context.service()
+                self._choose_working()
+                return
+        for law in self._laws:
+            if law.context.work():
+                return
+        for law in self._laws:
+            if now >= law.next_report:
+                law.next_report = now + REPORT_NS
+                law.report(self._synchronizer, self._names)
+                return
 
     def _wait(self) -> int:
         """Wait for the last sample of a tick; the time spent on the earlier ones meanwhile [ns].
@@ -141,13 +277,13 @@ class Follower:
         self._gathered[index] = stamp_of(taken[0]) if not source and len(taken[0]) >= 12 else -1
         return True
 
-    def _drain(self) -> bool:
-        """Take what has come; True if a tick was completed.
+    def _drain(self) -> None:
+        """Take what has come.
 
         The trigger is taken first. It carries the newest stamp, and the other topics are taken up to
         that stamp: no take is spent on asking whether there is more.
         """
-        synchronizer, done, steady = self._synchronizer, False, time.monotonic_ns()
+        synchronizer, steady = self._synchronizer, time.monotonic_ns()
         trigger = len(self._subscriptions) - 1
         waiting, newest = [], -1
         while (taken := self._subscriptions[trigger].take()) is not None:
@@ -169,78 +305,39 @@ class Follower:
                 if taken is None:
                     break
                 seen = stamp_of(taken[0]) if len(taken[0]) >= 12 else seen
-                done |= self._put(index, taken[0], subscription.sort(taken, steady))
+                self._put(index, taken[0], subscription.sort(taken, steady))
         for data, source in waiting:
-            done |= self._put(trigger, data, source)
-        return done
+            self._put(trigger, data, source)
 
-    def _put(self, index: int, data: bytes, source: str) -> bool:
+    def _put(self, index: int, data: bytes, source: str) -> None:
+        """Hand a message to the synchronizer; where it completes a tick, step the laws and send what they give."""
         synchronizer = self._synchronizer
         vector = synchronizer.put(index, data, source)
         if vector is None:
-            return False
-        stamp, changes = synchronizer.stamp, self._changes
-        if stamp == HOLD_STAMP:
-            if self._start:
-                self._begin_again()
-        else:
-            self._start = self._start or stamp
-            changes.now = stamp - self._start
-            if changes.now >= changes.due:
-                changes.advance(changes.now)
-        self._tick(stamp, vector, synchronizer.gap)
+            return
+        stamp, since = synchronizer.stamp, -1
         if stamp != HOLD_STAMP:
-            self.ticks += 1
+            self._start = self._start or stamp
+            since = stamp - self._start
+        elif self._start:
+            self._begin_again()
+        working = self._working
+        for law in working:
+            law.step(since, vector, synchronizer.gap)
+        for law in reversed(working):
+            law.law.publish(stamp)
+        if stamp != HOLD_STAMP:
+            end = time.monotonic_ns()
+            for law in working:
+                law.timed(self._begun, end)
+            self._begun = end
         elif self._clock is not None:  # another run begins, on another clock
-            self._clock, self._synchronizer.now = PlantClock(), NOT_KNOWN
-        return True
+            self._clock, synchronizer.now = PlantClock(), NOT_KNOWN
 
     def _begin_again(self) -> None:
-        """The plant holds after a run: the next one has the settings of the start and counts of its own."""
-        self._report()
-        self._context.finish_work()  # the report has the counts of the moment at which it is written
-        self._start = self.ticks = 0
-        self._changes.restore()
-        self._execution, self._period = LatencyHistogram(), LatencyHistogram()
-        self._health = LoopHealth(self._context.config.mode == "realtime")
-        self._troubles = (0, 0)
+        """The plant holds after a run."""
+        for law in self._laws:
+            law.report(self._synchronizer, self._names)
+            law.begin_again()
+        self._start = 0
         self._synchronizer.begin_again()
-
-    def statistics(self) -> dict[str, str]:
-        """Counts and times of the loop."""
-        synchronizer = self._synchronizer
-        rejected = {f"rejected_{reason}": str(n) for reason, n in sorted(synchronizer.rejected.items())}
-        off_grid = {f"off_grid_{self._names[i]}": str(n) for i, n in sorted(synchronizer.off_grid.items()) if n}
-        frames = {name: text for sensor in synchronizer.slow.values() for name, text in sensor.statistics().items()}
-        return {
-            "ticks": str(self.ticks),
-            "gap_ticks": str(synchronizer.gaps),
-            **self._execution.summary("execution"),
-            **rejected,
-            **off_grid,
-            **frames,
-            **self._changes.record(),
-        }
-
-    def _report(self) -> None:
-        level, message, values = self._health.assess(self.ticks, time.monotonic_ns(), self._execution)
-        troubles = (self._synchronizer.gaps, self._synchronizer.rejected.total())
-        if level == OK and troubles != self._troubles:
-            level, message = WARN, "samples missing or rejected"
-        if silent := self._synchronizer.silent():
-            level = max(level, WARN)
-            message = ", ".join(f"{self._names[i]} silent for {t * 1e-9:.2g} s" for i, t in silent)
-        news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
-        self._troubles = troubles
-        period = {"period_mean_us": f"{self._period.mean_us:.3f}", "period_max_us": f"{self._period.maximum_us:g}"}
-        stamp = self._synchronizer.stamp
-        self._context.diagnose(level, message, lambda: {**values, **period, **self.statistics()}, stamp)
-        self._context.plot(
-            lambda: {
-                **self._period.window("period"),
-                **self._execution.window("execution"),
-                "ticks": self.ticks,
-                "gap_ticks": news[0],
-                "rejected_samples": news[1],
-            }
-        )

@@ -31,6 +31,10 @@ NAME_S = 3.0
 
 HOLD_PERIOD_S = 0.02
 
+BUNDLE_LOOKS = 5
+"""So many hold ticks after the last topic of a command has answered, the graph knows whether the message of all of them
+has a publisher, too."""
+
 LEASE_S = 11.0
 """A node that was killed has left the graph within this time."""
 
@@ -117,36 +121,80 @@ def wait_for_followers(
     ValueError
         One of them did not answer in time, or `refuse_others` raised it.
     """
-    waiting_for = {one.topic.name: one.source for one in io.commands}
-    if context.config.wait_for_recorder:
-        waiting_for["recorder/progress"] = io.progress_input
+    answers = Answers(context, io)
     start_time = time.monotonic()
     while not context.stop:
-        io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
+        hold(io)
         time.sleep(HOLD_PERIOD_S)
         meanwhile()
         refuse_others()
-        for name, subscription in list(waiting_for.items()):
-            while (taken := subscription.take()) is not None:
-                ours = not subscription.sort(taken, time.monotonic_ns())
-                if ours and len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
-                    waiting_for.pop(name, None)
-            subscription.decide(time.monotonic_ns())
+        answers.take()
         context.service()
-        if not waiting_for and not may_begin():
+        if answers.complete and not may_begin():
             start_time = time.monotonic()
-        elif not waiting_for:
+        elif answers.complete:
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
             _refuse_second_commander(context, io, meanwhile)
+            io.choose_readers(answers.bundled)
             return
         elif time.monotonic() - start_time > context.config.start_timeout:
             _refuse_second_commander(context, io, meanwhile)
-            missing = ", ".join(
-                subscription.name + _strangers_on(subscription) for subscription in waiting_for.values()
-            )
+            missing = ", ".join(subscription.name + _strangers_on(subscription) for subscription in answers.missing)
             raise ValueError(
                 f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
             )
+
+
+def hold(io: PlantIo) -> None:
+    """Send a hold tick."""
+    io.pack(HOLD_STAMP, np.zeros(MEASUREMENTS))
+    io.publish(HOLD_STAMP, np.zeros(MEASUREMENTS), np.zeros(TRUTH))
+
+
+class Answers:
+    """Who has answered the hold ticks: the message with all commands, or each of their topics, and the recorder.
+
+    Parameters
+    ----------
+    context : NodeContext
+    io : PlantIo
+    """
+
+    def __init__(self, context: NodeContext, io: PlantIo) -> None:
+        self._node = context.node
+        self._bundle = io.bundle_reader.source
+        self._topics = [reader.source for reader in io.topic_readers if reader in io.readers]
+        self._recorder = [io.progress_input] if context.config.wait_for_recorder else []
+        self._answered: set[str] = set()
+        self._looks = 0
+
+    @property
+    def bundled(self) -> bool:
+        """Whether the message with all commands has come."""
+        return self._bundle.name in self._answered
+
+    @property
+    def missing(self) -> list[RawSubscription]:
+        """Subscriptions without an answer."""
+        commands = [] if self.bundled else self._topics or [self._bundle]
+        return [one for one in (*commands, *self._recorder) if one.name not in self._answered]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all have answered; a node that also sends the message of all commands is waited for a while."""
+        if self.missing:
+            return False
+        self._looks += not self.bundled
+        return self.bundled or (self._looks > BUNDLE_LOOKS and not self._node.count_publishers(self._bundle.name))
+
+    def take(self) -> None:
+        """Take what has come."""
+        for subscription in (self._bundle, *self._topics, *self._recorder):
+            while (taken := subscription.take()) is not None:
+                ours = not subscription.sort(taken, time.monotonic_ns())
+                if ours and len(taken[0]) >= 12 and stamp_of(taken[0]) == HOLD_STAMP:
+                    self._answered.add(subscription.name)
+            subscription.decide(time.monotonic_ns())
 
 
 def _strangers_on(subscription: RawSubscription) -> str:
@@ -171,7 +219,7 @@ def _refuse_second_commander(context: NodeContext, io: PlantIo, meanwhile: Calla
         Another node has a publisher on a command topic.
     """
     end = time.monotonic() + LEASE_S
-    for subscription in (one.source for one in io.commands):
+    for subscription in (reader.source for reader in (io.bundle_reader, *io.topic_readers)):
         while True:
             strangers = subscription.guard.strangers(subscription.endpoints())
             if not strangers or context.stop:

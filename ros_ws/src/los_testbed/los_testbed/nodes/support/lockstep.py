@@ -26,8 +26,7 @@ class LockstepPacer:
     def __init__(self, context: NodeContext, io: PlantIo) -> None:
         self._context = context
         self._io = io
-        self._on_last = Waiter(context.node, [io.commands[-1].source])  # sent last: one wake-up for all
-        self._on_any = Waiter(context.node, [one.source for one in io.commands])
+        self._on_last = self._on_any = Waiter(context.node, [])
         self._recorder = Waiter(context.node, [io.progress_input])
         self._recorded = 0
         self._clock = context.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
@@ -36,6 +35,9 @@ class LockstepPacer:
     def begin(self) -> None:
         """A run begins: the recorder has nothing of it."""
         self._recorded = 0
+        sources = [reader.source for reader in self._io.readers]
+        self._on_last = Waiter(self._context.node, sources[-1:])  # sent last: one wake-up for all
+        self._on_any = Waiter(self._context.node, sources)
 
     def clock(self, now: int) -> None:
         """Publish simulated time."""
@@ -50,10 +52,7 @@ class LockstepPacer:
             return False
         self._on_last.wait(WAIT_NS)
         while True:
-            steady = time.monotonic_ns()
-            for one in io.commands:
-                while (taken := one.source.take()) is not None:
-                    one.gate.offer(taken[0], following, one.source.sort(taken, steady))
+            io.take(following, time.monotonic_ns())
             if io.fresh(following):
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:

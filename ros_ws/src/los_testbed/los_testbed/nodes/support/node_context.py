@@ -1,4 +1,4 @@
-"""What the four nodes share: start, parameters, diagnostics, events for the runner, signals, a clean end."""
+"""What all nodes share: start, parameters, diagnostics, events for the runner, signals, a clean end."""
 
 from __future__ import annotations
 
@@ -57,6 +57,43 @@ REPORT_S = 5.0
 """Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
 
 
+class NodeProcess:
+    """What the nodes of a process share: rclpy, the signals that end them, the runner that listens.
+
+    Parameters
+    ----------
+    name : str
+        Of the program.
+    arguments : sequence of str
+        Command line, ``--ros-args`` included.
+    """
+
+    def __init__(self, name: str, arguments: Sequence[str]) -> None:
+        self.stop = False
+        self.signal = 0
+        runner = os.environ.get(EVENTS_VARIABLE, "")
+        self.tells = bool(runner)
+        if self.tells:
+            end_with_parent(int(runner))
+        sharpen_timers()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        choose_middleware(os.environ)
+        rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
+        refuse_missing_security()
+
+    def _on_signal(self, number: int, frame: Any) -> None:
+        self.stop, self.signal = True, self.signal or number
+
+    def tell(self, event: Mapping[str, Any]) -> None:
+        """Write an event for the runner, if one listens."""
+        if self.tells:
+            try:
+                os.write(1, (json.dumps(event) + "\n").encode())
+            except OSError:
+                self.tells = False
+
+
 class NodeContext:
     """A node, by default in namespace ``/telescope``, with the run's configuration as parameters.
 
@@ -66,22 +103,14 @@ class NodeContext:
         plant, estimator, controller or recorder.
     arguments : sequence of str
         Command line, ``--ros-args`` included.
+    beside : NodeContext, optional
+        Node of the same process, whose command line it shares.
     """
 
-    def __init__(self, name: str, arguments: Sequence[str]) -> None:
+    def __init__(self, name: str, arguments: Sequence[str] = (), beside: NodeContext | None = None) -> None:
         self.name = name
-        self.stop = False
-        self.signal = 0
-        runner = os.environ.get(EVENTS_VARIABLE, "")
-        self._events = bool(runner)
-        if self._events:
-            end_with_parent(int(runner))
-        sharpen_timers()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-        choose_middleware(os.environ)
-        rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
-        refuse_missing_security()
+        self.process: NodeProcess = NodeProcess(name, arguments) if beside is None else beside.process
+        self._first = beside is None
         managed = name in MANAGED
         self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
         self.config = declare_config(self.node, NAMES.get(name, ()))
@@ -109,8 +138,15 @@ class NodeContext:
         """Tell the other nodes of the run that all publishers of this one exist."""
         members().complete(self.node.get_fully_qualified_name())
 
-    def _on_signal(self, number: int, frame: Any) -> None:
-        self.stop, self.signal = True, self.signal or number
+    @property
+    def stop(self) -> bool:
+        """Whether the process is to end."""
+        return self.process.stop
+
+    @property
+    def ended(self) -> bool:
+        """Whether the node is to end: by a signal, or by a request of its life cycle."""
+        return self.stop or (isinstance(self.node, ManagedNode) and self.node.ended)
 
     def allow_changes(self, appliers: Mapping[str, Apply], limits: Mapping[str, float] | None = None) -> Changes:
         """Let users change these settings during the run; the loop calls ``advance`` of the result at every tick.
@@ -132,8 +168,8 @@ class NodeContext:
         return changes
 
     def end(self, value: bool = True) -> None:
-        """End the node as a signal does."""
-        self.stop = self.stop or value
+        """End the process as a signal does."""
+        self.process.stop = self.stop or value
 
     def become_real_time(self) -> None:
         """Raise the process to real time, or say once what was not permitted."""
@@ -145,12 +181,12 @@ class NodeContext:
         refused = become_real_time(PRIORITIES[self.name], cpu)
         if refused:
             self.event("warning", message=f"not permitted: {', '.join(refused)}; running without")
-            if not self._events:
+            if not self.process.tells:
                 self.node.get_logger().warning(f"not permitted: {', '.join(refused)}; running without")
 
     def warn_alone(self, lines: Sequence[str]) -> None:
         """Log warnings that a runner, if one listens, has printed before it started this node."""
-        if not self._events:
+        if not self.process.tells:
             for line in lines:
                 self.node.get_logger().warning(line)
 
@@ -167,7 +203,6 @@ class NodeContext:
                 self.requesters.end()
         if self._changing is not None:
             self._changing.follow()
-        self.stop |= isinstance(self.node, ManagedNode) and self.node.ended
 
     def work(self) -> bool:
         """Do one piece of the reports that wait; whether there was one."""
@@ -218,30 +253,27 @@ class NodeContext:
 
         What is told at the end (``done``) has the number of the signal that ended the node, 0 without one.
         """
-        if not self._events and (text := _log_line(kind, content)):
+        if not self.process.tells and (text := _log_line(kind, content)):
             self.node.get_logger().info(text)
-        if self._events:
-            if kind == "done":
-                content["signal"] = self.signal
-            try:
-                os.write(1, (json.dumps({"event": kind, "node": self.name, **content}) + "\n").encode())
-            except OSError:
-                self._events = False
+        if kind == "done":
+            content["signal"] = self.process.signal
+        self.process.tell({"event": kind, "node": self.name, **content})
 
     def report_second_publishers(self, news: Sequence[tuple[str, str]]) -> None:
         """Tell the runner, or log, which topics have a second publisher, and of which node."""
         for topic, node in news:
             self.event("second_publisher", topic=topic, publisher=node)
-            if not self._events:
+            if not self.process.tells:
                 self.node.get_logger().error(f"{topic} must have one publisher, got a second one: node {node}")
 
     def close(self) -> None:
-        """Leave the graph when the recorder has the last report."""
+        """Leave the graph when the recorder has the last report; the first node of a process is closed last."""
         self.finish_work()
         self._diagnostics[1].wait_for_all_acked(Duration(seconds=REPORT_S))
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.try_shutdown()
+        if self._first:
+            rclpy.try_shutdown()
 
 
 def _log_line(kind: str, content: Mapping[str, Any]) -> str:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.bags.cdr import Codec, codec_for
+from los_testbed.bags.cdr import Codec, CodecError, codec_for
 from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.source_watch import SourceWatch
+from los_testbed.nodes.support.transport.bundle import Bundle, command_bundle, measurement_bundle
 from los_testbed.nodes.support.transport.raw_topics import (
     LOCKSTEP_DEPTH,
     READER_DEPTH,
@@ -21,6 +22,7 @@ from los_testbed.nodes.support.transport.raw_topics import (
     RawSubscription,
     settle,
 )
+from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.topics import (
     FSM_COMMAND,
     PMA_COMMAND,
@@ -36,62 +38,133 @@ from titop_plant.interface import TICK_NS
 
 NOTHING: Mapping[str, FloatArray] = MappingProxyType({})
 
+Frames = Mapping[str, tuple[int, FloatArray]]
+"""Stamp [ns] and values of samples of slow sensors, by port."""
+
+Accepted = Callable[[int, int], None]
 
 Output = tuple[TopicDefinition, RawPublisher, Codec, int]
 """Topic, publisher, codec and period [ns] of what the plant sends."""
 
 
+def _ignore(stamp: int, received: int) -> None:
+    """Nobody asks."""
+
+
 @dataclass(frozen=True)
 class CommandInput:
-    """A topic of commands on its way to the plant.
+    """Commands of one topic on their way to the plant.
 
     Parameters
     ----------
     name : str
         In the names of statistics.
     topic : TopicDefinition
-    source : RawSubscription
     gate : CommandGate
     """
 
     name: str
     topic: TopicDefinition
-    source: RawSubscription
     gate: CommandGate
 
 
+class CommandReader:
+    """A subscription with commands: of one topic, or the message with those of all.
+
+    Parameters
+    ----------
+    source : RawSubscription
+    codec : Codec
+        Bytes of its messages.
+    inputs : sequence of CommandInput
+        To whose gates the values go.
+    """
+
+    def __init__(self, source: RawSubscription, codec: Codec, inputs: Sequence[CommandInput]) -> None:
+        self.source = source
+        self.inputs = tuple(inputs)
+        self._codec = codec
+        self._values = np.zeros(codec.size)
+        first = min(one.topic.columns.start for one in inputs)
+        self._gates = [
+            (one.gate, self._values[one.topic.columns.start - first : one.topic.columns.stop - first]) for one in inputs
+        ]
+
+    def take(self, now_ns: int, steady_ns: int, accepted: Accepted) -> None:
+        """Offer every message that has come to the gates.
+
+        Parameters
+        ----------
+        now_ns : int
+            Stamp of the tick at which the commands are applied.
+        steady_ns : int
+            Steady clock.
+        accepted : callable
+            Called with stamp and time of arrival (wall clock) of each message that all gates accept [ns].
+        """
+        while (taken := self.source.take()) is not None:
+            source = self.source.sort(taken, steady_ns)
+            try:
+                stamp = self._codec.decode(taken.data, self._values)
+            except CodecError as error:
+                for gate, _ in self._gates:
+                    gate.rejected[error.reason] += 1
+                continue
+            offered = [gate.offer_values(stamp, values, now_ns, source) for gate, values in self._gates]
+            if all(offered):
+                accepted(stamp, taken.received)
+
+    def stamp_of(self, taken: Taken) -> int:
+        """Stamp of a message [ns]; -1 of one that cannot be read."""
+        try:
+            return self._codec.decode(taken.data, self._values)
+        except CodecError:
+            return -1
+
+    def empty(self) -> None:
+        """Drop what has come."""
+        while self.source.take() is not None:
+            pass
+
+
 class PlantIo:
-    """Publishers, subscriptions and gates of the plant."""
+    """Publishers, subscriptions and gates of the plant.
+
+    Commands come in the message of all of them or, from nodes that do not send that, in their topics:
+    :meth:`choose_readers` decides when everybody has answered. Until then both are read.
+    """
 
     def __init__(self, context: NodeContext) -> None:
         config, node, parts = context.config, context.node, RunParts(context.config)
 
-        def output(topic: TopicDefinition) -> tuple[TopicDefinition, RawPublisher]:
-            return topic, RawPublisher(node, topic.name, topic.type_name)
+        def output(topic: TopicDefinition) -> Output:
+            publisher = RawPublisher(node, topic.name, topic.type_name)
+            return topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS
 
-        self._sensors = [
-            (topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
-            for topic, publisher in map(output, SENSORS)
+        self._bundle = measurement_bundle(parts)
+        self._whole = RawPublisher(node, self._bundle.name, self._bundle.type_name), self._bundle.codec()
+        self._packed = np.zeros(self._bundle.size)
+        self._waiting: dict[str, tuple[int, FloatArray]] = {}
+        self._sensors = [output(topic) for topic in SENSORS]
+        self._ages = [
+            (topic, self._bundle.ages[topic.name], period)
+            for topic, _, _, period in self._sensors
+            if topic.name in self._bundle.ages
         ]
-        self._truth = output(TRUTH_LOS)[1], codec_for(TRUTH_LOS)
-        read = {port.name for devices in parts.used.values() for port in devices.inputs}
-        more = [t for t in parts.topics[len(TOPICS) :] if t.publisher == "plant"]
-        outputs: list[Output] = [
-            (topic, publisher, codec_for(topic), topic.every(config.frame_ticks) * TICK_NS)
-            for topic, publisher in map(output, more)
-        ]
-        self._read = [one for one in outputs if one[0].port in read]
-        self._further = [one for one in outputs if one[0].port not in read]
+        self._truth = output(TRUTH_LOS)
+        self._further = [output(t) for t in parts.topics[len(TOPICS) :] if t.publisher == "plant"]
+        bundled = {topic.name: topic.columns for topic in self._bundle.topics}
+        self._read = [(t, bundled[t.name]) for t, _, _, _ in self._further if t.name in bundled]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
-        def subscribe(topic: TopicDefinition) -> RawSubscription:
+        def subscribe(topic: TopicDefinition | Bundle) -> RawSubscription:
             depth = LOCKSTEP_DEPTH if every else READER_DEPTH
             return RawSubscription(node, topic.name, topic.type_name, depth, every, topic.publisher)
 
         hold = config.hold_ticks, config.fade_ticks
 
         def command(name: str, topic: TopicDefinition, limit: float) -> CommandInput:
-            return CommandInput(name, topic, subscribe(topic), CommandGate(codec_for(topic), limit, *hold))
+            return CommandInput(name, topic, CommandGate(codec_for(topic), limit, *hold))
 
         mirror, force = parts.basis.authority
         further = parts.used["k_pma"].actuators
@@ -104,38 +177,56 @@ class PlantIo:
         )
         """Command topics in the order in which the controller sends them."""
         self.command_size = max(one.topic.columns.stop for one in self.commands)
+        whole = command_bundle(parts)
+        self.bundle_reader = CommandReader(subscribe(whole), whole.codec(), self.commands)
+        self.topic_readers = [CommandReader(subscribe(one.topic), codec_for(one.topic), [one]) for one in self.commands]
+        self.readers: list[CommandReader] = [self.bundle_reader, *self.topic_readers]
         self.progress_input = RawSubscription(node, PROGRESS_TOPIC, HEADER, publisher="recorder")
-        self.watch = SourceWatch(node, [*(one.source for one in self.commands), self.progress_input])
-        self._none = np.zeros(1)  # of hold ticks: all values
+        self.watch = SourceWatch(node, [*(reader.source for reader in self.readers), self.progress_input])
         self.start = 0
+
+    def choose_readers(self, bundled: bool) -> None:
+        """Take commands from the message of all from now on, or from their topics.
+
+        Their topics are left where the message is read: what nobody takes in costs time at every tick.
+        """
+        self.readers = [self.bundle_reader] if bundled else list(self.topic_readers)
+        if bundled:
+            for reader in self.topic_readers:
+                reader.source.close()
+
+    def pack(self, stamp: int, measurement: FloatArray, further: Mapping[str, FloatArray] = NOTHING) -> None:
+        """Prepare the message with all samples of a tick, before its deadline.
+
+        `further` holds the vectors behind those of the loop, by their names.
+        """
+        packed = self._packed
+        packed[: len(measurement)] = measurement
+        for topic, columns in self._read:
+            packed[columns] = further[topic.vector][topic.columns] if topic.vector in further else 0.0
+        for _, column, period in self._ages:
+            packed[column] = 0.0 if stamp % period == 0 else np.nan
+        self._whole[1].encode(stamp, packed)
 
     def publish(
         self, stamp: int, measurement: FloatArray, truth: FloatArray, further: Mapping[str, FloatArray] = NOTHING
     ) -> None:
-        """Send a tick; slower sensors only on theirs. The estimator's trigger goes before truth, image and readings.
-
-        Readings that a controller takes in go before all others.
-
-        `further` holds the vectors behind those of the loop, by their names.
-        """
-        self._publish_further(stamp, further, self._read)
+        """Send a tick that was packed: the message first, then the topics, slower ones only at their ticks."""
+        publisher, codec = self._whole
+        publisher.publish(codec.message)
         for topic, publisher, codec, period in self._sensors:
             if period == TICK_NS or stamp % period == 0:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
-        publisher, codec = self._truth
+        _, publisher, codec, _ = self._truth
         publisher.publish(codec.encode(stamp, truth))
-        self._publish_further(stamp, further, self._further)
-
-    def _publish_further(self, stamp: int, further: Mapping[str, FloatArray], outputs: list[Output]) -> None:
-        for topic, publisher, codec, period in outputs:
+        for topic, publisher, codec, period in self._further:
             if stamp % period == 0:
-                values = further[topic.vector][topic.columns] if topic.vector in further else self._none
+                none = np.zeros(topic.size)  # at hold ticks
+                values = further[topic.vector][topic.columns] if topic.vector in further else none
                 publisher.publish(codec.encode(stamp, values))
 
-    def publish_samples(
-        self, stamp: int, measurement: FloatArray | None, frames: Mapping[str, tuple[int, FloatArray]], truth: str
-    ) -> None:
-        """Send what a device gave at a tick: frames with their stamps first, the estimator's trigger last.
+    def publish_samples(self, stamp: int, measurement: FloatArray | None, frames: Frames, truth: str) -> None:
+        """Send what a device gave at a tick: frames with their stamps, the estimator's trigger last of the topics.
 
         Parameters
         ----------
@@ -144,6 +235,9 @@ class PlantIo:
         frames : stamp and values of slower sensors, by port
         truth : port of the true line of sight
         """
+        self._waiting |= frames
+        if measurement is not None:
+            self._publish_with_ages(stamp, measurement)
         for topic, publisher, codec, _ in self._sensors:
             if topic.framed:
                 if topic.port in frames:
@@ -151,28 +245,36 @@ class PlantIo:
             elif measurement is not None:
                 publisher.publish(codec.encode(stamp, measurement[topic.columns]))
         if truth in frames and measurement is not None:
-            self._truth[0].publish(self._truth[1].encode(stamp, frames[truth][1]))
+            _, publisher, codec, _ = self._truth
+            publisher.publish(codec.encode(stamp, frames[truth][1]))
+
+    def _publish_with_ages(self, stamp: int, measurement: FloatArray) -> None:
+        """Send the message with the samples of a tick and the newest frames that have come since the one before."""
+        self.pack(stamp, measurement)
+        publisher, codec = self._whole
+        for topic, column, _ in self._ages:
+            acquired, values = self._waiting.pop(topic.port, (0, np.nan))
+            self._packed[topic.columns] = values
+            self._packed[column] = (stamp - acquired) * 1e-9 if acquired else np.nan
+        publisher.publish(codec.encode(stamp, self._packed))
 
     def framed_at(self, stamp: int) -> list[str]:
         """Topics with a sample at some ticks only, which have one at this."""
-        slow = [(topic.name, period) for topic, _, _, period in self._sensors if period > TICK_NS]
-        slow += [(topic.name, period) for topic, _, _, period in self._further if period > TICK_NS]
+        slow = [(topic.name, period) for topic, _, _, period in (*self._sensors, *self._further) if period > TICK_NS]
         return [name for name, period in slow if stamp % period == 0]
 
     def settle(self) -> None:
         """Let the readers take in what was sent last."""
-        settle(
-            [publisher for _, publisher, _, _ in self._sensors]
-            + [self._truth[0]]
-            + [publisher for _, publisher, _, _ in (*self._read, *self._further)]
-        )
+        outputs = [publisher for _, publisher, _, _ in (*self._sensors, self._truth, *self._further)]
+        settle([self._whole[0], *outputs])
 
     def begin(self, start: int, command: FloatArray | None = None) -> None:
         """Drop what is left of the handshake; the run begins at `start` with this command (8,), default zero."""
         self.start = start
+        self._waiting.clear()
+        for reader in self.readers:
+            reader.empty()
         for one in self.commands:
-            while one.source.take() is not None:
-                pass
             known = command is not None and one.topic.columns.stop <= len(command)
             one.gate.begin(start, command[one.topic.columns] if command is not None and known else None)
 
@@ -180,6 +282,21 @@ class PlantIo:
         """The next run counts its own rejected commands."""
         for one in self.commands:
             one.gate.rejected.clear()
+
+    def take(self, now_ns: int, steady_ns: int, accepted: Accepted = _ignore) -> None:
+        """Offer all commands that have come to the gates.
+
+        Parameters
+        ----------
+        now_ns : int
+            Stamp of the tick at which they are applied.
+        steady_ns : int
+            Steady clock.
+        accepted : callable
+            Called with stamp and time of arrival (wall clock) of each command of the mirror that is accepted [ns].
+        """
+        for reader in self.readers:
+            reader.take(now_ns, steady_ns, accepted if self.mirror in reader.inputs else _ignore)
 
     def fresh(self, now_ns: int) -> bool:
         """Whether all commands are those computed from the tick before `now_ns`."""

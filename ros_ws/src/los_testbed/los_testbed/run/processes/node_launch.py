@@ -11,10 +11,10 @@ from pathlib import Path
 import yaml
 
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.config import RunConfig
+from los_testbed.config import COMPOSED, RunConfig
 from los_testbed.run.processes.enclaves import enclave_path
 from los_testbed.run.processes.memory_file import memory_file
-from los_testbed.topics import NODES
+from los_testbed.topics import BOTH_LAWS, NODES
 from pointing_analysis.files.atomic_output import write_text
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
@@ -51,8 +51,26 @@ def check_ros() -> None:
 
 
 def module_of(name: str, config: RunConfig) -> str:
-    """Module of a node: that of the plant is another one where a device stands in its place."""
+    """Module of a program: that of the plant is another one where a device stands in its place."""
     return "device" if name == "plant" and config.device else name
+
+
+def programs(config: RunConfig, own: bool = True) -> dict[str, tuple[str, ...]]:
+    """Programs of a run in the order in which they are started, with their nodes.
+
+    Each node has a process of its own where it has keys of its own (DDS security), and where the `own` programs of this
+    package are not the only ones: others speak the topics of single sensors and actuators.
+
+    Examples
+    --------
+    >>> programs(RunConfig())
+    {'plant': ('plant',), 'estimator_controller': ('estimator', 'controller'), 'recorder': ('recorder',)}
+    >>> list(programs(RunConfig(processes="separate")))
+    ['plant', 'estimator', 'controller', 'recorder']
+    """
+    if config.processes == COMPOSED and own and not security_is_asked_for():
+        return {"plant": ("plant",), BOTH_LAWS: ("estimator", "controller"), "recorder": ("recorder",)}
+    return {name: (name,) for name in NODES}
 
 
 def parameter_text(config: RunConfig) -> str:
@@ -109,8 +127,8 @@ def run_alone(name: str, config: RunConfig) -> int:
     ValueError
         No such node, a mode without nodes, or ROS missing.
     """
-    if name not in NODES:
-        raise ValueError(f"--only must be one of {', '.join(NODES)}, got {name!r}")
+    if name not in (*NODES, BOTH_LAWS):
+        raise ValueError(f"--only must be one of {', '.join((*NODES, BOTH_LAWS))}, got {name!r}")
     if config.mode == "inprocess":
         raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
     check_ros()

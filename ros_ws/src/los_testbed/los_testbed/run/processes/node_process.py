@@ -1,4 +1,4 @@
-"""A node as a child process of the runner."""
+"""A program of a run as a child process of the runner."""
 
 from __future__ import annotations
 
@@ -14,12 +14,30 @@ from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY, names_memory
 
 
 class NodeProcess:
-    """One node as a child process; its events come line by line."""
+    """One program, with one node or several, as a child process; its events come line by line.
+
+    Parameters
+    ----------
+    name : str
+    command : sequence of str
+    variables : mapping
+        Its environment.
+    inherited : sequence of int
+        Descriptors that it keeps.
+    nodes : sequence of str
+        Its nodes; default: one that has its name.
+    """
 
     def __init__(
-        self, name: str, command: Sequence[str], variables: Mapping[str, str], inherited: Sequence[int] = ()
+        self,
+        name: str,
+        command: Sequence[str],
+        variables: Mapping[str, str],
+        inherited: Sequence[int] = (),
+        nodes: Sequence[str] = (),
     ) -> None:
         self.name = name
+        self.nodes = tuple(nodes) or (name,)
         self.process = subprocess.Popen(
             command,
             env=dict(variables),

@@ -222,6 +222,8 @@ def _metrics(run: Recording, summary: Summary, remarks: Sequence[str]) -> dict[s
         "ticks": int(plant.get("ticks", summary.ticks)),
         "periods": int(plant.get("ticks", summary.ticks)) + int(plant.get("skipped_periods", 0)),
         "missed_ticks": int(plant["missed_ticks"]) if "missed_ticks" in plant else None,
+        "lost_periods": int(plant.get("lost_periods", 0)),
+        "max_missed": float(run.parameters.get("max_missed", MAX_MISSED)),
         "latency_us": _latency(run, plant),
         "remarks": list(remarks),
         "samples_lost": max(summary.samples_lost, int(recorder.get("samples_lost", 0))),
@@ -266,11 +268,11 @@ def missed_share(metrics: Mapping[str, Any]) -> float:
     return 100.0 * float(metrics["missed_ticks"]) / max(float(metrics["periods"]), 1.0)
 
 
-def print_summary(console: Console, results: RunSummaries, max_missed: float = MAX_MISSED) -> None:
-    """Print a table for each run, and the paths; `max_missed` is the limit of the missed ticks [%]."""
+def print_summary(console: Console, results: RunSummaries) -> None:
+    """Print a table for each run, and the paths."""
     rows = results.shares or ((),) * len(results.runs)
     for summary, metrics, shares in zip(results.summaries, results.runs, rows):
-        console.print(_table(summary, metrics, max_missed))
+        console.print(_table(summary, metrics))
         if not summary.requirements_known:
             say(console, UNKNOWN, "note")
         if shares:
@@ -297,7 +299,7 @@ def _shares(shares: Sequence[SourceShare]) -> Table:
     return table
 
 
-def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> Table:
+def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
@@ -317,9 +319,11 @@ def _table(summary: Summary, metrics: Mapping[str, Any], max_missed: float) -> T
     table.add_row("samples lost", summary.lost_text(lost), "0", "", verdict)
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:
-        share = missed_share(metrics)
+        share, max_missed = missed_share(metrics), metrics["max_missed"]
         ok = met(share <= max_missed)
         table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", f"{max_missed:g} %", "", ok)
+        if lost := metrics["lost_periods"]:
+            table.add_row("of these periods lost by the machine", f"{lost} ({100.0 * lost / periods:.2f} %)")
         latency = metrics["latency_us"]
         texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
         table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs")

@@ -1,0 +1,65 @@
+"""Estimator and controller as two nodes of one process.
+
+All samples of a tick come in one message of the plant, the estimate goes from one to the other by a function call, and
+all commands leave in one message; then the topics of both nodes are published for everybody else. Each node has its own
+parameters, services, life cycle and diagnostics, as where it runs alone.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lftkit.arrays import IntArray
+from los_testbed.factories import RunParts
+from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
+from los_testbed.nodes.controller import ControllerLaw
+from los_testbed.nodes.estimator import EstimatorLaw, slow_sensor
+from los_testbed.nodes.support.follower import Follower
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.transport.bundle import Bundle, command_bundle, measurement_bundle
+from los_testbed.topics import ISOLATOR_ACCEL, TopicDefinition
+from titop_plant.interface import MEASUREMENTS
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run both nodes; returns the exit code."""
+
+    def body(context: NodeContext) -> int:
+        beside = NodeContext("controller", beside=context)
+        try:
+            parts = RunParts(context.config)
+            bundle = measurement_bundle(parts)
+            estimator, controller = EstimatorLaw(context), ControllerLaw(beside)
+            columns = {topic.name: np.arange(topic.columns.start, topic.columns.stop) for topic in bundle.topics}
+            estimator.columns = np.concatenate([np.arange(MEASUREMENTS), _of(estimator.further, columns)])
+            used = _of((ISOLATOR_ACCEL, *controller.further), columns)
+            controller.compose(estimator.los, used, command_bundle(parts))
+            return Follower([bundle], _synchronizer(context, bundle), [estimator, controller]).run()
+        finally:
+            beside.close()
+
+    return run_node("estimator", arguments, body)
+
+
+def _of(topics: Sequence[TopicDefinition], columns: Mapping[str, IntArray]) -> IntArray:
+    """Columns of these topics, one after the other."""
+    return np.concatenate([np.zeros(0, int), *(columns[topic.name] for topic in topics)])
+
+
+def _synchronizer(context: NodeContext, bundle: Bundle) -> StampSynchronizer:
+    """Of the one message; the frames of slow sensors in it are used when they come, in real time."""
+    config = context.config
+    slow = [topic for topic in bundle.topics if topic.name in bundle.ages]
+    some = [t for t in bundle.topics if t.framed or t.every(config.frame_ticks) > 1]
+    absent = [column for t in some for column in range(t.columns.start, t.columns.stop)] + list(bundle.ages.values())
+    frames = [(1 + i, bundle.ages[topic.name]) for i, topic in enumerate(slow)]
+    part = TickPart(bundle.codec(), slice(0, bundle.size), 1, absent, frames)
+    sensors = {number: slow_sensor(config, topic) for (number, _), topic in zip(frames, slow, strict=True)}
+    return StampSynchronizer([part], bundle.size, sensors if config.mode == "realtime" else None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

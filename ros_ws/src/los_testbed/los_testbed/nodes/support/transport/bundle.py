@@ -1,0 +1,90 @@
+"""All samples, or all commands, of a tick in one message.
+
+A tick of the loop then needs one message each way. The topics of the single sensors and actuators carry the same values
+for everybody else, and are published after it. The message is a ``sensor_msgs/JointState``: each entry of ``name`` says
+what the entry of ``effort`` at its place is. A sensor without a sample at a tick is NaN. A sensor that is slower than
+the loop has an age besides: time from its sample to the tick [s], NaN without one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from los_testbed.bags.cdr import Codec
+from los_testbed.factories import RunParts
+from los_testbed.topics import COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
+from pointing_analysis.read.messages.message_types import JOINT_STATE
+from titop_plant.interface import MEASUREMENTS
+
+MEASUREMENTS_NAME, COMMANDS_NAME = "loop/measurements", "loop/commands"
+"""Topics of the two messages."""
+
+FRAME = "loop"
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """What one message of a tick holds.
+
+    Parameters
+    ----------
+    name : str
+        Topic, relative to the namespace.
+    publisher : str
+        Node that sends it.
+    topics : tuple of TopicDefinition
+        Topics whose values it holds; their columns are those in the message.
+    ages : mapping of str to int
+        Column of the age of each topic that is slower than the loop, by its name.
+    """
+
+    name: str
+    publisher: str
+    topics: tuple[TopicDefinition, ...]
+    ages: Mapping[str, int]
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return max(int(topic.columns.stop) for topic in self.topics) + len(self.ages)
+
+    @property
+    def names(self) -> list[str]:
+        """What each value is: topic and index, or topic and ``age``."""
+        names = [""] * self.size
+        for topic in self.topics:
+            for i, column in enumerate(range(topic.columns.start, topic.columns.stop)):
+                names[column] = f"{topic.name}[{i}]"
+        for topic_name, column in self.ages.items():
+            names[column] = f"{topic_name} age"
+        return names
+
+    @property
+    def type_name(self) -> str:
+        """ROS message type."""
+        return JOINT_STATE
+
+    def codec(self) -> Codec:
+        """Bytes of the message."""
+        return Codec(self.type_name, self.size, FRAME, self.names)
+
+
+def measurement_bundle(parts: RunParts) -> Bundle:
+    """The message of the plant: the measurement, readings of further sensors that a controller takes in, ages."""
+    read = {port.name for devices in parts.used.values() for port in devices.inputs}
+    topics: list[TopicDefinition] = list(SENSORS)
+    end = MEASUREMENTS
+    for topic in parts.topics[len(TOPICS) :]:
+        if topic.publisher == "plant" and topic.port in read:
+            topics.append(shifted(topic, end - topic.columns.start))
+            end += topic.size
+    slow = [topic.name for topic in topics if topic.framed and topic.every(parts.config.frame_ticks) > 1]
+    return Bundle(MEASUREMENTS_NAME, "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
+
+
+def command_bundle(parts: RunParts) -> Bundle:
+    """The message of the controller: the command, forces of further actuators behind it."""
+    topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].actuators))
+
+    return Bundle(COMMANDS_NAME, "controller", tuple(topics), {})

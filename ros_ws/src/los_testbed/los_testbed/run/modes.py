@@ -1,0 +1,39 @@
+"""The mode of a run that was not asked for one: real time where this machine keeps pace, else lockstep.
+
+Before a run in real time the loop is tried for a while (:mod:`los_testbed.nodes.support.exercise`). Where more answers
+come late than ticks may be missed, the same run goes on in lockstep, which misses none; without ROS in one process.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+
+from los_testbed.config import AUTO, RunConfig
+from los_testbed.run.results import Exercised
+
+EXERCISE_S = 1.5
+"""The loop is tried so long."""
+
+
+def first_choice(config: RunConfig) -> RunConfig:
+    """The run in real time, with a trial before it; in one process where ROS 2 is not installed."""
+    if importlib.util.find_spec("rclpy") is None:
+        return replace(config, mode="inprocess", mode_choice=f"{AUTO}: ROS 2 is not installed in this environment")
+    return replace(config, mode="realtime", exercise=EXERCISE_S, mode_choice=AUTO)
+
+
+def in_lockstep(config: RunConfig, exercised: Exercised) -> RunConfig:
+    """The run in lockstep, with the reason."""
+    return replace(config, mode="lockstep", exercise=0.0, mode_choice=f"{AUTO}: {late_answers(config, exercised)}")
+
+
+def late_answers(config: RunConfig, exercised: Exercised) -> str:
+    """What was measured beside its limit.
+
+    Examples
+    --------
+    >>> late_answers(RunConfig(), Exercised(1400, 56, 3, 870.0))
+    '4.0 % of 1400 ticks were answered late (limit 0.5 %)'
+    """
+    return f"{exercised.share:.1f} % of {exercised.ticks} ticks were answered late (limit {config.max_missed:g} %)"
