@@ -4,9 +4,9 @@
     python benchmarks/real_time_loop.py --seconds 60 --docs        # writes table and histogram into docs/real_time.md
     python benchmarks/real_time_loop.py --seconds 60 --fair --docs # the same scheduling for both, another table there
 
-Each loop is four processes: plant, estimator, controller, and the testbed's recorder. `ours` has real-time scheduling,
-`ours_ordinary` is the same without any rights, `ours_hogs` with busy processes beside it; before and after, bare loops
-(benchmarks/bare_loop.py) show what the machine allows. `events_executor` and
+`ours` has real-time scheduling and three processes: plant, both laws, the testbed's recorder. `ours_separate` has four,
+with a process for each law; `ours_ordinary` is `ours` without any rights, `ours_hogs` with busy processes beside it;
+before and after, bare loops (benchmarks/bare_loop.py) show what the machine allows. `events_executor` and
 `single_threaded` are benchmarks/executor_nodes.py: message objects, callbacks, a ROS timer.
 
 Latency: from the plant's wake-up to the arrival of the mirror command of the same tick at the plant's middleware.
@@ -40,6 +40,7 @@ DOCS = HERE.parent / "docs"
 WIDTH = 118  # of lines in the documentation
 LABELS = {
     "ours": "own clock, WaitSet, bytes, real-time scheduling",
+    "ours_separate": "the same, a process for each law",
     "ours_hogs": "the same, with busy processes",
     "ours_ordinary": "the same, ordinary scheduling",
     "events_executor": "EventsExecutor, ROS timer, objects",
@@ -58,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each run (default 60)")
     parser.add_argument("--hogs", type=int, default=2, help="busy processes of the run with load (default 2; 0: none)")
-    parser.add_argument("--loops", nargs="+", choices=LABELS, default=list(LABELS)[:5], help="which to run")
+    parser.add_argument("--loops", nargs="+", choices=LABELS, default=list(LABELS)[:6], help="which to run")
     parser.add_argument("--fair", action="store_true", help="both loops with and without real-time scheduling")
     parser.add_argument("--domain", type=int, default=87, help="ROS domain (default 87)")
     parser.add_argument("--docs", action="store_true", help="write table and histogram into docs/real_time.md")
@@ -103,7 +104,7 @@ def write_between(page: Path, name: str, text: str) -> None:
 
 def bare_beside(name: str, hogs: int, seconds: float) -> list[list[dict[str, Any]]]:
     """Bare loops under the same load, a quarter as long, for the runs with real-time scheduling."""
-    if name not in ("ours", "ours_hogs"):
+    if name not in ("ours", "ours_separate", "ours_hogs"):
         return []
     busy = busy_processes(hogs if name == "ours_hogs" else 0)
     try:
@@ -136,7 +137,10 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
 
     def progress(ticks: int) -> None:
         if ticks >= 500 and (not seen or time.monotonic() - seen[-1][0] > 0.9):
-            seen.append((time.monotonic(), {n: cpu_seconds(pid) for n, pid in runner.processes.items()}))
+            pids: dict[int, str] = {}
+            for node, pid in runner.processes.items():
+                pids[pid] = f"{pids[pid]}+{node}" if pid in pids else node
+            seen.append((time.monotonic(), {nodes: cpu_seconds(pid) for pid, nodes in pids.items()}))
 
     try:
         with tempfile.TemporaryDirectory(prefix="los_testbed_bench_") as folder:
@@ -146,6 +150,7 @@ def fly(name: str, seconds: float, hogs: int, domain: int) -> tuple[Results, dic
                 domain=domain,
                 wait_for_recorder=True,
                 priority=name != "ours_ordinary",
+                processes="separate" if name == "ours_separate" else "composed",
             )
             runner = Runner(config, progress, commands)
             results = runner.run()
@@ -208,7 +213,7 @@ def table(result: dict[str, Any]) -> str:
     """Markdown table."""
     rows = [
         "| loop | missed ticks | latency median / 99 % / 99.9 % / max [µs] | lateness median / 99.9 % / max [µs] "
-        "| CPU plant/est./ctl./rec. [%] | messages lost |",
+        "| CPU of each process [%] | messages lost |",
         "|---|---|---|---|---|---|",
     ]
     for name, label in LABELS.items():
@@ -221,7 +226,7 @@ def table(result: dict[str, Any]) -> str:
             f"({100 * run['miss_rate']:.3g} %) "
             f"| {latency['median']:.0f} / {latency['p99']:.0f} / {latency['p999']:.0f} / {latency['max']:.0f} "
             f"| {late['median']:.0f} / {late['p999']:.0f} / {late['max']:.0f} "
-            f"| {'/'.join(f'{cpu[node]:.0f}' for node in NODES)} | {run['messages_lost']} of {run['messages']} |"
+            f"| {', '.join(f'{node} {share:.0f}' for node, share in cpu.items())} | {run['messages_lost']} of {run['messages']} |"
         )
     rows += ["", *bare_lines(result)] if any("bare" in result.get(name, {}) for name in LABELS) else []
     m = result["machine"]

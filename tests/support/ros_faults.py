@@ -8,9 +8,18 @@ from ros_runs import PLANT, config_for
 
 
 def run_with_fault(folder, at, fault, duration=None, after=500, **values):
-    """Run, and call `fault(runner)` once in a thread when `at` ticks are done.
+    """Run the small telescope, and call `fault(runner)` once in a thread when `at` ticks are done.
 
     The run goes on for `duration`; without one it is ended `after` ticks after the fault returned.
+    """
+    config = config_for(folder, duration=duration or 240.0, **values)
+    return when_running(config, fault, at, {"plant": PLANT}, None if duration else after)
+
+
+def when_running(config, fault, at, commands=None, after=None):
+    """Run, and call `fault(runner)` once in a thread when `at` ticks are done.
+
+    With `after`, the run is ended so many ticks after the fault returned.
     """
     state: dict[str, Any] = {}
     errors: list[BaseException] = []
@@ -25,12 +34,12 @@ def run_with_fault(folder, at, fault, duration=None, after=500, **values):
         if ticks >= at and "thread" not in state:
             state["thread"] = threading.Thread(target=act)
             state["thread"].start()
-        over = duration is None and "thread" in state and not state["thread"].is_alive()
+        over = after is not None and "thread" in state and not state["thread"].is_alive()
         if over and "ended" not in state and ticks - state.setdefault("end", ticks) >= after:
             state["ended"] = True  # a second interrupt would end the run at once
             raise KeyboardInterrupt
 
-    runner = Runner(config_for(folder, duration=duration or 240.0, **values), progress, {"plant": PLANT})
+    runner = Runner(config, progress, commands)
     try:
         return runner.run()
     finally:

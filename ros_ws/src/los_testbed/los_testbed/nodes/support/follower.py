@@ -63,6 +63,7 @@ class LawLoop:
         self.ticks = 0
         self.next_service = self.next_report = 0
         self._held = self._told = False
+        self._tried = self.context.config.exercise > 0.0
         self._troubles = (0, 0)
         self._begin_times()
 
@@ -72,9 +73,15 @@ class LawLoop:
         self._health = LoopHealth(self.context.config.mode == "realtime")
 
     def step(self, since: int, vector: FloatArray, gap: int) -> None:
-        """One tick, `since` [ns] after the start of the run, or at a hold tick (-1)."""
+        """One tick, `since` [ns] after the start of the run, or at a hold tick (-1).
+
+        Where the loop is tried before the run, the law computes at hold ticks, too, and begins anew after each.
+        """
         if since < 0:
             if not self._held:  # hold ticks are repeated until they are answered
+                self.law.reset()
+            if self._tried:
+                self.law.step(vector, 0)
                 self.law.reset()
             self._held = True
             return

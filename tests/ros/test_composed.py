@@ -1,0 +1,178 @@
+"""Estimator and controller as two nodes of one process: the same bits, the same faults, and the choice of the mode."""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from bystander import Bystander
+from los_testbed.bags.cdr import stamp_of
+from los_testbed.cli.run import configure
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.nodes.remote_control import remote_control
+from los_testbed.run.modes import EXERCISE_S, first_choice, in_lockstep
+from los_testbed.run.results import Exercised
+from los_testbed.run.runner import Runner
+from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
+from ros_faults import when_running
+from ros_runs import private_domain
+
+from pointing_analysis.read.run import Run
+
+pytestmark = pytest.mark.ros
+
+SLOW_LAW = """
+import time
+import numpy as np
+
+class Slow:
+    def reset(self): pass
+    def step(self, accel, out):
+        time.sleep(3e-3)
+        out[:] = 0.0
+"""
+
+
+def config_of(folder: Path, name: str, **values: object) -> RunConfig:
+    base = {"duration": 0.4, "domain": private_domain(), "output": str(folder / name), "wait_for_recorder": True}
+    return RunConfig.from_mapping({**base, **values})
+
+
+def assert_same_samples(one: Path, other: Path) -> None:
+    first, second = Run.open(one), Run.open(other)
+    assert list(first.topics) == list(second.topics)
+    for topic in first.topics:
+        np.testing.assert_array_equal(first[topic].stamp, second[topic].stamp)
+        np.testing.assert_array_equal(first[topic].values, second[topic].values)
+
+
+def test_composed_and_separate_runs_in_lockstep_have_the_bits_of_one_process(tmp_path):
+    settings = {"mode": "lockstep", "camera_dropout": 0.3, "seed": 5}
+    for name in ("composed", "separate"):
+        results = Runner(config_of(tmp_path, name, processes=name, **settings)).run()
+        assert not results.failures
+    run_in_process(config_of(tmp_path, "inprocess", **settings), tmp_path / "inprocess")
+    assert np.isnan(Run.open(tmp_path / "inprocess")["camera/los"].values).any()
+    for name in ("composed", "separate"):
+        assert_same_samples(tmp_path / name, tmp_path / "inprocess")
+
+
+def test_the_program_of_both_laws_is_replaced_as_one_and_the_plant_goes_on(tmp_path):
+    config = config_of(tmp_path, "bag", duration=240.0)
+    killed = []
+
+    def kill(runner):
+        assert runner.processes["estimator"] == runner.processes["controller"]
+        seen = Bystander(runner.domain, hears=[TRUTH_LOS, FSM_COMMAND])
+        try:
+            killed.append(seen.next(TRUTH_LOS))
+            os.kill(runner.processes["estimator"], signal.SIGKILL)
+            time.sleep(0.3)
+            seen.next(FSM_COMMAND, seen.next(TRUTH_LOS))  # both laws answer again
+        finally:
+            seen.close()
+
+    results = when_running(config, kill, at=500, after=1000)
+    assert len(results.failures) == 1
+    assert results.failures[0].startswith("estimator_controller ended unexpectedly (signal 9)")
+    run = Run.open(results.bag)
+    for topic in (FSM_COMMAND.name, LOS_ESTIMATE.name):
+        gaps = np.diff(run[topic].stamp)
+        assert gaps.max() > 50_000_000
+        assert abs(run[topic].stamp[int(np.argmax(gaps))] - killed[0]) < 1_000_000_000
+
+
+@pytest.mark.parametrize("name", ["estimator", "controller"])
+def test_a_node_that_is_shut_down_leaves_the_other_one(tmp_path, name):
+    """Without an estimate there are no commands; the estimates go on without a controller."""
+    config = config_of(tmp_path, "bag", duration=240.0)
+
+    def shut_down(runner):
+        from lifecycle_msgs.msg import Transition
+
+        with remote_control(runner.domain, "/telescope", 10.0) as control:
+            from lifecycle_msgs.srv import ChangeState
+
+            request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN))
+            assert control._call(ChangeState, f"{name}/change_state", request).success
+
+    results = when_running(config, shut_down, at=500, after=1500)
+    assert not results.failures
+    assert [w for w in results.warnings if w.startswith(f"{name} was shut down by a request of its life cycle")]
+    run = Run.open(results.bag)
+    end = run["truth/los"].stamp[-1]
+    assert run["fsm/command"].stamp[-1] < end - 500_000_000
+    assert (run["los_estimate"].stamp[-1] > end - 50_000_000) == (name == "controller")
+
+
+def test_a_slow_law_runs_in_lockstep_where_no_mode_is_asked_for(tmp_path, monkeypatch):
+    """Measured in the trial before the run, in which the law computes; the bag says what was asked and measured."""
+    (tmp_path / "slow_law.py").write_text(SLOW_LAW)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    given = {"duration": 0.3, "domain": private_domain(), "output": "bag", "k_pma": "slow_law:Slow"}
+    config = configure(None, [], given, free_mode=True)
+    assert (config.mode, config.mode_choice, config.exercise) == ("realtime", "auto", EXERCISE_S)
+    from los_testbed.cli.run import Nodes, execute
+    from los_testbed.factories import RunParts
+
+    results = execute(RunParts(config), Nodes())
+    parameters = Run.open(results.bag).parameters
+    assert parameters["mode"] == "lockstep"
+    assert parameters["mode_choice"].startswith("auto: ")
+    assert "ticks were answered late (limit 0.5 %)" in parameters["mode_choice"]
+
+
+def test_a_run_in_real_time_records_the_trial_before_it(tmp_path):
+    config = first_choice(config_of(tmp_path, "bag", max_missed=100.0))
+    results = Runner(config).run()
+    statistics = results.statistics["plant"]
+    assert int(statistics["exercised_ticks"]) > 1000
+    assert 0 <= int(statistics["exercised_late"]) <= int(statistics["exercised_ticks"])
+    parameters = Run.open(results.bag).parameters
+    assert (parameters["mode"], parameters["mode_choice"]) == ("realtime", "auto")
+    assert json.loads(json.dumps(parameters["statistics"]))["plant"]["exercised_ticks"]
+
+
+def test_the_trial_does_not_change_the_run(tmp_path):
+    """Laws that have computed at hold ticks begin anew: lockstep after it has the same bits."""
+    config = config_of(tmp_path, "tried", mode="lockstep")
+    Runner(RunConfig.from_mapping({**config.to_plain(), "exercise": 0.5})).run()
+    run_in_process(config, tmp_path / "inprocess")
+    assert_same_samples(tmp_path / "tried", tmp_path / "inprocess")
+
+
+def test_lockstep_after_a_slow_trial_is_the_same_run():
+    config = first_choice(RunConfig(duration=2.0, seed=7))
+    other = in_lockstep(config, Exercised(1400, 70, 2, 900.0))
+    assert (other.mode, other.exercise, other.seed, other.duration) == ("lockstep", 0.0, 7, 2.0)
+    assert other.mode_choice == "auto: 5.0 % of 1400 ticks were answered late (limit 0.5 %)"
+
+
+def test_everything_of_a_tick_comes_in_one_message(tmp_path):
+    """The message names its values, so that any ROS program can read it."""
+    from los_testbed.factories import RunParts
+    from los_testbed.nodes.support.transport.bundle import command_bundle, measurement_bundle
+
+    parts = RunParts(config_of(tmp_path, "bag"))
+    measured, commanded = measurement_bundle(parts), command_bundle(parts)
+    assert measured.size == 23 and commanded.size == 8
+    assert measured.names[0] == "isolator/accel[0]" and measured.names[-1] == "camera/los age"
+    assert commanded.names[:3] == ["fsm/command[0]", "fsm/command[1]", "pma/command[0]"]
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import JointState
+
+    values = np.arange(23.0)
+    data = bytes(measured.codec().encode(3_000_000, values))
+    message = deserialize_message(data, JointState)
+    assert list(message.name) == measured.names
+    assert list(message.effort) == values.tolist()
+    assert stamp_of(data) == 3_000_000
