@@ -5,10 +5,13 @@ MINUTES ?= 10
 CASES ?=
 SEED ?=
 READY := .venv/.ready
+EVERYTHING := .venv/.everything
 SKIPPED := .venv/skipped-tests.txt
 # one process of them has the tests of nodes, which wait most of their time
 LANES := -n 3 --dist loadfile --no-loadscope-reorder
 PACKAGES := lftkit titop_plant los_estimator fsm_pma_controller los_loop los_design pointing_analysis
+COMPILE := uv pip compile --quiet --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
+    --override overrides.txt --no-emit-package lftkit
 export OPENBLAS_NUM_THREADS ?= 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # hundreds of processes start in the tests: without bytecode each of them compiles the packages anew
@@ -36,33 +39,33 @@ help:
 	@echo "make designs    the shipped controllers of the implemented loop anew (a quarter of an hour or more)"
 	@echo "make site       build/site: the documentation with its API reference, links checked"
 	@echo "make lint       style and types alone"
-	@echo "make lock       new requirements.lock (needs the network)"
+	@echo "make lock       the locks of environment/ anew (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
 
-$(READY): requirements.lock pyproject.toml lftkit/pyproject.toml
+$(READY): environment/run.lock environment/uv.lock pyproject.toml lftkit/pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if (3, 10) <= v <= (3, 13) else \
 	    "expected Python 3.10 to 3.13, $(PYTHON) is %d.%d: name another, for example make run PYTHON=python3.12" % v)'
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e ./lftkit -e .
-	$(BIN)/python -m los_testbed.loop.compiled_loop
-	@# compile and keep the norms of few states
-	$(BIN)/python -c 'import numpy as np; from lftkit import hinf_norm; I = np.eye(2); \
-	    [hinf_norm(-I / 2, I, I, 0 * I, dt=dt) for dt in (None, 1.0)]'
+	@echo "environment: .venv"
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python environment/install.py run
 	@touch $(READY)
+
+$(EVERYTHING): $(READY) environment/everything.lock
+	@$(BIN)/python environment/install.py everything
+	@touch $(EVERYTHING)
 
 run: $(READY)
 	$(BIN)/los-testbed run --domain free
 
-lint: $(READY)
+lint: $(EVERYTHING)
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target types types-of-tests style
 
-style: $(READY)
+style: $(EVERYTHING)
 	$(BESIDE) $(BIN)/ruff check .
 	$(BESIDE) $(BIN)/ruff format --check .
 	$(BESIDE) $(BIN)/lint-imports --no-logo
 
-types: $(READY)
+types: $(EVERYTHING)
 	$(BESIDE) $(BIN)/mypy
 
 # after those of the packages, whose cache it reads
@@ -70,29 +73,29 @@ types-of-tests: types
 	$(BESIDE) $(BIN)/mypy --config-file tests/mypy.ini tests
 
 # style and types have the priority of the tests that start no nodes, see tests/support/lanes.py
-test: $(READY)
+test: $(EVERYTHING)
 	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 3" tests style types types-of-tests \
 	    || { echo "Something failed, see above; style and types alone: make lint"; exit 1; }
 
-tests: $(READY)
+tests: $(EVERYTHING)
 	@rm -f $(SKIPPED)
 	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow and not further" --doctest-modules tests $(PACKAGES)
 	@if [ -s $(SKIPPED) ]; then echo "Skipped tests and what was not judged, and how to run them:"; cat $(SKIPPED); \
 	    else echo "No test was skipped."; fi
 
-test-further: $(READY)
+test-further: $(EVERYTHING)
 	$(BIN)/pytest $(LANES) -m "further and not slow" tests
 
-test-slow: $(READY)
+test-slow: $(EVERYTHING)
 	$(BIN)/pytest -m slow tests
 
-fuzz: $(READY)
+fuzz: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/fuzz_for.py $(MINUTES) $(SEED:%=--seed=%)
 
-attacks: $(READY)
+attacks: $(EVERYTHING)
 	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(or $(CASES:%=--cases=%),--minutes=$(MINUTES)) $(SEED:%=--seed=%)
 
-faults: $(READY)
+faults: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)
 
 stages: $(READY)
@@ -103,12 +106,12 @@ reference-bag: $(READY)
 	$(BIN)/los-testbed run --mode inprocess --duration 4.1 --seed 1 --output build/reference --no-report
 	rm -rf bags/reference && mv build/reference bags/reference
 
-report-picture: $(READY)
+report-picture: $(EVERYTHING)
 	rm -rf build/stages
 	$(BIN)/los-testbed stages --scenario worst_case --output build/stages
 	$(BIN)/python docs/report_picture.py build/stages/report-worst_case.html docs/figures/report.png
 
-image-pictures: $(READY)
+image-pictures: $(EVERYTHING)
 	rm -rf build/image
 	for stage in none isolator fsm fsm+pma; do $(BIN)/los-testbed run --mode inprocess --duration 4 --loop $$stage \
 	    --scenario worst_case --no-report --output build/image/$$stage || exit 1; done
@@ -116,7 +119,7 @@ image-pictures: $(READY)
 	    --output build/image/pictures
 	cp build/image/pictures/star.png build/image/pictures/target.png docs/figures/
 
-campaign-pictures: $(READY)
+campaign-pictures: $(EVERYTHING)
 	rm -rf build/campaign build/spin_up
 	$(BIN)/los-testbed campaign --samples 500 --output build/campaign
 	$(BIN)/python docs/report_picture.py build/campaign/report.html docs/figures/campaign.png .pictures
@@ -125,7 +128,7 @@ campaign-pictures: $(READY)
 	$(BIN)/python docs/report_picture.py build/spin_up/report-ramp.html docs/figures/spin_up_waterfall.png '#waterfall-2'
 	$(BIN)/python docs/report_picture.py build/spin_up/report-ramp.html docs/figures/spin_up_campbell.png '#campbell-2'
 
-bench: $(READY)
+bench: $(EVERYTHING)
 	$(BIN)/python benchmarks/frequency_response.py --samples 2 --json
 	$(BIN)/python benchmarks/hinf_norm.py --samples 8 --json
 	$(BIN)/python benchmarks/verification.py --points 8 --json
@@ -143,7 +146,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/deadline_qos.py --seconds 4 --json
 	$(BIN)/python benchmarks/soak.py --minutes 2 --json
 
-docs: $(READY)
+docs: $(EVERYTHING)
 	$(BIN)/los-testbed plant figures --output docs/figures
 	$(BIN)/los-testbed design figures --output docs/figures
 	$(BIN)/los-testbed design table --json | $(BIN)/python docs/fill_tables.py gammas
@@ -154,7 +157,7 @@ docs: $(READY)
 	    && COLUMNS=100 $(BIN)/los-testbed run --mode inprocess --output $$folder/run > $$folder/run.txt \
 	    && $(BIN)/python docs/fill_tables.py run < $$folder/run.txt && rm -r $$folder
 
-designs: $(READY)
+designs: $(EVERYTHING)
 	$(BIN)/los-testbed design all --output build/designs
 	cp build/designs/k_fsm.json los_estimator/designs/
 	cp build/designs/k_pma.json fsm_pma_controller/designs/
@@ -163,21 +166,16 @@ designs: $(READY)
 	cp build/designs_nominal/k_fsm.json los_estimator/designs/k_fsm_implemented_nominal.json
 	cp build/designs_nominal/k_pma.json fsm_pma_controller/designs/k_pma_implemented_nominal.json
 
-site: $(READY)
+site: $(EVERYTHING)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	$(BIN)/python docs/site/check_links.py build/site
 
+# the same versions in both: those of a run are held at those of everything
 lock:
-	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet uv
-	# fmpy is content with the lark-parser of ROS, which has the same module as lark, and needs no cmake of its own;
-	# of numpy-typing-compat the one for this numpy
-	printf '%s\n' 'numpy>=2.2,<2.3' "numpy-typing-compat==20251206.2.2; python_version >= '3.11'" "lark; python_version < '3'" "cmake; python_version < '3'" > .venv-lock/override.txt
-	.venv-lock/bin/uv pip compile --universal --python-version 3.10 --all-extras --no-header --no-annotate \
-	    --override .venv-lock/override.txt --no-emit-package lftkit pyproject.toml -o requirements.lock
-	printf '%s\n' '# Every package that the two README commands install, for CPython 3.10-3.13 on Linux x86_64.' \
-	    '# Made by `make lock`; installed with --no-deps. numpy is held at 2.2 because pyNastran 1.4.1 uses names that numpy 2.4 removed.' \
-	    | cat - requirements.lock > .venv-lock/requirements.lock
-	mv .venv-lock/requirements.lock requirements.lock
+	$(PYTHON) -m venv .venv-lock && .venv-lock/bin/pip install --quiet --require-hashes --no-deps -r environment/uv.lock
+	cd environment && ../.venv-lock/bin/$(COMPILE) --all-extras ../pyproject.toml -o everything.lock
+	cd environment && ../.venv-lock/bin/$(COMPILE) --extra ros --extra fast --extra live -c everything.lock \
+	    ../pyproject.toml build.txt -o run.lock
 
 clean:
 	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
