@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -165,11 +167,22 @@ def test_ros_missing_is_said_before_anything_happens(run, monkeypatch):
 
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
-    code, _, err = run("run", *run.controllers)
+    code, _, err = run("run", "--mode", "realtime", *run.controllers)
     assert code == 2
     assert "ROS 2 is not installed" in err and "--mode inprocess" in err
     assert err.count("\n") == 1
     assert not list(run.here.iterdir())
+
+
+def test_without_ros_a_run_goes_on_in_one_process_where_no_mode_is_asked_for(run, monkeypatch):
+    import importlib.util
+
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
+    code, _, err = run("run", "--duration", "0.2", "--output", "bag", *run.controllers)
+    assert code == 0
+    assert "auto: ROS 2 is not installed in this environment: run in one process" in err
+    assert Run.open(Path("bag")).parameters["mode"] == "inprocess"
 
 
 def test_a_bag_that_is_none(run):

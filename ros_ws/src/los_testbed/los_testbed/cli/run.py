@@ -75,7 +75,7 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
 
 @with_settings(
-    without=("disturbance", "disturbance_source", "disturbance_files", "exercise", "mode_choice"),
+    without=("disturbance", "disturbance_source", "disturbance_files", "mode_choice"),
     metavars={"domain": "INTEGER|free", "mode": "auto|realtime|lockstep|inprocess", "max_missed": "PERCENT"},
 )
 def run(
@@ -444,6 +444,8 @@ def execute(parts: RunParts, nodes: Nodes) -> Results:
         ).run()
     if results.too_slow is not None:
         told = late_answers(config, results.too_slow)
+        if config.mode_choice is None:
+            raise RunError(f"{told} in the trial before the run, which did not begin", ExitCode.MISSED_TICKS)
         sys.stderr.write(f"{told}: the run goes on in lockstep; --mode realtime insists on real time\n")
         return execute(replace(parts, config=in_lockstep(config, results.too_slow)), nodes)
     results.warnings = [warning for warning in results.warnings if warning not in warnings]

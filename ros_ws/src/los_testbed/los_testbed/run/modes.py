@@ -20,7 +20,7 @@ def first_choice(config: RunConfig) -> RunConfig:
     """The run in real time, with a trial before it; in one process where ROS 2 is not installed."""
     if importlib.util.find_spec("rclpy") is None:
         return replace(config, mode="inprocess", mode_choice=f"{AUTO}: ROS 2 is not installed in this environment")
-    return replace(config, mode="realtime", exercise=EXERCISE_S, mode_choice=AUTO)
+    return replace(config, mode="realtime", exercise=config.exercise or EXERCISE_S, mode_choice=AUTO)
 
 
 def in_lockstep(config: RunConfig, exercised: Exercised) -> RunConfig:
