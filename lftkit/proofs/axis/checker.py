@@ -18,7 +18,7 @@ import numpy as np
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
-from lftkit.proofs.trusted.premises import require_strip
+from lftkit.proofs.trusted.premises import indices, require_strip
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.strips import check_strip
 from lftkit.proofs.verdict import CheckedProof
@@ -40,7 +40,8 @@ def check_axis_proof(proof: AxisProof | Path, each: Callable[..., Iterable[int |
     """
     proof = AxisProof.from_file(proof) if isinstance(proof, Path) else proof
     try:
-        return _checked(proof, each)
+        with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+            return _checked(proof, each)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof, got {error!r}") from None
@@ -147,7 +148,8 @@ def _require_matrices(proof: AxisProof) -> None:
         array, kind = getattr(proof, name), np.float64 if name in "ABCD" else np.complex128
         if array.shape != shape or array.dtype != kind or not np.all(np.isfinite(array)):
             raise ProofError(f"{name} must be finite, of shape {shape} and type {kind.__name__}, got another")
-    if sorted(channel for group in proof.groups for channel in group) != list(range(q)):
+    channels = [channel for group in proof.groups for channel in group]
+    if not indices(channels, q) or len({*channels}) != q:
         raise ProofError("every channel must belong to one parameter")
     others = (rows - q, columns - q)
     if min(others) < 0 or (proof.kind == "gain" and not all(others)) or (proof.kind == "stability" and any(others)):

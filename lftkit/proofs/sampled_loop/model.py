@@ -34,7 +34,7 @@ class LoopModel(GivenLoop):
         """``z`` and the bounded output by (w, d) at one frequency, (q, q + d) and (rows, q + d), without bounds."""
         q, y, _, d, _ = self.sizes
         s, z = 1j * omega, np.exp(1j * omega * self.dt)
-        growth, gain = self.growth
+        growth, gain = (known.c[0] for known in self.growth)
         own = (self.C / (s - self.poles)) @ self.B[:, : q + d] + self.D[:, : q + d]
         if not len(self.K_C):
             return own[:q], np.asarray(own[q:][list(self.rows)])

@@ -27,9 +27,9 @@ from typing import Any
 from lftkit.proofs.sampled_loop.files import model_entries, model_of
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
-from lftkit.proofs.trusted.checker import check_loop_proof
+from lftkit.proofs.trusted.checker import FAULTS, check_loop_proof
 from lftkit.proofs.trusted.given import LoopProof
-from lftkit.proofs.trusted.polynomials import INFLATE
+from lftkit.proofs.trusted.polynomials import INFLATE, UNIT
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
 from lftkit.proofs.trusted.stability import stable_below
 
@@ -176,12 +176,13 @@ def check_noise_proof(
         windows = sum(check_loop_proof(proof.of_part(part), each, stability=False).windows for part in proof.parts)
         model = proof.model
         below = stable_below(model, (0.0, math.pi / model.dt), proof.box) if stability else 0.0
-    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError) as error:
+        absolute = noise_bound(model, proof.parts, 0.0)
+        relative = noise_bound(model, proof.parts, window) if window else None
+    except FAULTS as error:
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof of noise, got {error!r}") from None
     count = sum(len(part.strips) for part in proof.parts)
-    relative = noise_bound(model, proof.parts, window) if window else None
-    return CheckedNoise(noise_bound(model, proof.parts, 0.0), relative, count, windows, below)
+    return CheckedNoise(absolute, relative, count, windows, below)
 
 
 def require_parts(proof: NoiseProof) -> None:
@@ -208,6 +209,8 @@ def noise_bound(model: LoopModel, parts: Sequence[NoisePart], window: float) -> 
         for band, level in whole.items()
     }
     rms, along = (math.sqrt(mean_square(model, levels, window)) * INFLATE for levels in (trace, whole))
+    if not 0.0 < along < math.inf or not 0.0 < rms < math.inf:
+        raise ArithmeticError(f"bounds of noise must be positive and finite, got {rms} and {along}")
     return NoiseBound(rms, min(along, rms))
 
 
@@ -227,5 +230,5 @@ def power_area(low: float, high: float, window: float) -> float:
 
 
 def window_power(y: float) -> float:
-    """Squared weight of the relative error at ``y = w window``; it grows with y."""
-    return 1.0 - 144.0 / (y**4 + 12.0 * y**2 + 144.0)
+    """Upper bound of the squared weight of the relative error at ``y = w window``; it grows with y."""
+    return 1.0 - 144.0 / (y**4 + 12.0 * y**2 + 144.0) + 8.0 * UNIT

@@ -44,6 +44,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.trusted.definite import positive
+from lftkit.proofs.trusted.polynomials import TINY
 from lftkit.proofs.trusted.proof import ProofError, uncovered
 from lftkit.proofs.verdict import CheckedProof
 
@@ -54,11 +56,13 @@ INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
 
 
 class Ball:
-    """Real matrix with an elementwise bound of its error."""
+    """Real matrix with an elementwise bound of its error; an ArithmeticError where a number is not finite."""
 
     def __init__(self, mid: FloatArray, rad: FloatArray | None = None) -> None:
         self.mid = mid
         self.rad = np.zeros_like(mid) if rad is None else rad
+        if not (np.isfinite(self.mid).all() and np.isfinite(self.rad).all()):
+            raise ArithmeticError("numbers must be finite")
 
     def __matmul__(self, other: Ball) -> Ball:
         a, b = np.abs(self.mid), np.abs(other.mid)
@@ -122,15 +126,12 @@ def definite_ratio(matrix: Ball) -> float:
     n, diagonal = len(matrix.mid), np.diag(matrix.mid)
     if n == 0:
         return math.inf
-    if not (np.isfinite(matrix.mid).all() and np.isfinite(matrix.rad).all() and np.all(diagonal > 0.0)):
+    if not np.all(diagonal > 0.0):
         return 0.0
-    scale = np.exp2(-np.round(0.5 * np.log2(diagonal)))  # powers of two: exact
-    mid, rad = (part * scale[:, None] * scale for part in (0.5 * (matrix.mid + matrix.mid.T), matrix.rad))
-    rad = np.maximum(rad, rad.T) + UNIT * np.abs(mid)
-    k = n + 3
-    bound = INFLATE * (2.0 * k * UNIT / (1.0 - 2.0 * k * UNIT) * float(np.trace(mid)) + float(rad.sum(axis=1).max()))
-    factor = 1.0
-    while factor < 2.0**60 and linalg.lapack.dpotrf(mid - factor * bound * np.eye(n), lower=1)[1] == 0:
+    scale = np.exp2(-np.round(0.5 * np.log2(diagonal)))  # powers of two: exact, but for what gets too small
+    mid, rad = (part * scale[:, None] * scale for part in (matrix.mid, matrix.rad))
+    rad, factor = rad + UNIT * np.abs(mid) + TINY, 1.0
+    while factor < 2.0**60 and positive(mid, rad, factor):
         factor *= 4.0
     return factor / 4.0 if factor > 1.0 else 0.0
 
@@ -306,7 +307,8 @@ def check_proof(proof: Any) -> CheckedProof:
         raise ProofError(f"the proof must be an ordinary file, got {proof}")
     try:
         content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else getattr(proof, "content", proof)
-        return _checked(content)
+        with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+            return _checked(content)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         known = isinstance(error, ProofError)
         raise ProofError(str(error) if known else f"the file must be a proof, got {error!r}") from None

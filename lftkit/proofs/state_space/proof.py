@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -123,8 +124,9 @@ def stable_member(system: System, claim: dict[str, Any], point: FloatArray) -> d
                 "T": T.tolist(),
                 "weights": _weights(system, factor * weights),
             }
-            if inequality.stable_ratio(content) >= 1.0:
-                return content
+            with suppress(ArithmeticError):  # a number out of range
+                if inequality.stable_ratio(content) >= 1.0:
+                    return content
     return None
 
 

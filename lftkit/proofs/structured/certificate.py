@@ -59,6 +59,18 @@ def check_mu(M: ComplexArray, structure: Sequence[UncertaintyBlock], certificate
     matrix = checked_matrix(M, structure)
     if not (0.0 < certificate.level < np.inf and len(certificate.D) == len(certificate.G) == len(structure)):
         raise ProofError("a certificate must have a positive level, and D and G for each block")
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+            worst = _ratio(matrix, structure, certificate)
+    except ArithmeticError as error:
+        raise ProofError(f"the inequality must be one of finite numbers, got: {error}") from None
+    if not worst >= 1.0:
+        raise ProofError("the inequality must hold beyond rounding, got no margin")
+    return worst
+
+
+def _ratio(matrix: ComplexArray, structure: Sequence[UncertaintyBlock], certificate: MuCertificate) -> float:
+    """Smallest ratio of the certificate's matrices."""
     width = matrix.shape[1]
     square = number(certificate.level) @ number(certificate.level)
     total = Ball(np.zeros((2 * width, 2 * width)))
@@ -80,10 +92,7 @@ def check_mu(M: ComplexArray, structure: Sequence[UncertaintyBlock], certificate
         if block.kind == REAL:
             mixed = z.transposed() @ (Ball(turned) @ w)
             total = total - (mixed + mixed.transposed())
-    worst = min(worst, definite_ratio(total))
-    if not worst >= 1.0:
-        raise ProofError("the inequality must hold beyond rounding, got no margin")
-    return worst
+    return min(worst, definite_ratio(total))
 
 
 def _embedded(part: ComplexArray) -> Ball:

@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lftkit.proofs.trusted.polynomials import UNIT, Polynomial, constant, exponential, inverse, linear, reciprocal
+from lftkit.proofs.trusted.polynomials import (
+    INFLATE,
+    TINY,
+    UNIT,
+    Polynomial,
+    constant,
+    exponential,
+    inverse,
+    linear,
+    reciprocal,
+)
 
 if TYPE_CHECKING:
     from lftkit.arrays import ComplexArray, FloatArray, IntArray
@@ -97,10 +107,16 @@ class Loop:
         return found
 
     @cached_property
-    def growth(self) -> tuple[ComplexArray, ComplexArray]:
-        """``exp(p dt)`` and ``(exp(p dt) - 1) / p`` of the plant's poles."""
+    def growth(self) -> tuple[Polynomial, Polynomial]:
+        """``exp(p dt)`` and ``(exp(p dt) - 1) / p`` of the plant's poles, with bounds of their errors.
+
+        Rounding of ``x = p dt`` is one of ``|x exp(x)| u`` in both; the second is small near multiples of 2 pi j.
+        """
         x = self.poles * self.dt
-        return np.exp(x), np.expm1(x) / self.poles
+        ahead, less = np.exp(x), np.expm1(x)
+        error = 8.0 * UNIT * (np.abs(x) * np.abs(ahead) + 2.0 * np.abs(less)) + TINY
+        of_gain = INFLATE * (error / np.abs(self.poles))
+        return constant(ahead, 8.0 * UNIT * (1.0 + np.abs(x))), Polynomial((less / self.poles)[None], of_gain)
 
     def responses(self, middle: float, half: float, V: ComplexArray) -> tuple[Polynomial, Polynomial]:
         """``z`` and the bounded output over a window of frequency, as maps from the coordinates of V.
@@ -155,9 +171,8 @@ class Loop:
         """Rows of the plant's sampled response to held commands."""
         first = self.sizes[0] + self.sizes[3]
         growth, gain = self.growth
-        error = 8.0 * UNIT * (1.0 + float(np.abs(self.poles).max()) * self.dt)
-        held = reciprocal(self.shift(middle, half, 1.0) - constant(growth, error))
-        driven = constant(gain[:, None] * self.B[:, first:], error)
+        held = reciprocal(self.shift(middle, half, 1.0) - growth)
+        driven = gain[:, None] * constant(self.B[:, first:])
         return (constant(self.C[rows]) * held) @ driven + constant(self.D[rows, first:])
 
     def controller(self, middle: float, half: float) -> Polynomial:

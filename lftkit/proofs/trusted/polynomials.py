@@ -32,6 +32,11 @@ class Polynomial:
         Coefficients; missing ones are zero.
     rad : ndarray, shape (...), optional
         Zero by default.
+
+    Raises
+    ------
+    ArithmeticError
+        A number is not finite. Every result of an operation is one of these, so that no comparison meets such a number.
     """
 
     def __init__(self, c: Sequence[ComplexArray] | ComplexArray, rad: FloatArray | None = None) -> None:
@@ -39,6 +44,8 @@ class Polynomial:
         self.c = np.zeros((ORDER + 1, *given.shape[1:]), complex)
         self.c[: len(given)] = given
         self.rad: FloatArray = np.zeros(self.c.shape[1:]) if rad is None else rad
+        if not (np.isfinite(self.c.sum()) and np.isfinite(self.rad.sum())):  # sums with such numbers are none, too
+            raise ArithmeticError("numbers must be finite")
 
     @cached_property
     def sizes(self) -> FloatArray:
@@ -98,15 +105,15 @@ class Polynomial:
         return Polynomial(self.c[whole], self.rad[inner])
 
 
-def constant(value: ComplexArray | FloatArray | complex, error: float = 0.0) -> Polynomial:
+def constant(value: ComplexArray | FloatArray | complex, error: float | FloatArray = 0.0) -> Polynomial:
     """Matrix that does not depend on t; `error` is a relative bound of its entries' error."""
     array = np.asarray(value, dtype=complex)
-    return Polynomial(array[None], error * np.abs(array))
+    return Polynomial(array[None], error * (np.abs(array) + TINY))  # of the smallest numbers no error is relative
 
 
 def span(low: float, high: float) -> tuple[float, float]:
     """Middle and half of a window that contains [low, high], whatever the rounding."""
-    return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 4.0 * UNIT) + 4.0 * UNIT * high
+    return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 4.0 * UNIT) + 4.0 * UNIT * high + TINY
 
 
 def linear(middle: complex, half: complex, error: float = 0.0) -> Polynomial:
@@ -120,9 +127,10 @@ def windows_with(works: Callable[[float, float], bool], low: float, high: float,
     while waiting:
         low, high, depth = waiting.pop()
         try:
-            if works(low, high):
-                done += 1
-                continue
+            with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+                if works(low, high):
+                    done += 1
+                    continue
         except (ArithmeticError, linalg.LinAlgError):
             pass
         if depth == deepest:
@@ -175,7 +183,7 @@ def weighted_share(bound: FloatArray) -> tuple[float, FloatArray]:
     for _ in range(8):
         size = bound @ size + 1e-3 * size
         size = size / size.max()
-    return INFLATE * float((bound @ size / size).max()), size
+    return INFLATE * float(((bound @ size + TINY) / size).max()), size
 
 
 def inverse(p: Polynomial) -> Polynomial:
@@ -188,9 +196,7 @@ def inverse(p: Polynomial) -> Polynomial:
     """
     one = constant(np.eye(p.c.shape[-1]))
     factors, pivots, _ = linalg.lapack.zgetrf(p.c[0])
-    found, singular = linalg.lapack.zgetri(factors, pivots)
-    if singular:
-        raise ArithmeticError("the matrix may be singular")
+    found = linalg.lapack.zgetri(factors, pivots)[0]  # whatever it is, the product below is verified
     away = constant(found) @ p - one
     share, size = weighted_share(away.bound())
     if not share < 0.9:

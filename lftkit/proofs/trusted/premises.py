@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from lftkit.proofs.trusted.given import LoopProof, Responses
 
 REAL = ("D", "K_D", "weights")
+MOST_TICKS = 10_000
+"""For which a measurement is held: the hold is a sum of as many terms."""
 
 
 def require_premises(proof: LoopProof) -> None:
@@ -38,6 +40,11 @@ def require(met: object, message: str) -> None:
         raise ProofError(message)
 
 
+def indices(values: Sequence[object], below: int) -> bool:
+    """Whether all are integers from zero to `below`; truth values, which numpy takes for a mask, are none."""
+    return all(type(value) is int and 0 <= value < below for value in values)
+
+
 def shapes_of(model: Loop) -> dict[str, tuple[int, ...]]:
     """Shapes of the matrices that fit to each other."""
     q, y, e, d, u = model.sizes
@@ -53,9 +60,9 @@ def require_numbers(model: Loop) -> None:
         finite = array.dtype == kind and np.all(np.isfinite(array))
         require(finite, f"{name} must have finite numbers of type {kind.__name__}, got others or {array.dtype}")
     dt, scale, window = model.dt, model.scale, model.window
-    positive = 0.0 < dt < math.inf and 0.0 < scale < math.inf and 0.0 <= window < math.inf
+    positive = 0.0 < dt < math.inf and math.pi / dt < math.inf and 0.0 < scale < math.inf and 0.0 <= window < math.inf
     require(positive, f"dt and limit must be positive, got {dt}, {scale} and window {window}")
-    ticks = model.frame.dtype.kind == "i" and np.all(model.frame >= 1)
+    ticks = model.frame.dtype.kind == "i" and np.all((model.frame >= 1) & (model.frame <= MOST_TICKS))
     require(ticks, f"a measurement must be held for a number of ticks, got {model.frame}")
     amplitudes = model.weights.ndim == 2 and np.all(model.weights[:, 0] > 0.0)
     require(amplitudes, "amplitudes of disturbances must be positive")
@@ -68,19 +75,20 @@ def require_sizes(model: Loop) -> None:
         own = getattr(model, name).shape
         require(own == shape and min(shape) >= 0, f"{name} must have shape {shape}, got {own}")
     require(u or not y, "measurements need a controller, got none")
-    whole = len(model.added) == d and model.commands and all(isinstance(k, int) and k in range(u) for k in model.added)
-    added = (whole and model.returned in (0, 1, 2)) if model.added else model.returned == 0
+    each = len(model.added) == d and model.commands and indices(model.added, u)
+    added = (each and indices([model.returned], 3)) if model.added else model.returned == 0
     require(added, f"each disturbance or none must be added to a command, got {model.added}, {model.returned}")
-    possible = range(u if model.commands else e)
-    some = model.rows and all(isinstance(row, int) and row in possible for row in model.rows)
-    require(some, f"bounded rows must be some of {len(possible)}, got {model.rows}")
+    possible = u if model.commands else e
+    some = model.rows and indices(model.rows, possible)
+    require(some, f"bounded rows must be some of {possible}, got {model.rows}")
 
 
 def require_groups(proof: LoopProof) -> None:
     """Every channel belongs to one parameter; every parameter has a name, a kind and an interval."""
     groups, count = proof.model.groups, len(proof.model.groups)
-    channels = sorted(channel for group in groups for channel in group)
-    own = channels == list(range(len(channels))) and len(set(proof.names)) == len(proof.names)
+    channels = [channel for group in groups for channel in group]
+    own = indices(channels, len(channels)) and len({*channels}) == len(channels)
+    own = own and len(set(proof.names)) == len(proof.names)
     require(own, "every channel must belong to one parameter, and names must differ")
     each = len(proof.names) == len(proof.model.angle) == len(proof.box) == count
     require(each, f"each of {count} parameters must have a name, a kind and an interval, got others")

@@ -64,9 +64,10 @@ def stable_below(model: GivenLoop, band: Interval, box: Box) -> float:
     Poles move continuously with the parameters. Infinite if every member was proven stable; half of the sampling rate
     if the nominal loop is, but poles may cross above; zero if that was not proven or the band is a part.
     """
-    if not (whole_axis(band, model.dt) and nominal_windows(model)):
-        return 0.0
-    return math.inf if windows_above(model, box) else math.pi / model.dt
+    with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+        if not (whole_axis(band, model.dt) and nominal_windows(model)):
+            return 0.0
+        return math.inf if windows_above(model, box) else math.pi / model.dt
 
 
 def nominal_windows(model: GivenLoop) -> int:

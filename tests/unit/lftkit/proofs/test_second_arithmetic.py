@@ -214,3 +214,18 @@ def test_functions_of_the_library_keep_the_errors_that_the_checker_grants_them()
             value, granted = mp.mpc(complex(x)), 8.0 * UNIT * (1.0 + abs(x))
             assert abs(mp.mpc(complex(np.expm1(x))) / mp.expm1(value) - 1) < granted
             assert abs(mp.mpc(complex(np.exp(x))) / mp.exp(value) - 1) < granted
+
+
+def test_held_commands_have_their_error_where_a_mode_turns_by_whole_circles_in_a_tick() -> None:
+    """There ``exp(p dt) - 1`` is small beside the rounding of ``p dt``: 1000 times what a relative bound grants."""
+    own = model()
+    with mp.workdps(60):
+        for damping in (1e-5, 1e-3, 0.1):
+            for turns in (1, 2, 7):
+                omega = 2.0 * math.pi * turns / DT * np.linspace(1.0 - 1e-6, 1.0 + 1e-6, 25)
+                poles = np.concatenate([omega * (-damping + 1j), omega[:5] * (-damping - 1j), [-1e-3, -40.0 - 1e-4j]])
+                growth, gain = dataclasses.replace(own, poles=poles).growth
+                for k, pole in enumerate(poles):
+                    x = mp.mpc(complex(pole)) * mpf(DT)
+                    for found, exact_value in ((growth, mp.exp(x)), (gain, mp.expm1(x) / mp.mpc(complex(pole)))):
+                        assert abs(mp.mpc(complex(found.c[0, k])) - exact_value) <= mpf(float(found.rad[k]))

@@ -1,0 +1,285 @@
+"""Numbers out of range: no checker accepts what is too large, too small, infinite or not a number.
+
+Arithmetic with such numbers overflows into infinities and NaN, of which every comparison is false and which LAPACK
+takes without a word. Each form that is scaled, and each entry that is replaced, must be refused, or prove no more than
+the proof it is made of.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from mpmath import mp
+from support.uncertain_examples import aligned_modes
+
+from lftkit.arrays import ComplexArray
+from lftkit.proofs import ProofError, check_mu, check_proof, mu, real_block, worst_case_gain
+from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
+from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof, window_power
+from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest
+from lftkit.proofs.trusted.definite import positive
+from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, reciprocal, span, weighted_share
+from lftkit.proofs.trusted.stability import nominal_windows, windows_above
+
+POWERS = (-320, -310, -290, -160, 160, 290, 300, 308)
+VALUES = (math.inf, -math.inf, math.nan, 5e-324, 1e-320, 1e308, -1e308)
+
+
+def indefinite() -> ComplexArray:
+    """Hermitian, with eigenvalues -1 and 3."""
+    return np.array([[1.0, 2.0j], [-2.0j, 1.0]])
+
+
+@pytest.mark.parametrize("power", POWERS)
+def test_a_form_that_is_not_definite_is_refused_at_every_scale(power: int) -> None:
+    scale = float(f"1e{power}")
+    with np.errstate(all="ignore"):
+        for form in (indefinite(), -np.eye(2), np.zeros((2, 2))):
+            assert not positive(scale * form, np.zeros((2, 2)))
+            assert not positive(form, np.full((2, 2), scale))
+        assert definite_ratio(Ball(scale * np.array([[0.5, 1.0], [1.0, 0.5]]))) == 0.0
+
+
+@pytest.mark.parametrize("value", VALUES)
+@pytest.mark.parametrize("entry", [(i, k) for i in range(3) for k in range(3)])
+def test_a_number_out_of_range_in_any_entry_is_refused(value: float, entry: tuple[int, int]) -> None:
+    """In the matrix or in the bound of its error; one that is tiny off the diagonal leaves it definite."""
+    matrix, rest = np.eye(3), np.zeros((3, 3))
+    matrix[entry] = value
+    harmless = abs(value) < 1.0 and entry[0] != entry[1]
+    for own in (matrix, matrix.astype(complex)):
+        assert positive(own, rest) == harmless or (value == 1e308 and entry[0] == entry[1]) == positive(own, rest)
+    rest[entry] = abs(value)
+    assert positive(np.eye(3), rest) == (abs(value) < 1.0)
+
+
+def test_rounding_is_counted_as_in_a_matrix_that_is_just_definite() -> None:
+    """Random factors: positive where the smallest eigenvalue is well above rounding, not where it is below zero."""
+    rng = np.random.default_rng(4)
+    for n in (1, 2, 7, 40):
+        half = rng.normal(size=(n, n)) + 1j * rng.normal(size=(n, n))
+        matrix = half @ half.conj().T
+        least = float(np.linalg.eigvalsh(matrix)[0])
+        size = float(np.trace(matrix).real)
+        assert positive(matrix + (1e-10 * size - least) * np.eye(n), np.zeros((n, n)))
+        assert not positive(matrix - (1e-10 * size + least) * np.eye(n), np.zeros((n, n)))
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, complex(0.0, math.nan)])
+def test_no_polynomial_has_a_number_that_is_not_finite(value: complex) -> None:
+    with np.errstate(all="ignore"), pytest.raises(ArithmeticError):
+        constant(np.array([[1.0, value]]))
+    with pytest.raises(ArithmeticError):
+        Polynomial(np.ones((1, 2)), np.array([1.0, abs(value)]))
+
+
+def test_a_product_that_overflows_is_no_polynomial() -> None:
+    large = constant(np.full((2, 2), 1e200))
+    with np.errstate(all="ignore"), pytest.raises(ArithmeticError):
+        large @ large
+
+
+def test_inverses_do_not_trust_lapack() -> None:
+    with np.errstate(all="ignore"):
+        for matrix in (np.zeros((2, 2)), np.full((2, 2), 1e300), np.full((2, 2), 5e-324), np.diag([1e-320, 1.0])):
+            with pytest.raises(ArithmeticError):
+                inverse(constant(matrix))
+        with pytest.raises(ArithmeticError):
+            reciprocal(constant(np.array([5e-324])))
+
+
+def test_a_window_contains_its_ends_among_the_smallest_numbers() -> None:
+    for low, high in ((0.0, 5e-324), (5e-324, 1e-323), (1e-310, 1.1e-310)):
+        middle, half = span(low, high)
+        assert middle - half <= low and middle + half >= high
+
+
+def test_a_share_of_subnormal_sizes_is_no_small_share() -> None:
+    """Sizes that underflow would make a row sum of 0.95 nothing."""
+    bound = np.array([[0.0, 1e160, 0.0], [0.0, 0.0, 1e160], [0.0, 0.0, 0.95]])
+    with np.errstate(all="ignore"):
+        assert not weighted_share(bound)[0] < 0.95
+
+
+def loop_proof() -> LoopProof:
+    system = aligned_modes(1, damping=0.1)
+    model = loop_model(system, dt=0.1)
+    found = prove_level(model, box_of(system), band=(0.0, 31.4), level=11.0)
+    assert not found.uncovered
+    return LoopProof(
+        model, tuple(p.name for p in system.parameters), box_of(system), (0.0, 31.4), 11.0, tuple(found.strips)
+    )
+
+
+@pytest.fixture(scope="module")
+def loop() -> LoopProof:
+    return loop_proof()
+
+
+def scaled(proof: LoopProof, factor: float, level: float) -> LoopProof:
+    """All scalings of a proof times a factor, which leaves a true inequality true and a false one false."""
+    with np.errstate(all="ignore"):
+        strips = [
+            dataclasses.replace(
+                s,
+                D=tuple(factor * m for m in s.D),
+                G=tuple(factor * m for m in s.G),
+                factor=factor * s.factor,
+            )
+            for s in proof.strips
+        ]
+    return dataclasses.replace(proof, strips=tuple(strips), level=level)
+
+
+@pytest.mark.parametrize("power", POWERS)
+def test_scaled_scalings_prove_no_lower_level(loop: LoopProof, power: int) -> None:
+    """The gain of the modes is 5: no level below it must be proven by overflow."""
+    for level in (0.01, 4.9):
+        with pytest.raises(ProofError):
+            check_loop_proof(scaled(loop, float(f"1e{power}"), level), stability=False)
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_one_scaling_out_of_range_proves_no_lower_level(loop: LoopProof, value: float) -> None:
+    for name in ("D", "G", "factor"):
+        strips = []
+        for strip in loop.strips:
+            given = getattr(strip, name)
+            if name == "factor":
+                strips.append(dataclasses.replace(strip, factor=np.full(given.shape, value)))
+            else:
+                changed = tuple(np.full(m.shape, value, complex) for m in given)
+                strips.append(dataclasses.replace(strip, **{name: changed}))  # type: ignore[arg-type]
+        with pytest.raises(ProofError):
+            check_loop_proof(dataclasses.replace(loop, strips=tuple(strips), level=0.01), stability=False)
+
+
+@pytest.mark.parametrize("name", ["C", "B", "D", "weights", "poles"])
+@pytest.mark.parametrize("value", VALUES)
+def test_a_loop_of_numbers_out_of_range_is_refused_or_bounded(loop: LoopProof, name: str, value: float) -> None:
+    """Every entry of a matrix of the model in turn: refused, but for entries that are about zero as before."""
+    array = getattr(loop.model, name)
+    for place in list(np.ndindex(array.shape))[:6]:
+        changed = array.copy()
+        changed[place] = value
+        forged = dataclasses.replace(loop, model=dataclasses.replace(loop.model, **{name: changed}), level=0.01)
+        with pytest.raises(ProofError):
+            check_loop_proof(forged)
+
+
+def test_a_loop_of_huge_numbers_is_not_called_stable(loop: LoopProof) -> None:
+    for name, factor in (("C", 1e300), ("B", 1e300), ("D", 1e308)):
+        changed = getattr(loop.model, name) * factor + (factor if name == "D" else 0.0)
+        model = dataclasses.replace(loop.model, **{name: changed})
+        try:
+            found = nominal_windows(model) and windows_above(model, loop.box)
+        except (ArithmeticError, ValueError):
+            found = 0
+        assert not found
+
+
+@pytest.fixture(scope="module")
+def cells() -> dict[str, Any]:
+    bounds = worst_case_gain(aligned_modes(1, damping=0.1), method="cells")
+    assert bounds.proof is not None
+    return dict(bounds.proof.content)
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths of all numbers of a JSON value."""
+    if isinstance(value, (dict, list)):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return [found for key, item in items for found in leaves(item, (*path, key))]
+    return [path] if isinstance(value, (int, float)) else []
+
+
+def changed(content: dict[str, Any], change: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
+    found = copy.deepcopy(content)
+    for path, value in change.items():
+        place: Any = found
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = value
+    found["sha256"] = digest(found)
+    return found
+
+
+@pytest.mark.parametrize("power", POWERS)
+def test_scaled_cells_prove_no_lower_level(cells: dict[str, Any], power: int) -> None:
+    """P, Q, D, G and the factor of a cell times a power of ten, and a level that is exceeded."""
+    content = copy.deepcopy(cells)
+    for cell in content["cells"]:
+        for path in leaves(cell):
+            if path[0] in ("P", "Q", "D", "G", "performance"):
+                place: Any = cell
+                for key in path[:-1]:
+                    place = place[key]
+                place[path[-1]] *= float(f"1e{power}")
+    with pytest.raises(ProofError):
+        check_proof(changed(content, {("level",): 0.01 * content["level"]}))
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_any_number_of_cells_out_of_range_proves_no_lower_level(cells: dict[str, Any], value: float) -> None:
+    low = changed(cells, {("level",): 0.01 * cells["level"]})
+    numbers = [path for path in leaves(low) if path[0] in ("cells", "stable")]
+    for path in numbers[:: max(len(numbers) // 60, 1)]:
+        with pytest.raises(ProofError):
+            check_proof(changed(low, {path: value}))
+
+
+def test_an_axis_proof_of_scaled_scalings_proves_no_lower_level() -> None:
+    bounds = worst_case_gain(aligned_modes(1, damping=0.1), method="axis")
+    proof = bounds.proof
+    assert isinstance(proof, AxisProof) and check_proof(proof)
+    for power in POWERS:
+        with np.errstate(all="ignore"):
+            sides = {
+                side: tuple(
+                    dataclasses.replace(
+                        s,
+                        D=tuple(float(f"1e{power}") * m for m in s.D),
+                        G=tuple(float(f"1e{power}") * m for m in s.G),
+                        factor=float(f"1e{power}") * s.factor,
+                    )
+                    for s in getattr(proof, side)
+                )
+                for side in ("below", "above")
+            }
+        with pytest.raises(ProofError):
+            check_proof(dataclasses.replace(proof, level=0.01 * bounds.lower, **sides))
+
+
+@pytest.mark.parametrize("power", POWERS)
+def test_a_certificate_of_mu_at_any_scale_proves_no_lower_bound(power: int) -> None:
+    M, structure = np.array([[2.0, 2.0], [-1.0, -1.0]], complex), [real_block(), real_block()]
+    own = mu(M, structure).certificate
+    assert own is not None
+    scale = float(f"1e{power}")
+    with np.errstate(all="ignore"):
+        D, G = (tuple(scale * m for m in part) for part in (own.D, own.G))
+    for level in (0.5 * own.level, 1e-300, 1e-160):
+        with pytest.raises(ProofError):
+            check_mu(M, structure, dataclasses.replace(own, D=D, G=G, level=level))
+
+
+def test_noise_of_a_level_that_overflows_is_refused(loop: LoopProof) -> None:
+    band = (0.0, math.pi / loop.model.dt)
+    for level in (1e200, 1e308):
+        part = NoisePart(loop.model.rows, band, level, loop.strips)
+        with pytest.raises(ProofError):
+            check_noise_proof(NoiseProof(loop.model, loop.names, loop.box, (part,)))
+
+
+def test_the_weight_of_the_relative_error_is_bounded_from_above_however_slow() -> None:
+    """One less something near one loses all digits at a small frequency."""
+    with mp.workdps(60):
+        for y in (1e-300, 1e-12, 1e-8, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3):
+            at = mp.mpf(y)
+            assert mp.mpf(window_power(y)) >= 1 - 144 / (at**4 + 12 * at**2 + 144)
