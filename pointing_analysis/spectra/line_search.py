@@ -33,12 +33,13 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft, special
 
-from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from pointing_analysis.arrays import ComplexArray, FloatArray, IntArray
 from pointing_analysis.spectra.sidebands import FittedRecord, FoundLine, with_carriers
 from pointing_analysis.spectra.sinusoid_fit import Sinusoids, fit_sinusoids
 
@@ -63,8 +64,8 @@ FEWEST_PERIODS = 7.0
 STEEP = 1.5
 """Ratio of the noise on both sides from which that on the larger side counts."""
 
-CAP = 4.0
-"""Neighbours count with at most so many times the level of the others: another line among them hides nothing."""
+CAP = 6.0
+"""Neighbours count with at most so many times the level beside each: another line among them hides nothing."""
 
 EDGES = 0.25
 """Part of the record over which the taper rises and falls (Tukey)."""
@@ -113,22 +114,23 @@ def find_lines(
         return ()
     unit = 2.0 ** math.floor(math.log2(largest))  # squares of all values are numbers then, and no value is rounded
     e = e / unit
-    fitted = fit_sinusoids(e, present, dt, np.empty(0))
+    weight = np.where(present, _taper(n), 0.0)
+    fitted = fit_sinusoids(e, weight, dt, np.empty(0))
     if not np.abs(fitted.rest).max() > 0.0:
         return ()
     for _ in range(PASSES):
-        background = _Background.of(fitted.rest, dt)
+        background = _Background.of(fitted.rest, weight, dt)
         more = background.candidates(fitted.omega, false_lines)[: MOST_LINES - fitted.omega.size]
         if not more.size:
             break
         before = fitted.omega.size
-        fitted = fit_sinusoids(e, present, dt, np.concatenate([fitted.omega, more]))
-        fitted = _significant(fitted, e, present, dt, false_lines)
+        fitted = fit_sinusoids(e, weight, dt, np.concatenate([fitted.omega, more]))
+        fitted = _significant(fitted, e, weight, dt, false_lines)
         if fitted.omega.size <= before:
             break
-    lines = _lines(fitted, dt, confidence, present)
-    noise_of = _Background.of(fitted.rest, dt).noise_of
-    lines = with_carriers(lines, FittedRecord(e, present, dt, fitted, noise_of))
+    lines = _lines(fitted, dt, confidence, weight)
+    noise_of = _Background.of(fitted.rest, weight, dt).noise_of
+    lines = with_carriers(lines, FittedRecord(e, weight, dt, fitted, noise_of))
     return tuple(line.times(unit) for line in lines)
 
 
@@ -142,7 +144,7 @@ class _Background:
     power : (m, 4) of x, of y, real and imaginary cross power: one-sided density [unit^2/Hz]
     resolution : frequencies of the spectrum for one 1 / T
     each : independent transforms for each frequency of the spectrum
-    duration : of the record [s]
+    duration : of a record without taper in which the phasor of a line has the scatter that it has in this one [s]
     """
 
     step: float
@@ -152,18 +154,28 @@ class _Background:
     duration: float
 
     @classmethod
-    def of(cls, rest: FloatArray, dt: float) -> _Background:
+    def of(cls, rest: FloatArray, weight: FloatArray, dt: float) -> _Background:
         n = len(rest)
         size = int(fft.next_fast_len(2 * n, real=True))
-        taper = _taper(n)
-        X = fft.rfft(rest.T * taper, size)
-        squares = np.square(taper)
+        X = fft.rfft(rest.T * weight, size)
+        squares = np.square(weight)
         scale = 2.0 * dt / squares.sum()
         cross = scale * X[0] * X[1].conj()
         powers = [scale * (one.real**2 + one.imag**2) for one in X]
         each = squares.sum() ** 2 / (size * np.square(squares).sum())
         step = 2.0 * np.pi / (size * dt)
-        return cls(step, np.stack([*powers, cross.real, cross.imag], axis=1), size / n, float(each), n * dt)
+        matrix = np.stack([*powers, cross.real, cross.imag], axis=1)
+        return cls(step, matrix, size / n, float(each), float(dt * weight.sum() ** 2 / squares.sum()))
+
+    @property
+    def lowest(self) -> int:
+        """Index of the lowest frequency that is a neighbour."""
+        return round(self.resolution)
+
+    @cached_property
+    def tiny(self) -> float:
+        """What is added to a power before its logarithm is taken."""
+        return 1e-30 * float(self.power[:, :2].max(initial=0.0)) + 1e-300
 
     @property
     def first(self) -> int:
@@ -189,19 +201,11 @@ class _Background:
         width : of the neighbours [1/T]
         """
         near, far = round(CORE * self.resolution), round(width * self.resolution)
-        lowest, m = round(self.resolution), len(self.power)
-        first, last = max(begin - far, lowest), min(end + far, m)
-        power, k = self.power[first:last], np.arange(begin, end)
-        places = [
-            (np.clip(low, first, last) - first, np.clip(high, first, last) - first)
-            for low, high in ((k - far, k - near + 1), (k + near, k + far + 1))
-        ]
-        tiny = 1e-30 * float(power[:, :2].max(initial=0.0)) + 1e-300
-        (left, right), counts = _sums(np.log(power[:, :2] + tiny), places)
-        level = np.exp((left + right) / np.maximum(counts.sum(axis=0), 1)[:, None] + EULER)
-        around = np.empty((last - first, 2))  # the level beside each neighbour: of those whose neighbours are not here,
-        around[:] = level[np.clip(np.arange(first, last) - begin, 0, end - begin - 1)]  # that of the nearest
+        first, last = max(begin - far, self.lowest), min(end + far, len(self.power))
+        power, places = self.power[first:last], _places_beside(np.arange(begin, end), near, far, first, last)
+        around = self._level(first, last, NARROW)
         weight = np.minimum(1.0, 2.0 * CAP / np.maximum((power[:, :2] / around).sum(axis=1), 1e-300))
+        level = self._level(begin, end, width)
         sides, counts = _sums(power * weight[:, None], places)
         means = [side / np.maximum(count, 1)[:, None] for side, count in zip(sides, counts)]
         sizes = [(mean[:, :2] / level).sum(axis=1) for mean in means]
@@ -209,6 +213,17 @@ class _Background:
         steep = np.maximum(sizes[0], sizes[1]) > STEEP * np.minimum(sizes[0], sizes[1])
         found = np.where(steep[:, None], np.where((sizes[0] > sizes[1])[:, None], *means), both)
         return found, np.maximum(self.each * counts.sum(axis=0), 2.0)
+
+    def _level(self, begin: int, end: int, width: float) -> FloatArray:
+        """Level (k, 2) of the noise of each axis beside the frequencies from an index to another: a mean of logarithms.
+
+        A line among the neighbours hardly changes it.
+        """
+        near, far = round(CORE * self.resolution), round(width * self.resolution)
+        first, last = max(begin - far, self.lowest), min(end + far, len(self.power))
+        logarithm = np.log(self.power[first:last, :2] + self.tiny)
+        sides, counts = _sums(logarithm, _places_beside(np.arange(begin, end), near, far, first, last))
+        return np.asarray(np.exp((sides[0] + sides[1]) / np.maximum(counts.sum(axis=0), 1)[:, None] + EULER))
 
     def noise_of(self, line: FoundLine) -> tuple[ComplexArray, float]:
         """Covariance (2, 2) that the phasor of a line has from the noise beside it, and its transforms."""
@@ -242,6 +257,12 @@ class _Background:
         return _chance(power[None], *self.noise(index, index + 1, width))
 
 
+def _places_beside(k: IntArray, near: int, far: int, first: int, last: int) -> list[tuple[IntArray, IntArray]]:
+    """Where the neighbours of some frequencies begin and end on each side, within a range and from its first one."""
+    edges = ((k - far, k - near + 1), (k + near, k + far + 1))
+    return [(np.clip(low, first, last) - first, np.clip(high, first, last) - first) for low, high in edges]
+
+
 def _sums(values: FloatArray, places: Sequence[tuple[IntArray, IntArray]]) -> tuple[list[FloatArray], IntArray]:
     """Sums of values (m, q) from index to index of each side, and their numbers (2, k)."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
@@ -268,15 +289,15 @@ def _chance(power: FloatArray, noise: FloatArray, d: FloatArray) -> FloatArray:
     return np.asarray(np.exp((d - 1.0) * np.log(u)) * (1.0 + (d - 1.0) * (1.0 - u)))
 
 
-def _significant(fitted: Sinusoids, e: FloatArray, present: BoolArray, dt: float, false_lines: float) -> Sinusoids:
+def _significant(fitted: Sinusoids, e: FloatArray, weight: FloatArray, dt: float, false_lines: float) -> Sinusoids:
     """The fit without those lines that do not stand out of what all of them leave."""
-    background = _Background.of(fitted.rest, dt)
+    background = _Background.of(fitted.rest, weight, dt)
     stays = np.zeros(fitted.omega.size, dtype=bool)
     for i, (index, power) in enumerate(_places(fitted, background)):
         if background.first <= index < background.end:
             wide, narrow = (float(background.chance(power, index, width)[0]) for width in (WIDE, NARROW))
             stays[i] = wide * background.asked < false_lines and narrow < NARROW_CHANCE
-    return fitted if stays.all() else fit_sinusoids(e, present, dt, fitted.omega[stays], moves=False)
+    return fitted if stays.all() else fit_sinusoids(e, weight, dt, fitted.omega[stays], moves=False)
 
 
 def _places(fitted: Sinusoids, background: _Background) -> list[tuple[int, FloatArray]]:
@@ -288,17 +309,17 @@ def _places(fitted: Sinusoids, background: _Background) -> list[tuple[int, Float
     return list(zip(index.tolist(), power))
 
 
-def _lines(fitted: Sinusoids, dt: float, confidence: float, present: BoolArray) -> tuple[FoundLine, ...]:
+def _lines(fitted: Sinusoids, dt: float, confidence: float, weight: FloatArray) -> tuple[FoundLine, ...]:
     if not fitted.omega.size:
         return ()
-    background = _Background.of(fitted.rest, dt)
+    background = _Background.of(fitted.rest, weight, dt)
     places = _places(fitted, background)
     beside = [background.noise(index, index + 1, WIDE) for index, _ in places]
     density = np.array([noise[0, :2] for noise, _ in beside])
     number = np.array([d[0] for _, d in beside])
     chance = [float(background.chance(power, index, WIDE)[0]) * background.asked for index, power in places]
     level = np.sum(np.abs(fitted.phasor) ** 2, axis=1) / 2.0 / np.maximum(density.sum(axis=1) * BAND, 1e-300)
-    spread = np.sqrt(density / (dt * present.sum()))
+    spread = np.sqrt(density / background.duration)
     lower, upper = amplitude_bounds(np.abs(fitted.phasor), spread, number[:, None], confidence)
     decibels = 10.0 * np.log10(np.maximum(level, 1e-30))
     parts = zip(fitted.omega, fitted.phasor, lower, upper, decibels, chance)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray
+from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.spectra.sinusoid_fit import MERGED, Sinusoids, fit_sinusoids
 
 CLOSE, TEN = 4.0, 10.0
@@ -86,14 +86,14 @@ class FittedRecord:
     Attributes
     ----------
     error : (n, 2)
-    present : (n,) rows that count
+    weight : (n,) of each row in the fits; zero where a sample is missing
     dt : [s]
     fitted : the lines
     noise_of : covariance (2, 2) of the phasor of a line in noise, and the transforms that it is estimated from
     """
 
     error: FloatArray
-    present: BoolArray
+    weight: FloatArray
     dt: float
     fitted: Sinusoids
     noise_of: Callable[[FoundLine], tuple[ComplexArray, float]]
@@ -109,18 +109,17 @@ class FittedRecord:
         nearest = int(np.abs(w - omega).argmin())
         if abs(w[nearest] - omega) * self.duration < MERGED * 2.0 * math.pi:
             return np.asarray(self.fitted.phasor[nearest])
-        more = fit_sinusoids(self.error, self.present, self.dt, np.append(w, omega), moves=False)
+        more = fit_sinusoids(self.error, self.weight, self.dt, np.append(w, omega), moves=False)
         return np.asarray(more.phasor[np.abs(more.omega - omega).argmin()])
 
     def change(self, omega: float) -> ComplexArray:
         """Phasor (2,) of a line in the first half of the record less that in the second."""
         n = len(self.error)
         turning = np.exp(-1j * omega * self.dt * (np.arange(n) - 0.5 * (n - 1)))
-        turning[~self.present] = 0.0
+        present = self.weight > 0.0
+        turning[~present] = 0.0
         halves = (slice(0, n // 2), slice(n // 2, n))
-        first, second = (
-            2.0 * turning[half] @ self.fitted.rest[half] / max(self.present[half].sum(), 1) for half in halves
-        )
+        first, second = (2.0 * turning[half] @ self.fitted.rest[half] / max(present[half].sum(), 1) for half in halves)
         return np.asarray(first - second)
 
 

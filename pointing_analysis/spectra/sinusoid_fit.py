@@ -1,4 +1,4 @@
-"""Least-squares fit of sinusoids to a record of two axes: frequencies shared by both axes, phasors of each."""
+"""Weighted least-squares fit of sinusoids to a record of two axes: frequencies shared by both, phasors of each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from pointing_analysis.arrays import BoolArray, ComplexArray, FloatArray
+from pointing_analysis.arrays import ComplexArray, FloatArray
 
 ROWS = 20_000
 """Rows of a fit at a time."""
@@ -38,22 +38,26 @@ class Sinusoids:
     rest: FloatArray
 
 
-def fit_sinusoids(error: FloatArray, present: BoolArray, dt: float, omega: FloatArray, moves: bool = True) -> Sinusoids:
+def fit_sinusoids(error: FloatArray, weight: FloatArray, dt: float, omega: FloatArray, moves: bool = True) -> Sinusoids:
     """Fit sinusoids near some frequencies, all together with a constant and a trend.
+
+    The phasors are those of the transform with the weight as its taper: what the taper keeps out of a frequency of the
+    transform (the far spectrum of a step or of a decay) is not in the fit either.
 
     Parameters
     ----------
     error : (n, 2)
-    present : (n,) rows that count
+    weight : (n,) of each row, not negative; zero where a sample is missing
     dt : [s]
     omega : (k,) [rad/s]
     moves : whether the frequencies are improved (Gauss-Newton); else they stay
     """
     n = len(error)
+    present = weight > 0.0
     e = error if present.all() else np.where(present[:, None], error, 0.0)
     w, half = np.sort(np.array(omega, dtype=float)), 0.5 * n * dt
     for _ in range(STEPS if moves and w.size else 0):
-        gram, right = _products(e, present, dt, w)
+        gram, right = _products(e, weight, dt, w)
         p, k = 2 + 2 * w.size, w.size
         coefficients = _solve(gram[:p, :p], right[:p])
         step = np.clip(_step(gram, right, coefficients, k), -REACH, REACH)
@@ -61,10 +65,10 @@ def fit_sinusoids(error: FloatArray, present: BoolArray, dt: float, omega: Float
         w = _apart(w + step / half, power, n * dt)
         if np.abs(step).max() < STILL:
             break
-    gram, right = _products(e, present, dt, w, slopes=False)
+    gram, right = _products(e, weight, dt, w, slopes=False)
     coefficients, k = _solve(gram, right), w.size
     phasor = coefficients[2 : 2 + k] - 1j * coefficients[2 + k :]
-    return Sinusoids(w, phasor, _rest(e, present, dt, w, coefficients))
+    return Sinusoids(w, phasor, _rest(e, weight, dt, w, coefficients))
 
 
 def _basis(rows: slice, n: int, dt: float, omega: FloatArray, slopes: bool = True) -> FloatArray:
@@ -79,18 +83,17 @@ def _basis(rows: slice, n: int, dt: float, omega: FloatArray, slopes: bool = Tru
 
 
 def _products(
-    e: FloatArray, present: BoolArray, dt: float, omega: FloatArray, slopes: bool = True
+    e: FloatArray, weight: FloatArray, dt: float, omega: FloatArray, slopes: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Products of the basis with itself and with the record."""
+    """Weighted products of the basis with itself and with the record."""
     n, size = len(e), 2 + (4 if slopes else 2) * omega.size
     gram, right = np.zeros((size, size)), np.zeros((size, 2))
     for begin in range(0, n, ROWS):
         rows = slice(begin, min(begin + ROWS, n))
         basis = _basis(rows, n, dt, omega, slopes)
-        if not present[rows].all():
-            basis *= present[rows, None]
-        gram += basis.T @ basis
-        right += basis.T @ e[rows]
+        weighted = basis.T * weight[rows]
+        gram += weighted @ basis
+        right += weighted @ e[rows]
     return gram, right
 
 
@@ -125,11 +128,10 @@ def _apart(omega: FloatArray, power: FloatArray, duration: float) -> FloatArray:
     return np.array(sorted(kept))
 
 
-def _rest(e: FloatArray, present: BoolArray, dt: float, omega: FloatArray, coefficients: FloatArray) -> FloatArray:
+def _rest(e: FloatArray, weight: FloatArray, dt: float, omega: FloatArray, coefficients: FloatArray) -> FloatArray:
     rest, n = np.empty_like(e), len(e)
     for begin in range(0, n, ROWS):
         rows = slice(begin, min(begin + ROWS, n))
         rest[rows] = e[rows] - _basis(rows, n, dt, omega, slopes=False) @ coefficients
-    if not present.all():
-        rest[~present] = 0.0
+    rest[weight == 0.0] = 0.0
     return rest

@@ -164,6 +164,51 @@ def test_close_lines_of_many_records() -> None:
     assert score.inside >= binom.isf(0.999, score.bounds, 0.95), score
 
 
+def settling(seed: int) -> np.ndarray:
+    """White noise and an exponential decay, up to 1e5 times as large, of both axes."""
+    rng = np.random.default_rng([5, seed])
+    n = int(10.0 ** rng.uniform(2.5, 3.7))
+    values = rng.standard_normal((n, 2))
+    decay = np.exp(-np.arange(n) / n / 10.0 ** rng.uniform(-2.5, 0.5))
+    return np.asarray(values + 10.0 ** rng.uniform(0.0, 5.0, 2) * decay[:, None])
+
+
+@pytest.mark.parametrize("seed", [275, 497, 770, 910])
+def test_settling_has_no_lines(seed: int) -> None:
+    """The far spectrum of a decay falls by decades within the neighbours of a frequency."""
+    assert find_lines(settling(seed), DT) == ()
+
+
+@pytest.mark.slow
+def test_false_lines_of_settling_and_of_gaps() -> None:
+    """As many as in noise alone: the bound holds for 400 records of each."""
+    false = {"settling": 0, "gaps": 0}
+    for seed in range(400):
+        values = settling(1000 + seed)
+        false["settling"] += bool(find_lines(values, DT))
+        rng = np.random.default_rng([6, seed])
+        values = rng.standard_normal((len(values), 2))
+        long = int(10.0 ** rng.uniform(0.0, math.log10(0.1 * len(values))))
+        for begin in rng.integers(0, len(values) - long, max(len(values) // (10 * long), 1)):
+            values[begin : begin + long] = np.nan
+        false["gaps"] += bool(find_lines(values, DT))
+    assert max(false.values()) <= binom.isf(1e-4, 400, FALSE_LINES), false
+
+
+def test_gaps_take_from_the_evidence_of_a_line_what_they_take_of_its_power() -> None:
+    """The statistics of fit and noise have one taper: a tenth missing, a tenth less."""
+    ratios = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        values = rng.standard_normal((4000, 2))
+        values[:, 0] += 0.3 * np.sin(2.0 * np.pi * 61.3 * T[:4000])
+        (whole,) = find_lines(values, DT)
+        values[(np.arange(4000) // 50) % 10 == 3] = np.nan
+        (part,) = find_lines(values, DT)
+        ratios.append(math.log(part.chance) / math.log(whole.chance))
+    assert 0.8 < np.mean(ratios) < 0.95
+
+
 def test_level_is_that_of_the_peak_over_the_noise_in_the_spectrum_of_the_report() -> None:
     rng = np.random.default_rng(5)
     t = DT * np.arange(240_000)
