@@ -17,11 +17,16 @@ from pointing_analysis.read.mcap.chunks import block_of, take_apart, unpack_zstd
 from pointing_analysis.read.mcap.manifest import RUN, decode_manifest, encode_manifest
 from pointing_analysis.read.mcap.records import (
     HEAD,
+    MAGIC,
     MAX_CHUNK,
     OP_ATTACHMENT,
+    OP_ATTACHMENT_INDEX,
     OP_CHUNK,
+    OP_CHUNK_INDEX,
     OP_MANIFEST,
     OP_METADATA,
+    OP_METADATA_INDEX,
+    RECORD,
     FileInfo,
     text_at,
 )
@@ -32,6 +37,27 @@ TRUTH = "/telescope/truth/los"
 def places(found: list[Record], op: int) -> list[int]:
     """Where the records of one type are."""
     return [at for at, (kind, _) in enumerate(found) if kind == op]
+
+
+def right_places(found: list[Record]) -> list[Record]:
+    """The records with a summary that names the places where chunks, attachments and metadata records are."""
+    ends = np.cumsum([len(MAGIC), *(RECORD.size + len(body) for _, body in found)]).tolist()
+    pairs = {OP_CHUNK_INDEX: OP_CHUNK, OP_ATTACHMENT_INDEX: OP_ATTACHMENT, OP_METADATA_INDEX: OP_METADATA}
+    left = {op: places(found, of) for op, of in pairs.items()}
+    made = []
+    for op, body in found:
+        if op in pairs:
+            if not left[op]:
+                continue  # of a record that is there no more
+            at = left[op].pop(0)
+            place = struct.pack("<QQ", ends[at], ends[at + 1] - ends[at])
+            body = body[:16] + place + body[32:] if op == OP_CHUNK_INDEX else place + body[16:]
+            if op == OP_CHUNK_INDEX:
+                (n,) = struct.unpack_from("<I", body, 32)
+                rows = b"".join(found[at + 1 + i][1][:2] + struct.pack("<Q", ends[at + 1 + i]) for i in range(n // 10))
+                body = body[:36] + rows + body[36 + n :]
+        made.append((op, body))
+    return made
 
 
 def scaled(body: bytes, topic: str = TRUTH, factor: float = 0.01, whole: bool = False) -> tuple[bytes, bytes]:
@@ -64,7 +90,7 @@ def forge(bag: Path, number: int = 1, whole: bool = False) -> None:
     found = taken_apart(file.read_bytes())
     at = places(found, OP_CHUNK)[number]
     found[at] = (OP_CHUNK, scaled(found[at][1], whole=whole)[0])
-    file.write_bytes(put_together(found, True))
+    file.write_bytes(put_together(right_places(found), True))
 
 
 def forge_with_manifest(bag: Path, number: int = 1, chained: bool = False) -> None:
@@ -81,7 +107,7 @@ def forge_with_manifest(bag: Path, number: int = 1, chained: bool = False) -> No
     assert old is not None and before is not None
     chain = Chain(digest=before.link.digest, manifests=number)
     found[place] = (OP_MANIFEST, encode_manifest(content, old.runs[:-1].tolist(), chain))
-    file.write_bytes(put_together(rechained(found) if chained else found, True))
+    file.write_bytes(put_together(right_places(rechained(found) if chained else found), True))
 
 
 def without_chain(bag: Path) -> None:
@@ -96,7 +122,7 @@ def without_chain(bag: Path) -> None:
             made.append((op, struct.pack("<I", zlib.crc32(rest)) + rest))
         elif op != OP_METADATA or text_at(body, 0)[0] != SEAL:
             made.append((op, body))
-    file.write_bytes(put_together(made, True))
+    file.write_bytes(put_together(right_places(made), True))
 
 
 def rechained(found: list[Record]) -> list[Record]:

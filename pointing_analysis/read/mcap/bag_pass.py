@@ -104,8 +104,8 @@ class BagPass:
         return not all(info.finished for info in self.infos) or repaired.get("finished") == "false"
 
     def losses(self) -> tuple[TopicLoss, ...]:
-        """What the bag lacks; of a part of it, what lies inside; nothing where no message was read."""
-        if self._heads_only or self.origin is None:
+        """What the bag lacks; of a part of it, what lies inside; nothing where no messages were asked for."""
+        if self._heads_only:
             return ()
         if self._window == WHOLE:
             return self._ledger.losses(self.infos, self._bag.counts)

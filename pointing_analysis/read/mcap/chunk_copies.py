@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
-
 import numpy as np
 
 from pointing_analysis.arrays import BoolArray
@@ -12,22 +10,18 @@ from pointing_analysis.read.mcap.manifest import Manifest
 from pointing_analysis.read.mcap.records import FileInfo
 
 
-def is_refuted(
-    found: Unpacked, manifest: Manifest, indexed: list[bytes], named: Callable[[], Container[bytes]]
-) -> bool:
-    """Whether a content with the right checksum is another one than the manifest in front of it names.
+def is_refuted(found: Unpacked, manifest: Manifest, indexed: list[bytes]) -> bool:
+    """Whether a content that no manifest names is a changed one of the manifest in front of it.
 
-    It is not if the manifest is that of another chunk: the content is then named by another manifest of the file, or
-    none of its messages has a number that this one names.
+    It is not if the manifest is that of another chunk: none of the messages has a number that it names.
 
     Parameters
     ----------
     found : the chunk
     manifest : in front of it
     indexed : index records of the chunk
-    named : digests in all manifests of the file
     """
-    if not manifest.verified or found.digest == manifest.digest or found.digest in named():
+    if not manifest.verified:
         return False
     block = block_of(FileInfo(), found.content, indexed)
     if block is None:

@@ -24,7 +24,9 @@ from pointing_analysis.read.mcap.records import (
     HEAD,
     INDEX_ENTRY,
     MESSAGE_HEAD,
+    OP_CHANNEL,
     OP_MESSAGE,
+    OP_SCHEMA,
     RECORD,
     SIDE_RECORDS,
     BagError,
@@ -64,11 +66,13 @@ class Unpacked:
     content : bytes
     whole : (n,) which records of the manifest are whole; None where all of the content is
     reason : what is wrong with the chunk; empty if nothing is lost
+    proved : whether the content has the size and, where there is one, the checksum that the chunk or its manifest says
     """
 
     content: bytes
     whole: BoolArray | None = None
     reason: str = ""
+    proved: bool = True
 
     @cached_property
     def digest(self) -> bytes:
@@ -161,7 +165,7 @@ def unpack(packed: Packed, manifest: Manifest | None, limit: int, cut: bool) -> 
         return Unpacked(content)
     reason = "a chunk is damaged (checksum)" if all_of_it else "a chunk is damaged (it cannot be decompressed)"
     if manifest is None:
-        return Unpacked(content if cut and not all_of_it else b"", None, reason)
+        return Unpacked(content if cut and not all_of_it else b"", None, reason, False)
     content, whole = salvage(content, manifest)
     return Unpacked(content, whole, "" if whole.all() else reason)
 
@@ -213,11 +217,15 @@ def _heads(data: bytes, offsets: IntArray) -> NDArray[np.void]:
 
 
 def whole_records(info: FileInfo, found: Unpacked, manifest: Manifest, where: str, offset: int) -> Block | None:
-    """Messages among the whole records of a damaged chunk; schemas and channels are read on the way."""
-    assert found.whole is not None
+    """Messages of a chunk where its manifest says they are, of a damaged one those among its whole records.
+
+    Schemas and channels are read on the way. The index records of the chunk are not used: nothing binds them.
+    """
     content = np.frombuffer(found.content, np.uint8)
     lengths = np.diff(manifest.offsets)
-    usable = found.whole & (lengths >= RECORD.size)
+    usable = lengths >= RECORD.size
+    if found.whole is not None:
+        usable &= found.whole
     begins, lengths = manifest.offsets[:-1][usable], lengths[usable]
     is_message = content[begins] == OP_MESSAGE  # the record is whole, the manifest need not be
     for begin in begins[~is_message].tolist():
@@ -260,6 +268,19 @@ def block_of(
         offsets = np.sort(np.concatenate([offsets, np.array(extra, dtype=np.int64)]))
         heads = _heads(data, offsets) if offsets.size else heads[:0]
     return Block(data, heads, offsets) if offsets.size else None
+
+
+def followed_by_records(block: Block) -> Block:
+    """The messages behind which another record begins.
+
+    Where power was lost the tail of what was written is zeros or junk: a message that ends in it has a right head.
+    """
+    ends = block.offsets + RECORD.size + block.heads["length"].astype(np.int64)
+    inside = ends + RECORD.size <= len(block.data)
+    rows = sliding_window_view(np.frombuffer(block.data, np.uint8), RECORD.size)[np.where(inside, ends, 0)]
+    is_record = np.isin(rows[:, 0], (OP_MESSAGE, OP_SCHEMA, OP_CHANNEL)) & ~rows[:, 5:].any(axis=1)  # below 4 GB
+    kept = inside & is_record
+    return Block(block.data, block.heads[kept], block.offsets[kept])
 
 
 def _scan(info: FileInfo, data: bytes, part: tuple[int, int], place: tuple[str, int], most: int) -> list[int]:

@@ -59,6 +59,7 @@ PARTS: Mapping[int, tuple[int | str, ...]] = {
 IN_DATA = (OP_SCHEMA, OP_CHANNEL, OP_CHUNK, OP_INDEX, OP_ATTACHMENT, OP_METADATA, OP_DATA_END, OP_MANIFEST)
 _SEARCHED = np.isin(np.arange(256), (*IN_DATA, OP_MESSAGE))
 _WINDOW = 1 << 20
+OF_CONTENT = "its content is damaged"
 MAX_TRIALS = 200_000  # places that are looked at in one search for a record
 
 
@@ -161,7 +162,7 @@ class Framing:
         op, length = RECORD.unpack(head)
         if op in PARTS:
             return self._agrees(op, at, length, stop)
-        return op == OP_MESSAGE and not self.chunked and length >= BODY and at + RECORD.size + length <= stop
+        return op == OP_MESSAGE and length >= BODY and at + RECORD.size + length <= stop
 
     def _frame(self, at: int, stop: int) -> Frame:
         head = self.peek(at, RECORD.size)
@@ -171,6 +172,8 @@ class Framing:
         end = at + RECORD.size + length
         if self._agrees(op, at, length, stop):
             return Frame(op, at, length)
+        if op == OP_MESSAGE and end == self.stop:  # no end of the data, no checksum: nothing tells that it is whole
+            return Frame(op, at, length, False, "cut")
         if op == OP_MESSAGE and not self.chunked and length >= BODY and end <= stop and self._starts(end, stop):
             return Frame(op, at, length)
         if end <= stop:
@@ -178,8 +181,8 @@ class Framing:
                 if self._agrees(other, at, length, stop):
                     return Frame(other, at, length, defect="its opcode is damaged")
             if self._starts(end, stop):
-                known = op in PARTS or op >= 0x80 or (op == OP_MESSAGE and not self.chunked)
-                return Frame(op if known else 0, at, length, defect="" if op >= 0x80 else "its content is damaged")
+                right = op >= 0x80 or (op == OP_MESSAGE and length >= BODY)
+                return Frame(op if right or op in PARTS else 0, at, length, defect="" if right else OF_CONTENT)
         elif stop == self.stop and op in PARTS and self._measure(op, at, end) == length:
             return Frame(op, at, stop - at - RECORD.size, False, "cut")
         for other in dict.fromkeys((op, *IN_DATA)):
@@ -193,7 +196,7 @@ class Framing:
         rest = max(stop - at - RECORD.size, 0)
         if stop < self.stop:
             return Frame(op if op in PARTS else 0, at, rest, defect="its head is damaged")
-        return Frame(op, at, rest, False, "cut" if length > rest else "its content is damaged")
+        return Frame(op, at, rest, False, "cut" if length > rest else OF_CONTENT)
 
     def _search(self, at: int, stop: int) -> int | None:
         """Next place where a head and its content agree."""

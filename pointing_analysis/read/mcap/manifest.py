@@ -71,6 +71,10 @@ class Manifest:
         lengths = np.repeat(self.runs["length"].astype(np.int64), self.runs["count"])
         return np.append(0, np.cumsum(lengths))
 
+    def names(self, digest: bytes) -> bool:
+        """Whether it is whole and of the content with this digest."""
+        return self.verified and self.digest == digest
+
 
 def content_digest(content: bytes | bytearray) -> bytes:
     """BLAKE2b digest (16 bytes) of the content of a chunk."""

@@ -133,6 +133,7 @@ class FileInfo:
     chain : of manifests, metadata records and attachments
     digests : chunks whose content was compared with the digest in their manifest, and agrees
     chunks : chunks that were unpacked
+    unproved : messages that are used where the file was cut off, and that no checksum proves
     statistics : messages of each channel as the summary counts them; None without a whole summary
     finished : whether the file has the end of its data
     max_chunk : largest chunk that is unpacked [byte]
@@ -151,6 +152,7 @@ class FileInfo:
     chain: Chain = field(default_factory=Chain)
     digests: int = 0
     chunks: int = 0
+    unproved: int = 0
     statistics: dict[int, int] | None = None
     library: str = ""
     finished: bool = False

@@ -45,10 +45,14 @@ class SummarySection:
     anchors : offset -> (type, length of the content) of chunks, their index records, attachments, metadata, the end of
         the data
     times : offset of a chunk -> log times of its first and last message [ns]
+    chunks : offsets of the chunks, one for each of its chunk indexes
+    at : where it begins
     """
 
     anchors: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: dict[int, tuple[int, int]] = field(default_factory=dict)
+    chunks: list[int] = field(default_factory=list)
+    at: int = 0
 
 
 def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection | None:
@@ -67,7 +71,7 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
     data = stream.read(size - _TAIL - start)
     if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
         return None
-    found, at = SummarySection(), 0
+    found, at = SummarySection(at=start), 0
     stop = offsets - start if offsets else len(data)
     try:
         while at + RECORD.size <= stop:
@@ -92,6 +96,7 @@ def _place(found: SummarySection, op: int, body: bytes) -> None:
         first, last, at, length, n = struct.unpack_from("<QQQQI", body)
         found.anchors[at] = (OP_CHUNK, length - RECORD.size)
         found.times[at] = (first, last)
+        found.chunks.append(at)
         places = sorted(place for _, place in struct.iter_unpack("<HQ", body[36 : 36 + n]))
         (total,) = struct.unpack_from("<Q", body, 36 + n)
         ends = [*places[1:], at + length + total]

@@ -21,6 +21,7 @@ from pointing_analysis.read.mcap.chunks import (
     ZSTD,
     Unpacked,
     block_of,
+    followed_by_records,
     index_times,
     take_apart,
     unpack,
@@ -54,8 +55,8 @@ from pointing_analysis.read.mcap.records import (
     with_article,
 )
 from pointing_analysis.read.mcap.summary import SummarySection, read_summary
+from pointing_analysis.read.mcap.unbound import Unbound
 
-PLAIN_BLOCK = 4 << 20  # unchunked files are read in blocks of this size [byte]
 MAX_RATIO, MAX_SPARE = 100, 1 << 30
 """A file compressed as a whole, or all chunks of one, may unpack to so many times its size, and so many bytes more."""
 
@@ -65,15 +66,16 @@ class _Walk:
 
     def __init__(self, stream: BinaryIO, info: FileInfo, where: str) -> None:
         self.stream, self.info, self.where = stream, info, where
-        self.plain = bytearray()
         self.manifest: Manifest | None = None
         self.chunk: tuple[Frame, bytes] | None = None
         self.indexed: list[bytes] = []
         self.copies = ChunkCopies()
-        self.digests: frozenset[bytes] | None = None
+        self.manifests: dict[bytes, Frame] | None = None
         size = stream.seek(0, os.SEEK_END)
         self.left = MAX_RATIO * size + MAX_SPARE  # bytes that chunks may still unpack to
-        self.summary = read_summary(stream, info, where) or SummarySection()
+        summary = read_summary(stream, info, where)
+        self.summary = summary or SummarySection()
+        self.unbound = Unbound(summary, dict(info.channels))
         self.framing = Framing(stream, size, self.summary.anchors)
 
     def blocks(self) -> Iterator[Block]:
@@ -85,7 +87,7 @@ class _Walk:
                     self.indexed.append(self._body(frame))
                 self._defect(frame)
                 continue
-            yield from self._flush_chunk()
+            yield from self._flush_chunk(followed=bool(frame.op) and not frame.defect)
             if not frame.whole and not frame.op and not frame.defect:
                 cut = True  # the magic number at the end, or fewer bytes than a record has
                 break
@@ -99,19 +101,20 @@ class _Walk:
                 self.info.finished = True
                 self._refuted(frame, self.info.chain.check_end())
                 self._side_records_after(frame.end)
+                self._data_records_after(frame.end)
                 break
             self._defect(frame)
             if not frame.whole:
                 yield from self._cut_off(frame)
                 break
             self._after_end(frame)
-            yield from self._record(frame)
+            self._record(frame)
         else:
             cut = True
         if cut:
             self.info.problems.append(f"{self.where}: the file has no end of its data: the recording was cut off")
         yield from self._flush_chunk()
-        yield from self._flush_plain()
+        yield from self._outside_chunks()
 
     def _body(self, frame: Frame) -> bytes:
         self.stream.seek(frame.at + RECORD.size)
@@ -121,17 +124,20 @@ class _Walk:
         if frame.defect and frame.whole:
             self.info.note(self.where, frame.at, f"{with_article(frame.op)}: {frame.defect}")
 
-    def _record(self, frame: Frame) -> Iterator[Block]:
+    def _record(self, frame: Frame) -> None:
         op = frame.op
         if not op and ZSTD in self.framing.peek(frame.at, min(96, frame.end - frame.at)):
             op = OP_CHUNK  # compressed data under a head that is not readable
+        if op != OP_MESSAGE or frame.length <= self.info.max_chunk:
+            self.unbound.add(frame)
         if op == OP_CHUNK:
             first, last = self._times(frame)
             if self.info.unpacks(first, last):
                 self._keep_chunk(frame)
             self.manifest = None if self.chunk is None else self.manifest
         elif op == OP_MANIFEST:
-            self.manifest = decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
+            self.manifest = self._manifest_at(frame)
+            self.unbound.bound |= self.manifest is not None
             if self.manifest is not None and self.manifest.verified:
                 self.info.expect(self.manifest.runs)
                 self._refuted(frame, self.info.chain.follow(op, self.manifest.link))
@@ -139,10 +145,6 @@ class _Walk:
                 self.info.chain.lose()
             if (self.manifest is None or self.manifest.damaged) and not frame.defect:
                 self.info.note(self.where, frame.at, "the manifest of a chunk is damaged")
-        elif op == OP_MESSAGE and frame.length <= self.info.max_chunk:
-            self.plain += RECORD.pack(op, frame.length) + self._body(frame)
-            if len(self.plain) > PLAIN_BLOCK:
-                yield from self._flush_plain()
         elif op in SIDE_RECORDS and op != OP_STATISTICS and frame.length <= self.info.max_chunk:
             body, known = self._body(frame), len(self.info.damage)
             read_side_record(self.info, op, body, self.where, frame.at)
@@ -196,18 +198,20 @@ class _Walk:
         self.info.note(self.where, frame.at, reason)
         self.info.lost_chunks.append(LostChunk(frame.at, reason, index_times(self.indexed)))
 
-    def _flush_chunk(self) -> Iterator[Block]:
-        """Messages of the chunk whose index records have been read by now."""
+    def _flush_chunk(self, followed: bool = False) -> Iterator[Block]:
+        """Messages of the chunk whose index records have been read by now; `followed`: another record is behind it."""
         if self.chunk is None:
             return
         (frame, body), indexed, manifest = self.chunk, self.indexed, self.manifest
         if body:
-            block = self._content(frame, body, indexed, manifest)
+            block = self._content(frame, body, indexed, manifest, followed or bool(indexed))
             if block is not None:
                 yield block
         self.chunk, self.manifest, self.indexed = None, None, []
 
-    def _content(self, frame: Frame, body: bytes, indexed: list[bytes], manifest: Manifest | None) -> Block | None:
+    def _content(
+        self, frame: Frame, body: bytes, indexed: list[bytes], manifest: Manifest | None, followed: bool
+    ) -> Block | None:
         cut = not frame.whole and frame.defect == "cut"
         try:
             packed = take_apart(body, cut)
@@ -223,13 +227,18 @@ class _Walk:
             found = Unpacked(b"", None, f"the chunks of the file unpack to more than {MAX_RATIO} times its size")
         checked = found.content and found.whole is None and not found.reason
         self.info.chunks += 1
-        self.info.digests += bool(checked) and manifest is not None and found.digest == manifest.digest
-        if checked and manifest is not None and is_refuted(found, manifest, indexed, self._named):
-            what = "a chunk is not what the digest in its manifest says: what agrees with its manifest is used"
-            self.info.contradict(self.where, frame.at, what)
-            found = Unpacked(*salvage(found.content, manifest))
-        elif checked and self._stranger(found, manifest):
-            self.info.contradict(self.where, frame.at, "no manifest names the content of this chunk")
+        if checked:
+            own = self._manifest_of(found, manifest)
+            self.info.digests += own is not None and own is manifest
+            if own is None and manifest is not None and is_refuted(found, manifest, indexed):
+                what = "a chunk is not what the digest in its manifest says: what agrees with its manifest is used"
+                self.info.contradict(self.where, frame.at, what)
+                found = Unpacked(*salvage(found.content, manifest))
+            elif own is None and self._named() and not self.info.chain.open:
+                what = "no manifest names the content of this chunk: it is left out"
+                self.info.contradict(self.where, frame.at, what)
+                return None
+            manifest = own or manifest
         again = False
         if found.content:
             found, manifest, again = self.copies.new_part(found, manifest)
@@ -237,32 +246,46 @@ class _Walk:
             self.info.note(self.where, frame.at, "a chunk stands twice in the file: its messages count once")
         elif found.reason and not cut:
             self._lost(frame, found.reason)
-        if found.whole is not None and manifest is not None:
+        if found.content and manifest is not None and (found.whole is not None or manifest.names(found.digest)):
             return whole_records(self.info, found, manifest, self.where, frame.at)
         if not found.content:
             return None
-        return block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+        block = block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+        proved = found.proved and (followed or bool(packed.checksum))
+        return block if proved or block is None else self._unproved(frame, block)
 
-    def _stranger(self, found: Unpacked, manifest: Manifest | None) -> bool:
-        """Whether a chunk is named by no manifest of a chain that is whole up to here."""
-        chain = self.info.chain
-        if not chain.linked or chain.open or (manifest is not None and found.digest == manifest.digest):
-            return False
-        return found.digest not in self._named()
+    def _unproved(self, frame: Frame, block: Block) -> Block | None:
+        """Messages of a content that no checksum proves, counted apart; without the one in which it was cut off."""
+        kept = followed_by_records(block)
+        left, what = len(block.heads) - len(kept.heads), "where the file was cut off no checksum proves the messages"
+        self.info.unproved += len(kept.heads)
+        self.info.note(self.where, frame.at, f"{what}: {len(kept.heads)} of a chunk are used, {left} left out")
+        return kept if kept.heads.size else None
 
-    def _named(self) -> frozenset[bytes]:
-        """Digests in all manifests of the file; looked for where a content is not what the nearest one names."""
-        if self.digests is None:
-            frames = (f for f in self.framing.frames(len(MAGIC)) if f.op == OP_MANIFEST and f.whole)
-            bodies = (self._body(frame) for frame in frames if frame.length <= self.info.max_chunk)
-            found = (decode_manifest(body) for body in bodies)
-            self.digests = frozenset(manifest.digest for manifest in found if manifest is not None)
-        return self.digests
+    def _manifest_at(self, frame: Frame) -> Manifest | None:
+        return decode_manifest(self._body(frame)) if frame.length <= self.info.max_chunk else None
 
-    def _flush_plain(self) -> Iterator[Block]:
-        if self.plain:
-            block = block_of(self.info, bytes(self.plain), [], self.where)
-            self.plain.clear()
+    def _manifest_of(self, found: Unpacked, nearest: Manifest | None) -> Manifest | None:
+        """The manifest that names a content: the nearest one, or another one of the file; None without any."""
+        if nearest is not None and nearest.names(found.digest):
+            return nearest
+        place = self._named().get(found.digest)
+        return None if place is None else self._manifest_at(place)
+
+    def _named(self) -> dict[bytes, Frame]:
+        """Digests in all whole manifests of the file; looked for where a content is not what the nearest one names."""
+        if self.manifests is None:
+            frames = [f for f in self.framing.frames(len(MAGIC)) if f.op == OP_MANIFEST and f.whole]
+            found = ((self._manifest_at(frame), frame) for frame in frames)
+            self.manifests = {m.digest: frame for m, frame in found if m is not None and m.verified}
+        return self.manifests
+
+    def _outside_chunks(self) -> Iterator[Block]:
+        """Messages outside of chunks; in a file with manifests a contradiction, as all that nothing there binds."""
+        for at, what in self.unbound.contradictions(self.info):
+            self.info.contradict(self.where, at, what)
+        for begin, end in self.unbound.pieces():
+            block = block_of(self.info, self.framing.peek(begin, end - begin), [], self.where)
             if block is not None:
                 yield block
 
@@ -276,6 +299,16 @@ class _Walk:
             if frame.op in (OP_CHUNK, OP_MANIFEST, OP_MESSAGE, OP_METADATA, OP_ATTACHMENT, OP_INDEX):
                 return True
         return False
+
+    def _data_records_after(self, at: int) -> None:
+        """What stands behind the end of the data of a file with manifests, where other readers may look for it."""
+        if self.unbound.bound and self.unbound.summary is None:
+            self.info.note(self.where, at, "the summary is damaged or missing")  # other readers may use it all the same
+        for frame in self.framing.frames(at) if self.unbound.bound else ():
+            if frame.op in (OP_MESSAGE, OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT, OP_INDEX, OP_DATA_END):
+                what = f"{with_article(frame.op)} stands behind the end of the data"
+                self.info.contradict(self.where, frame.at, what)
+                break
 
     def _side_records_after(self, at: int) -> None:
         """Channels without a message stand only in the summary after the data; nothing verifies a damaged one."""

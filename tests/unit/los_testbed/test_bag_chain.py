@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fuzz.record_mutations import Record, put_together, taken_apart
+from los_testbed.bags.check import check_bag
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
-from support.forged_bags import forge, forge_with_manifest, places, without_chain
+from support.forged_bags import forge, forge_with_manifest, places, scaled, without_chain
 
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, with_hash
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.chain import SEAL
+from pointing_analysis.read.mcap.chunks import take_apart, unpack
 from pointing_analysis.read.mcap.records import (
+    HEAD,
+    INDEX_ENTRY,
     OP_ATTACHMENT,
+    OP_CHANNEL,
     OP_CHUNK,
+    OP_CHUNK_INDEX,
+    OP_DATA_END,
+    OP_FOOTER,
     OP_INDEX,
     OP_MANIFEST,
+    OP_MESSAGE,
     OP_METADATA,
+    RECORD,
     table_at,
     text_at,
 )
@@ -64,7 +75,7 @@ def test_a_chain_made_anew_agrees_until_it_is_signed(bag: Path) -> None:
     before = Run.open(bag)["truth/los"].values
     forge_with_manifest(bag, 1, chained=True)
     run = Run.open(bag)
-    assert not run.problems and np.array_equal(run["truth/los"].values[1000:2000], 0.01 * before[1000:2000])
+    assert not run.contradictions and np.array_equal(run["truth/los"].values[1000:2000], 0.01 * before[1000:2000])
 
 
 @pytest.mark.parametrize("op", [OP_MANIFEST, OP_METADATA, OP_ATTACHMENT])
@@ -119,7 +130,7 @@ def test_damage_is_no_contradiction(bag: Path, place: int) -> None:
 
 
 def test_indexes_are_not_in_the_chain_and_a_cut_bag_has_no_end(bag: Path) -> None:
-    found = [record for record in apart(bag) if record[0] != OP_INDEX]
+    found = [record for record in apart(bag) if record[0] not in (OP_INDEX, OP_CHUNK_INDEX)]
     assert not changed(bag, found).contradictions
     file = bag / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
@@ -148,3 +159,120 @@ def test_a_changed_setting_with_a_new_hash_breaks_the_chain(bag: Path, hashed: b
         found[at] = (OP_METADATA, builder.end()[9:])
     run = changed(bag, found)
     assert bool(run.contradictions) == hashed and run.problems
+
+
+# -- what no manifest binds -------------------------------------------------------------------------------------------
+
+
+def inside(found: list[Record], op: int) -> list[bytes]:
+    """Records of a type in the first chunk."""
+    content, made, at = content_of(found[places(found, OP_CHUNK)[0]][1]), [], 0
+    while at < len(content):
+        kind, length = RECORD.unpack_from(content, at)
+        made += [content[at + RECORD.size : at + RECORD.size + length]] if kind == op else []
+        at += RECORD.size + length
+    return made
+
+
+def content_of(body: bytes) -> bytes:
+    packed = take_apart(body, False)
+    assert packed is not None
+    return unpack(packed, None, 1 << 26, False).content
+
+
+def forged_messages(found: list[Record], count: int = 50) -> list[Record]:
+    """Messages of all topics with other stamps, as a recorder without chunks writes them."""
+    own = [bytearray(body) for body in inside(found, OP_MESSAGE)[::7][:count]]
+    for body in own:
+        body[HEAD - RECORD.size + 8 : HEAD - RECORD.size + 12] = struct.pack("<I", 77_777)
+    return [(OP_MESSAGE, bytes(body)) for body in own]
+
+
+def without_summary(found: list[Record]) -> list[Record]:
+    return [*found[: places(found, OP_DATA_END)[0] + 1], (OP_FOOTER, bytes(20))]
+
+
+def same_as(run: Run, before: dict[str, np.ndarray]) -> bool:
+    return all(np.array_equal(run[name].values, before[name]) for name in before)
+
+
+@pytest.mark.parametrize("summary", [True, False])
+@pytest.mark.parametrize("place", ["first", "manifest", "chunk", "index", "seal", "end"])
+def test_messages_outside_of_the_chunks_are_not_used(bag: Path, place: str, summary: bool) -> None:
+    """99 015 of them in front of the first chunk halved the RPE of a signed bag, which verified as whole."""
+    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    found = apart(bag)
+    where = {
+        "first": places(found, OP_MANIFEST)[0],
+        "manifest": places(found, OP_MANIFEST)[1],
+        "chunk": places(found, OP_CHUNK)[1],
+        "index": places(found, OP_INDEX)[1],
+        "seal": end_of(bag),
+        "end": places(found, OP_DATA_END)[0],
+    }[place]
+    found[where:where] = forged_messages(found)
+    run = changed(bag, found if summary else without_summary(found))
+    assert [text for text in run.contradictions if "50 messages stand outside of the chunks" in text]
+    assert same_as(run, before)
+
+
+def test_a_chunk_in_front_of_the_first_manifest_is_not_used(bag: Path) -> None:
+    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    found = apart(bag)
+    found.insert(places(found, OP_MANIFEST)[0], (OP_CHUNK, scaled(found[places(found, OP_CHUNK)[0]][1])[0]))
+    run = changed(bag, found)
+    assert [text for text in run.contradictions if "no manifest names" in text] and same_as(run, before)
+
+
+def test_index_records_do_not_say_where_messages_are(bag: Path) -> None:
+    """Each index names its first message alone, a byte further: what lies between was searched, and not all of it."""
+    before = {name: Run.open(bag)[name].values for name in Run.open(bag).topics}
+    found = apart(bag)
+    for at in places(found, OP_INDEX):
+        body = bytearray(found[at][1])
+        rows = np.frombuffer(body, INDEX_ENTRY, (len(body) - 6) // 16, 6)
+        rows["offset"] += np.arange(rows.size, dtype=np.uint64)
+        found[at] = (OP_INDEX, bytes(body))
+    run = changed(bag, found)
+    assert same_as(run, before) and not run.contradictions
+
+
+@pytest.mark.parametrize("in_summary", [False, True])
+def test_a_channel_may_not_be_named_otherwise_than_in_the_chunks(bag: Path, in_summary: bool) -> None:
+    found = apart(bag)
+    renamed = next(body for body in inside(found, OP_CHANNEL) if b"truth/los" in body).replace(b"truth", b"other")
+    if in_summary:
+        at = next(at for at, (op, body) in enumerate(found) if op == OP_CHANNEL and b"truth/los" in body)
+        found[at] = (OP_CHANNEL, renamed)
+    else:
+        found.insert(places(found, OP_MANIFEST)[2], (OP_CHANNEL, renamed))
+    run = changed(bag, found)
+    assert run.contradictions and len(run["truth/los"]) == 3000
+
+
+@pytest.mark.parametrize("op", [OP_MESSAGE, OP_CHUNK, OP_MANIFEST, OP_METADATA])
+def test_no_data_stand_behind_the_end_of_the_data(bag: Path, op: int) -> None:
+    """Readers that look for chunks by the summary, or read on, would find them."""
+    found = apart(bag)
+    record = forged_messages(found, 1)[0] if op == OP_MESSAGE else found[places(found, op)[0]]
+    found.insert(places(found, OP_DATA_END)[0] + 1, record)
+    assert any("behind the end of the data" in text for text in changed(bag, found).contradictions)
+
+
+def test_a_summary_that_names_a_chunk_twice_or_has_a_wrong_checksum_is_told(bag: Path) -> None:
+    found = apart(bag)
+    at = places(found, OP_CHUNK_INDEX)[0]
+    run = changed(bag, [*found[:at], found[at], *found[at:]])
+    assert any("does not name each chunk once" in text for text in run.contradictions)
+    (bag / "bag_0.mcap").write_bytes(put_together([*found[:at], found[at], *found[at:]], False))
+    run = Run.open(bag)
+    assert any("the summary is damaged or missing" in text for text in run.problems) and not run.contradictions
+
+
+def test_a_chunk_that_is_missing_behind_its_manifest_leaves_the_bag_not_whole(bag: Path) -> None:
+    """The digests agreed, of two chunks, though three were signed."""
+    found = apart(bag)
+    del found[places(found, OP_CHUNK)[2]]
+    (bag / "bag_0.mcap").write_bytes(put_together(found, True))
+    rows = {row.name: row for row in check_bag(bag).rows}
+    assert rows["digests of chunks"].state == "damaged" and "2 of 3" in rows["digests of chunks"].found

@@ -220,6 +220,29 @@ def test_the_last_record_of_a_chunk_may_be_cut(tmp_path: Path) -> None:
     assert [m[1] for m in messages(file)] == [5] and result.finished
 
 
+@pytest.mark.parametrize("tail", [b"", bytes(4), bytes(200), b"\xa5\x3c" * 100], ids=["none", "few", "zeros", "junk"])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_the_message_in_which_power_was_lost_is_left_out(tmp_path: Path, chunked: bool, tail: bytes) -> None:
+    """Its head is right, its end is zeros or junk, and no checksum says so; those before it are counted apart."""
+    data = [struct.pack("<3d", *row) for row in ((1, 2, 3), (4, 5, 6), (7, 8, 9))]
+    content = channel(1, FIRST) + b"".join(message(1, 5 + i, part) for i, part in enumerate(data))
+    rest = message(1, 9, bytes(400))  # of the chunk, and never written
+    written = chunk(content + rest, "")[: -len(rest)] if chunked else content
+    written = written[:-24] + (bytes(24) if tail[:1] == b"\0" else tail[:24].ljust(24, b"\x5a"))
+    result, file = repaired(tmp_path, written, end=tail)
+    assert [row[1] for row in messages(file)] == [5, 6] and not result.finished
+    told = " ".join(result.problems)
+    assert ("no checksum proves the messages: 2 of a chunk are used, 1 left out" in told) == chunked
+    assert chunked or "cut off" in told
+
+
+def test_a_chunk_without_a_checksum_needs_a_record_behind_it(tmp_path: Path) -> None:
+    content = channel(1, FIRST) + message(1, 5, b"abcd") + message(1, 6, bytes(4))
+    result, file = repaired(tmp_path, chunk(content, "", checksum=0), end=bytes(100))
+    assert [row[1] for row in messages(file)] == [5]
+    assert any("no checksum proves" in text for text in result.problems)
+
+
 def test_the_beginning_must_be_that_of_a_bag(tmp_path: Path) -> None:
     for begin in (b"", b"PK", MAGIC[3:], b"x" + MAGIC):
         (tmp_path / "old.mcap").write_bytes(begin + HEADER)

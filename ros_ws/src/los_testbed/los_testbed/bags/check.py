@@ -101,7 +101,7 @@ def sign_bag(path: Path, key: Ed25519PrivateKey, max_chunk: int = MAX_CHUNK) -> 
     refused = next((f"{row.name}: {row.found}" for row in found.rows if row.state in ("damaged", "contradicts")), "")
     if refused:
         raise ValueError(f"a bag must be whole to be signed, got {path}, {refused}")
-    if not all(info.chunks and info.digests == info.chunks for info in infos):
+    if not all(info.chunks and _all_agree(info) for info in infos):
         raise ValueError(f"a bag must have a manifest of each chunk to be signed, got {path} without")
     return write_signature(files[0], [info.chain for info in infos], key)
 
@@ -155,8 +155,13 @@ def _of_chain(info: FileInfo, contradiction: str) -> bool:
     return any(contradiction.endswith(f": {what}") for what in info.chain.broken)
 
 
+def _all_agree(info: FileInfo) -> bool:
+    """Whether every chunk is what its manifest says, and no manifest is without its chunk."""
+    return info.digests == info.chunks == info.chain.manifests
+
+
 def _digests(infos: list[FileInfo]) -> Row:
-    chunks, agree = sum(info.chunks for info in infos), sum(info.digests for info in infos)
+    chunks, agree = sum(max(info.chunks, info.chain.manifests) for info in infos), sum(info.digests for info in infos)
     if not any(info.chain.manifests for info in infos):
         return Row("digests of chunks", "none", "no manifests: another program has recorded it")
     refuted = [text for info in infos for text in info.contradictions if not _of_chain(info, text)]
@@ -209,6 +214,6 @@ def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | Non
         return Row("signature", "contradicts", "none, though one must be there (--public-key)")
     if there != [bag.files[0]] or not is_signed_by(there[0], [info.chain for info in infos], key):
         return Row("signature", "contradicts", "not that of this key for this bag")
-    if any(info.chain.unchecked or info.chain.open or info.digests != info.chunks for info in infos):
+    if any(info.chain.unchecked or info.chain.open or not _all_agree(info) for info in infos):
         return Row("signature", "damaged", "that of this key, but what is damaged is not covered by it")
     return Row("signature", "agrees", "that of this key")

@@ -88,7 +88,8 @@ class McapBlockWriter:
     def add_channel(
         self, topic: str, type_name: str, definition: str, metadata: Mapping[str, str] | None = None
     ) -> int:
-        """Register a topic and return its channel number."""
+        """Register a topic and return its channel number; a chunk that has begun gets the records, too."""
+        known = len(self._schemas)
         schema = next((s for s in self._schemas if s.name == type_name), None)
         if schema is None:
             schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode())
@@ -101,6 +102,8 @@ class McapBlockWriter:
             metadata=dict(metadata or {}),
         )
         self._channels.append(channel)
+        if self._blocks:
+            self._add_records([*self._schemas[known:], channel])
         self.counts[channel.id] = self._sequences[channel.id] = 0
         return int(channel.id)
 
@@ -167,9 +170,12 @@ class McapBlockWriter:
 
     def _begin(self) -> None:
         """Every chunk begins with all schemas and channels."""
-        if self._blocks:
-            return
-        for record in (*self._schemas, *self._channels):
+        if not self._blocks:
+            self._add_records([*self._schemas, *self._channels])
+
+    def _add_records(self, records: Sequence[McapRecord]) -> None:
+        """Take records that are no messages into the chunk."""
+        for record in records:
             builder = RecordBuilder()
             record.write(builder)
             data = np.frombuffer(builder.end(), np.uint8)

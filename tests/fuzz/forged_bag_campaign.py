@@ -1,0 +1,390 @@
+"""Forge a signed bag without its key for some minutes: ``python tests/fuzz/forged_bag_campaign.py --minutes 20``.
+
+Each case takes the records of a signed bag apart, inserts, moves, doubles, drops or replaces one to three of them, of
+every type that MCAP has, at any place, and puts the file together again with a right summary. Inside of chunks it does
+the same, with right checksums. What is inserted is of the bag itself, of another run, or made up; every record is well
+formed, so that nothing looks like damage. Then a case is a finding if
+
+- ``bag verify --public-key`` says that the bag is whole, and the analysis, or a reader of others, gets a message, a
+  setting or a file that was not signed, or the analysis lacks one;
+- the analysis gets something that was not signed, and no contradiction is named;
+- the analysis lacks something, and no contradiction, loss or defect is named.
+
+Exit code: 0 nothing found, 1 something found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import random
+import shutil
+import struct
+import sys
+import tempfile
+import time
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+import zstandard
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from fuzz.mutations import messages
+from fuzz.record_mutations import KINDS_OF_RECORDS, Record, put_together, taken_apart
+from los_testbed.bags.check import check_bag, sign_bag
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from support.forged_bags import TRUTH, places, rechained, scaled
+from support.simple_telescope import SimpleTelescope, write_controllers
+
+from pointing_analysis.read.mcap.bag_metadata import HASH, METADATA_NAME, with_hash
+from pointing_analysis.read.mcap.chain import Chain
+from pointing_analysis.read.mcap.chunks import take_apart, unpack_zstd
+from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest
+from pointing_analysis.read.mcap.records import (
+    MAX_CHUNK,
+    NAMES,
+    OP_ATTACHMENT,
+    OP_CHANNEL,
+    OP_CHUNK,
+    OP_DATA_END,
+    OP_FOOTER,
+    OP_INDEX,
+    OP_MANIFEST,
+    OP_MESSAGE,
+    OP_METADATA,
+    OP_SCHEMA,
+    OP_STATISTICS,
+    RECORD,
+    BagError,
+    table_at,
+    text_at,
+)
+from pointing_analysis.read.run import Run
+
+Rows = dict[str, frozenset[bytes]]
+One = tuple[str, int, int, int, bytes]
+
+
+@dataclass(frozen=True)
+class Signed:
+    """A signed bag, its records, what a reader gets of it, the records of another run, and the public key."""
+
+    folder: Path
+    found: list[Record]
+    inside: list[Record]
+    foreign: list[Record]
+    read: Rows
+    content: frozenset[One]
+    key: Any
+
+
+def what_is_read(run: Run) -> Rows:
+    """Samples of each topic, settings, and files of a recording, each as bytes."""
+    found: Rows = {}
+    for name in run.topics:
+        topic = run[name]
+        rows = np.ascontiguousarray(np.column_stack([topic.stamp, topic.values.view(np.int64)]))
+        found[name] = frozenset(rows.view(f"V{rows.shape[1] * 8}").reshape(-1).tolist())
+    found["settings"] = frozenset(f"{key}: {value!r}".encode() for key, value in run.parameters.items())
+    found["files"] = frozenset(name.encode() + data for name, data in run.attachments.items())
+    return found
+
+
+def make_signed(folder: Path) -> Signed:
+    """A bag of 2.5 s, signed, and another one of a run with another seed."""
+    controllers = write_controllers(folder)
+    for name, seed in (("bag", 1), ("other", 2)):
+        config = RunConfig(duration=2.5, mode="inprocess", seed=seed, **controllers)
+        run_in_process(config, folder / name, SimpleTelescope())
+    key = Ed25519PrivateKey.generate()
+    sign_bag(folder / "bag", key)
+    data = (folder / "bag" / "bag_0.mcap").read_bytes()
+    found, foreign = taken_apart(data), taken_apart((folder / "other" / "other_0.mcap").read_bytes())
+    inside = [record for op, body in found if op == OP_CHUNK for record in records_of(content_of(body))]
+    read = what_is_read(Run.open(folder / "bag"))
+    assert check_bag(folder / "bag", key=key.public_key()).code == 0
+    content = frozenset((*key_, *rest) for key_, rest in messages(data).items())
+    return Signed(folder, found, inside, foreign, read, content, key.public_key())
+
+
+def content_of(body: bytes) -> bytes:
+    """Content of a chunk."""
+    packed = take_apart(body, False)
+    assert packed is not None
+    return unpack_zstd(packed.data, MAX_CHUNK)[0] if packed.kind else packed.data
+
+
+def records_of(content: bytes) -> list[Record]:
+    """Records of the content of a chunk."""
+    found, at = [], 0
+    while at + RECORD.size <= len(content):
+        op, length = RECORD.unpack_from(content, at)
+        found.append((op, content[at + RECORD.size : at + RECORD.size + length]))
+        at += RECORD.size + length
+    return found
+
+
+def chunk_of(old: bytes, content: bytes) -> bytes:
+    """Chunk record with another content and the checksum of it."""
+    data = zstandard.compress(content)
+    head = old[:16] + struct.pack("<QI", len(content), zlib.crc32(content))
+    return head + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(data)) + data
+
+
+def packed(name: str) -> bytes:
+    """Text with its length."""
+    return struct.pack("<I", len(name.encode())) + name.encode()
+
+
+def made_up(rng: random.Random, signed: Signed, op: int) -> list[Record]:
+    """Records of a type that nobody has signed, well formed; of a message up to 50 in succession."""
+    if op == OP_MESSAGE:
+        own = [body for kind, body in signed.inside if kind == OP_MESSAGE]
+        start, count = rng.randrange(len(own)), rng.choice((1, 2, 50))
+        return [(op, altered_message(rng, body)) for body in own[start : start + count]]
+    if op == OP_CHUNK:
+        body = signed.found[rng.choice(places(signed.found, OP_CHUNK))][1]
+        topic = rng.choice((TRUTH, "/telescope/los_estimate"))
+        return [(op, rng.choice((scaled(body, topic, 0.5)[0], altered_inside(rng, signed, body))))]
+    if op == OP_MANIFEST:
+        return [(op, forged_manifest(rng, signed))]
+    if op in (OP_CHANNEL, OP_SCHEMA):
+        body = rng.choice([body for kind, body in signed.inside if kind == op])
+        return [(op, rng.choice((renamed, renumbered))(rng, body))]
+    if op == OP_METADATA:
+        return [(op, altered_metadata(rng, signed))]
+    own = [body for kind, body in signed.found if kind == op]
+    if op == OP_ATTACHMENT:
+        body = rng.choice(own)[:-4].replace(b"1", b"2")
+        return [(op, body + struct.pack("<I", zlib.crc32(body)))]
+    if not own:
+        return [(op, rng.randbytes(rng.choice((0, 4, 20))))]
+    body = bytearray(rng.choice(own))
+    if op in (OP_INDEX, OP_STATISTICS) and len(body) > 20:
+        struct.pack_into("<Q", body, len(body) - 8, rng.choice((0, 1, 77, 1000)))
+    return [(op, bytes(body))]
+
+
+def altered_message(rng: random.Random, body: bytes) -> bytes:
+    """A message with other numbers, perhaps with another number, topic or stamp."""
+    channel, sequence, log, sent = struct.unpack_from("<HIQQ", body)
+    if rng.random() < 0.3:
+        channel = rng.randrange(1, 10)
+    if rng.random() < 0.3:
+        sequence += rng.choice((1, 1000, 100_000))
+    payload = bytearray(body[22:])
+    if len(payload) >= 16:
+        payload[-16:-8] = struct.pack("<d", rng.gauss(0, 1e-9))
+    if rng.random() < 0.5:
+        payload[8:12] = struct.pack("<I", rng.randrange(10**9))
+    return struct.pack("<HIQQ", channel, sequence, log, sent) + bytes(payload)
+
+
+def renamed(rng: random.Random, body: bytes) -> bytes:
+    """A channel or type with the same number and another name of the same length."""
+    return rng.choice((body.replace(b"truth", b"other"), body.replace(b"los_estimate", b"xxx_estimate"), body[:-1]))
+
+
+def renumbered(rng: random.Random, body: bytes) -> bytes:
+    """The same channel or type with another number."""
+    return struct.pack("<H", rng.randrange(1, 20)) + body[2:]
+
+
+def altered_metadata(rng: random.Random, signed: Signed) -> bytes:
+    """A table of settings with another value and a right hash."""
+    body = signed.found[rng.choice(places(signed.found, OP_METADATA))][1]
+    name, at = text_at(body, 0)
+    table = table_at(body, at)
+    changed = rng.choice(sorted(table))
+    table[changed] = rng.choice(("", "0", table[changed] + " "))
+    if name == METADATA_NAME:
+        table = with_hash({key: value for key, value in table.items() if key != HASH})
+    rows = b"".join(packed(key) + packed(value) for key, value in table.items())
+    return packed(name) + struct.pack("<I", len(rows)) + rows
+
+
+def altered_inside(rng: random.Random, signed: Signed, body: bytes) -> bytes:
+    """A chunk in whose content a record was put in, moved, doubled, dropped or replaced."""
+    found = change(rng, signed, records_of(content_of(body)), signed.inside, (OP_MESSAGE, OP_CHANNEL, OP_SCHEMA))
+    return chunk_of(body, b"".join(RECORD.pack(op, len(one)) + one for op, one in found))
+
+
+def forged_manifest(rng: random.Random, signed: Signed) -> bytes:
+    """A manifest of a forged chunk that continues the chain somewhere, or is without a place in it."""
+    chunks, manifests = places(signed.found, OP_CHUNK), places(signed.found, OP_MANIFEST)
+    i = rng.randrange(len(chunks))
+    old, before = (decode_manifest(signed.found[manifests[j]][1]) for j in (i, max(i - 1, 0)))
+    assert old is not None and before is not None
+    content = scaled(signed.found[chunks[i]][1])[1]
+    chain = rng.choice((None, Chain(digest=before.link.digest, manifests=i + rng.randrange(2))))
+    return encode_manifest(content, old.runs[:-1].tolist(), chain)
+
+
+def change(
+    rng: random.Random, signed: Signed, found: list[Record], foreign: list[Record], kinds: tuple[int, ...]
+) -> list[Record]:
+    """One change of a list of records."""
+    found, op = list(found), rng.choice(kinds)
+    own = places(found, op)
+    how = rng.choice(("insert", "insert", "insert foreign", "move", "double", "drop", "drop all", "replace"))
+    at = rng.randrange(len(found) + 1)
+    if how == "insert":
+        found[at:at] = made_up(rng, signed, op)
+    elif how == "insert foreign" and (others := [record for record in foreign if record[0] == op]):
+        found.insert(at, rng.choice(others))
+    elif own:
+        place = rng.choice(own)
+        record = found[place]
+        if how == "replace":
+            found[place : place + 1] = made_up(rng, signed, op)
+        elif how == "double":
+            found.insert(at, record)
+        elif how == "drop all":
+            found = [record for record in found if record[0] != op]
+        else:
+            del found[place]
+            if how == "move":
+                found.insert(min(at, len(found)), record)
+    TOLD.append(f"{how} {NAMES.get(op, hex(op))} at {at}")
+    return found
+
+
+KINDS = (*(op for op in KINDS_OF_RECORDS if op), *6 * (OP_MESSAGE,), *4 * (OP_CHUNK,), *2 * (OP_MANIFEST,))
+"""Types of records that are changed; those that hold or name messages more often."""
+TOLD: list[str] = []
+"""Changes of the case, for the message."""
+
+
+def verdict(signed: Signed, bag: Path, anew: bool) -> str:
+    """What is wrong with a case; empty if nothing. Of a chain made anew only the signature tells."""
+    try:
+        code = check_bag(bag, key=signed.key).code
+    except BagError:
+        code = -1
+    if code == 0 and (wrong := wrong_of_others((bag / "bag_0.mcap").read_bytes(), signed)):
+        return wrong
+    try:
+        run = Run.open(bag)
+        read = what_is_read(run)
+    except BagError as error:
+        return f"verified as whole, and it cannot be read: {error}" if code == 0 else ""
+    more = {name: rows for name in read if (rows := read[name] - signed.read.get(name, frozenset()))}
+    less = {name: rows for name in signed.read if (rows := signed.read[name] - read.get(name, frozenset()))}
+    if code == 0 and (more or less or run.contradictions):
+        return f"verified as whole, yet {shown(more, 'more')} {shown(less, 'less')} {run.contradictions[:1]}"
+    if anew:
+        return ""
+    if more and not run.contradictions:
+        return f"read without a contradiction though not signed: {shown(more, 'more')}; {run.problems[:3]}"
+    if less and not (run.contradictions or run.losses or run.problems):
+        return f"missing without a word: {shown(less, 'less')}"
+    return ""
+
+
+def wrong_of_others(data: bytes, signed: Signed) -> str:
+    """Messages of a file, verified as whole, that the readers of the mcap package get and nobody has signed."""
+    for name, reader in (("seeking", seeking), ("streaming", streaming)):
+        got = Counter[One]()
+        with contextlib.suppress(Exception):  # whatever a reader of others raises
+            got.update(reader(data))
+        if forged := got - Counter(signed.content):
+            topics = dict(Counter(one[0] for one in forged.elements()))
+            return f"verified as whole, yet a {name} reader gets what was not signed: {topics}"
+    return ""
+
+
+def seeking(data: bytes) -> Iterator[One]:
+    """Messages by the summary."""
+    for _, channel, m in make_reader(io.BytesIO(data)).iter_messages():
+        yield channel.topic, m.sequence, m.log_time, m.publish_time, m.data
+
+
+def streaming(data: bytes) -> Iterator[One]:
+    """Messages from the beginning to the end."""
+    topics: dict[int, str] = {}
+    for record in StreamReader(io.BytesIO(data), record_size_limit=1 << 28).records:
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            yield topics[record.channel_id], record.sequence, record.log_time, record.publish_time, record.data
+
+
+def shown(rows: Rows, word: str) -> str:
+    """Numbers of rows by name."""
+    return ", ".join(f"{word} {name} {len(rows[name])}" for name in sorted(rows))
+
+
+def case(signed: Signed, seed: str) -> str:
+    """One case; what is wrong with it."""
+    rng = random.Random(seed)
+    TOLD.clear()
+    found = signed.found
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        found = change(rng, signed, found, signed.foreign, KINDS)
+    anew = rng.random() < 0.1
+    if anew:
+        TOLD.append("chain made anew")
+        found = rechained_or_not(found)
+    bag = signed.folder / "case" / "bag"
+    shutil.rmtree(bag.parent, ignore_errors=True)
+    shutil.copytree(signed.folder / "bag", bag)
+    summary = rng.choice(("right", "right", "kept", "none", "none"))
+    TOLD.append(f"summary {summary}")
+    found = without_summary(found) if summary == "none" else found
+    (bag / "bag_0.mcap").write_bytes(put_together(found, summary == "right"))
+    if rng.random() < 0.5:
+        TOLD.append("without metadata.yaml")
+        (bag / "metadata.yaml").unlink()
+    return verdict(signed, bag, anew)
+
+
+def without_summary(found: list[Record]) -> list[Record]:
+    """The records up to the end of the data, and a footer that names no summary: nothing counts the messages then."""
+    end = max(places(found, OP_DATA_END), default=len(found) - 1)
+    return [*found[: end + 1], (OP_FOOTER, bytes(20))]
+
+
+def rechained_or_not(found: list[Record]) -> list[Record]:
+    """The records with a chain made anew, where their manifests can be read."""
+    try:
+        return rechained(found)
+    except (AttributeError, struct.error):
+        return found
+
+
+def main(minutes: float, seed: int, first: int = 0, most: int = 10**9) -> int:
+    """Cases until the time is over; the exit code."""
+    folder, end = Path(tempfile.mkdtemp(prefix="forged_")), time.monotonic() + 60 * minutes
+    signed, number, wrong = make_signed(folder), first, 0
+    while time.monotonic() < end and number < first + most:
+        if text := case(signed, f"{seed} {number}"):
+            wrong += 1
+            sys.stdout.write(f"case {number}: {'; '.join(TOLD)}\n  WRONG: {text}\n")
+            sys.stdout.write(f"  repeat: {__file__} --minutes 60 --seed {seed} --case {number}\n")
+            sys.stdout.flush()
+        number += 1
+    shutil.rmtree(folder, ignore_errors=True)
+    words = f"{wrong} found" if wrong else "nothing found"
+    sys.stdout.write(f"signed bags: seed {seed}, {number - first} cases: {words}\n")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--minutes", type=float, default=20.0)
+    parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(10**6))
+    parser.add_argument("--case", type=int, default=None, help="this one alone")
+    given = parser.parse_args()
+    alone = given.case is not None
+    sys.exit(main(given.minutes, given.seed, given.case if alone else 0, 1 if alone else 10**9))
