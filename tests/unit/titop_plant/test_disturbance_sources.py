@@ -17,13 +17,13 @@ from titop_plant.simulation.driven_plant import DrivenPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
+from titop_plant.simulation.sources.moving_mass import MovingMassSignal, PhaseNoise
 from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
 from titop_plant.simulation.sources.signals import (
     PulseSignal,
     SampledSignal,
     ToneSignal,
     noise_of_density,
-    phase_walk,
     repeated,
 )
 from titop_plant.simulation.sources.waterfall import lines_at
@@ -77,7 +77,7 @@ def series(rate: float) -> SampledSignal:
 def exact_tones() -> ToneSignal:
     amplitude = np.zeros((len(TONES), 6), complex)
     amplitude[:, 0], amplitude[:, 4] = [a for _, a, _ in TONES], [b for _, _, b in TONES]
-    return ToneSignal(2 * np.pi * np.array([hz for hz, _, _ in TONES]), amplitude, DT, np.ones(len(TONES)))
+    return ToneSignal(2 * np.pi * np.array([hz for hz, _, _ in TONES]), amplitude, DT)
 
 
 @pytest.fixture(scope="module")
@@ -191,8 +191,29 @@ def test_pulses_have_their_impulse_and_end() -> None:
 def test_the_line_of_a_cooler_has_the_width_that_was_asked_for() -> None:
     """The phase of a Lorentzian line of full width w spreads with the variance 2 pi w t."""
     rng = np.random.default_rng(1)
-    ends = [phase_walk(0.2, 500, DT, rng)[500] for _ in range(3000)]
-    assert np.var(ends) == pytest.approx(2 * np.pi * 0.2 * 0.5, rel=0.1)
+    ends = [PhaseNoise.of(0.2, 50.0, 2.0, rng).at(np.array([1.6]))[0][0] for _ in range(3000)]
+    assert np.var(ends) == pytest.approx(2 * np.pi * 0.2 * 1.6, rel=0.1)
+
+
+def test_the_force_of_a_moving_mass_is_the_second_derivative_of_its_displacement() -> None:
+    """By central differences of the displacement, and no more momentum after any time than the mass can have."""
+    omega, order = 2 * np.pi * 47.0, np.array([1.0, 2.0, 3.0])
+    amplitude = np.zeros((3, 6), complex)
+    amplitude[:, 2], amplitude[:, 3] = (0.08, 0.03j, 0.015), (0.01j, 0.0, 0.002)
+    noise = PhaseNoise.of(0.5, 47.0, 40.0, np.random.default_rng(3))
+    one = MovingMassSignal(omega, order, amplitude, DT, noise)
+    step = 1e-5
+    t = 7.0 + step * np.arange(40_000)
+    phase = omega * t + noise.at(t)[0]
+    moved = -np.imag(np.exp(1j * np.multiply.outer(phase, order)) @ (amplitude / np.square(order * omega)[:, None]))
+    force = np.diff(moved, 2, axis=0) / step**2
+    given = one.tick(0, t[1:-1] / DT)
+    assert np.abs(given - force).max() < 1e-4 * np.abs(force).max()
+    middle, weight = np.polynomial.legendre.leggauss(6)
+    instants = 0.5 * (middle + 1.0)
+    impulse = np.cumsum([0.5 * DT * weight @ one.tick(k, instants) for k in range(40_000)], axis=0)
+    largest = 2.0 * (np.abs(amplitude) / (order * omega)[:, None]).sum(axis=0)
+    assert (np.abs(impulse) <= 1.3 * largest + 1e-12).all()
 
 
 def test_a_record_that_is_repeated_has_no_step() -> None:

@@ -48,7 +48,7 @@ NO_LINES = np.zeros(0)
 
 @dataclass(frozen=True)
 class ToneSignal:
-    """Tones of constant amplitude; with phase noise the phase of the fundamental is a random walk.
+    """Tones of constant amplitude.
 
     Parameters
     ----------
@@ -58,17 +58,11 @@ class ToneSignal:
         N, Nm; the value is the imaginary part of ``amplitude exp(i frequency t)``.
     dt : float
         Tick [s].
-    order : ndarray, shape (q,)
-        By which phase noise is multiplied.
-    phase : ndarray, shape (n,), optional
-        Phase noise at the ticks [rad], linear between them.
     """
 
     frequency: FloatArray
     amplitude: ComplexArray
     dt: float
-    order: FloatArray
-    phase: FloatArray | None = None
 
     @property
     def lines(self) -> FloatArray:
@@ -79,17 +73,7 @@ class ToneSignal:
         """Values of a tick."""
         whole = np.multiply.outer(np.fmod(k * self.dt * self.frequency, 2 * np.pi), np.ones(instants.size))
         angle = whole + np.multiply.outer(self.frequency * self.dt, instants)
-        if self.phase is not None:
-            first = min(k, self.phase.size - 2)
-            noise = self.phase[first] + (k - first + instants) * (self.phase[first + 1] - self.phase[first])
-            angle += np.multiply.outer(self.order, noise)
         return np.asarray((np.exp(1j * angle).T @ self.amplitude).imag)
-
-
-def phase_walk(linewidth: float, ticks: int, dt: float, rng: np.random.Generator) -> FloatArray:
-    """Phase of an oscillator with a Lorentzian line of this full width at half maximum [Hz], shape (ticks + 2,)."""
-    steps = math.sqrt(2 * math.pi * linewidth * dt) * rng.standard_normal(ticks + 1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 @dataclass(frozen=True)
@@ -312,9 +296,7 @@ def _interpolated(points: FloatArray, frequency: FloatArray, density: FloatArray
     return np.asarray(level)
 
 
-def tone_signal(
-    rows: Sequence[tuple[float, float, ComplexArray]], dt: float, phase: FloatArray | None = None
-) -> ToneSignal:
+def tone_signal(rows: Sequence[tuple[float, float, ComplexArray]], dt: float) -> ToneSignal:
     """Tones from rows of order, frequency [rad/s] and amplitudes (6,)."""
-    order, frequency, amplitude = (np.array(x) for x in zip(*rows))
-    return ToneSignal(frequency.astype(float), amplitude.astype(complex), dt, order.astype(float), phase)
+    _, frequency, amplitude = (np.array(x) for x in zip(*rows))
+    return ToneSignal(frequency.astype(float), amplitude.astype(complex), dt)

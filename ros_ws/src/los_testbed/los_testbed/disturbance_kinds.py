@@ -343,17 +343,20 @@ def _psd(entry: Entry, run: Run) -> Made:
 
 
 def _cooler(entry: Entry, run: Run) -> Made:
-    from titop_plant.simulation.sources.signals import phase_walk, tone_signal
+    from titop_plant.simulation.sources.moving_mass import WIDEST, PhaseNoise, moving_mass
+    from titop_plant.simulation.sources.signals import tone_signal
 
-    rng, base = _rng(entry, run), 2 * np.pi * entry.number("frequency", None, 0.0)
+    rng, frequency = _rng(entry, run), entry.number("frequency", None, 0.0)
+    base = 2 * np.pi * frequency
     rows: list[tuple[float, float, ComplexArray]] = []
     for order, amplitude in _harmonics(entry):
         rows.append((order, order * base, amplitude * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi))))
     width = entry.number("linewidth", 0.0)
-    if width < 0:
-        raise entry.error(f"linewidth must not be negative, got {width:g} Hz")
-    phase = phase_walk(width, round(run.duration / DT), DT, rng) if width else None
-    return _audible(tone_signal, rows, phase)
+    if not 0 <= width <= WIDEST * frequency:
+        raise entry.error(f"linewidth must be between 0 and {WIDEST * frequency:g} Hz, got {width:g} Hz")
+    if not width:
+        return _audible(tone_signal, rows)
+    return _audible(moving_mass, rows, base, PhaseNoise.of(width, frequency, run.duration, rng))
 
 
 def _pulses(entry: Entry, run: Run) -> Made:
