@@ -30,7 +30,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_with_the_library_is_that_of_the_designs(library: Path, tmp_path: Path) -> None:
-    config = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", scenario="imbalance", start="rest", seed=3)
+    config = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", scenario="worst_case", seed=3)
     run_in_process(config, tmp_path / "files")
     run_in_process(replace(config, k_fsm=str(library), k_pma=str(library)), tmp_path / "library")
     files, library_run = Run.open(tmp_path / "files"), Run.open(tmp_path / "library")

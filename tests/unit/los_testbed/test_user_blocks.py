@@ -15,6 +15,7 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, build_controller, build_estimator
 from los_testbed.loop.contract import ContractError, RunFailedError
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.run_start import RunStart
 from los_testbed.user_blocks import BlockFailedError, UserBlock
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -202,7 +203,7 @@ def test_the_bag_names_the_classes_and_their_source(module: str) -> None:
     for setting, name in (("k_fsm", "Observer"), ("k_pma", "Law"), ("disturbance_source", "Quiet")):
         assert run.parameters[setting] == f"{module}:{name}"
         assert run.parameters[f"{setting}_source_sha256"] == digest
-    assert run.parameters["start"] == "rest"
+    assert "transient_s" not in run.parameters and "switched on at the start" in run.parameters["start_note"]
     assert not {"k_fsm.json", "k_pma.json"} & set(run.attachments)
     assert app.main(["report", "bag", "--output", "page.html"]) in (0, 1)
 
@@ -242,8 +243,6 @@ def test_what_cannot_be_used_is_one_line_before_the_run(
 
 
 def test_settings_that_exclude_one_another() -> None:
-    with pytest.raises(ValueError, match="start must be rest with k_pma of your own code, got steady"):
-        RunConfig(k_pma="mine:Law")
     with pytest.raises(ValueError, match="disturbance_source must be absent with a plant of your own"):
         RunConfig(plant="mine:Plant", start="rest", disturbance_source="mine:Wind")
     with pytest.raises(ValueError, match="ramp_duration must be 0"):
@@ -281,6 +280,120 @@ def test_the_tone_of_a_run_with_code_is_that_of_the_stage_without_it(module: str
     assert code.tone is not None and isolator.tone is not None
     assert code.tone.omega == isolator.tone.omega
     assert RunParts(RunConfig(disturbance_source="mine:Wind", scenario="worst_case")).start.tone is None
+
+
+MODELS = """
+
+from pathlib import Path
+import fsm_pma_controller
+import los_estimator
+from titop_plant.interface import HELD
+
+OBSERVER = SampledSystem.from_file(Path(los_estimator.__file__).parent / "designs/k_fsm.json")
+LAW = SampledSystem.from_file(Path(fsm_pma_controller.__file__).parent / "designs/k_pma.json")
+
+class Plain:
+    def __init__(self):
+        self.reset()
+    def reset(self, state=None, held=None):
+        self.x = np.zeros(OBSERVER.order) if state is None else np.array(state)
+        self.held = np.zeros(HELD.size) if held is None else np.array(held)
+    def step(self, y, out):
+        u = y.copy()
+        if np.isfinite(u[HELD]).all():
+            self.held[:] = u[HELD]
+        u[HELD] = self.held
+        out[:] = OBSERVER.C @ self.x + OBSERVER.D @ u
+        self.x = OBSERVER.A @ self.x + OBSERVER.B @ u
+
+class WithModel(Plain):
+    def system(self):
+        return OBSERVER.to_control()
+
+class OtherModel(Plain):
+    def system(self):
+        return SampledSystem(OBSERVER.A, OBSERVER.B, 1.01 * OBSERVER.C, OBSERVER.D, OBSERVER.inputs, OBSERVER.outputs,
+                             OBSERVER.dt)
+
+class Forgetful(Plain):
+    def system(self):
+        return OBSERVER
+    def reset(self, state=None, held=None):
+        super().reset()
+
+class NoModel(Plain):
+    def system(self):
+        return 3
+
+class ForceLaw:
+    def __init__(self):
+        self.reset()
+    def reset(self, state=None):
+        self.x = np.zeros(LAW.order) if state is None else np.array(state)
+    def step(self, a, out):
+        out[:] = LAW.C @ self.x + LAW.D @ a
+        self.x = LAW.A @ self.x + LAW.B @ a
+    def system(self):
+        return LAW
+"""
+
+
+@pytest.fixture
+def models(module: str) -> str:
+    Path(f"{module}_models.py").write_text(MODULE + MODELS)
+    return f"{module}_models"
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        {"k_fsm": "{}:OBSERVER", "k_pma": "{}:LAW"},
+        {"k_fsm": "{}:WithModel", "k_pma": "{}:ForceLaw"},
+        {"k_fsm": "{}:WithModel"},
+        {"k_pma": "{}:ForceLaw"},
+    ],
+    ids=["systems", "classes", "observer", "law"],
+)
+@pytest.mark.parametrize("scenario", ["worst_case", "unit_norm"])
+def test_a_law_with_a_model_starts_and_is_judged_as_its_file(models: str, laws: dict[str, str], scenario: str) -> None:
+    """The same tone, and the same line of sight from the first sample on."""
+    common = {"duration": 0.2, "mode": "inprocess", "scenario": scenario, "loop": "fsm+pma"}
+    named = {name: text.format(models) for name, text in laws.items()}
+    for folder, given in (("files", {}), ("code", named)):
+        run_in_process(RunConfig(**common, **given), Path(folder))
+    files, code = Run.open("files"), Run.open("code")
+    assert code.parameters["transient_s"] == files.parameters["transient_s"] == 0
+    assert code.parameters["tones_rad_s"] == files.parameters["tones_rad_s"]
+    expected = files["truth/los"].values
+    assert np.abs(code["truth/los"].values - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("OtherModel", "step must do what system() does from a state, got "),
+        ("Forgetful", "step must do what system() does from a state, got "),
+        ("NoModel", "system must return the sampled system that it is, got "),
+    ],
+)
+def test_a_model_that_is_another_system_is_refused(models: str, name: str, words: str) -> None:
+    with pytest.raises(ContractError) as told:
+        _ = RunParts(RunConfig(k_fsm=f"{models}:{name}")).k_fsm
+    assert words in str(told.value) and "\n" not in str(told.value)
+
+
+def test_without_a_model_the_telescope_shakes_already_when_the_law_is_switched_on(models: str) -> None:
+    """So what is left to settle is what the law changes: after 4 s the RPE of the file, not after minutes."""
+    common = {"duration": 6.0, "mode": "inprocess", "scenario": "unit_norm", "loop": "fsm", "noise": False}
+    plain = {"k_fsm": f"{models}:Plain"}
+    for folder, given in (("file", {}), ("code", plain), ("rest", {**plain, "start": "rest"})):
+        run_in_process(RunConfig(**common, **given), Path(folder))
+    start = RunParts(RunConfig(**common, k_fsm=f"{models}:Plain")).start
+    assert start.states is not None and start.switched_on and not start.steady
+    assert not start.states.k_fsm.any() and not start.states.camera.any() and start.states.plant.any()
+    file, code, rest = (summarise(Run.open(name), transient=4.0).rpe_rms for name in ("file", "code", "rest"))
+    assert code == pytest.approx(file, rel=0.1) and abs(rest - file) > 5 * abs(code - file)
+    assert RunStart.from_bytes(start.to_bytes()).switched_on and not RunStart.from_bytes(RunStart().to_bytes()).steady
 
 
 def test_the_gain_of_the_mirror_follows_the_design_basis_of_a_class(module: str) -> None:

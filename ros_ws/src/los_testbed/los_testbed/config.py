@@ -131,9 +131,6 @@ class RunConfig(PhysicalSettings):
             raise ValueError(f"device must be given with mode realtime, start rest and no plant, got {got}")
         if self.plant and self.start != "rest":
             raise ValueError(f"start must be rest with a plant of your own, got {self.start}")
-        for name in ("k_fsm", "k_pma"):
-            if is_code(getattr(self, name)) and self.start != "rest":
-                raise ValueError(f"start must be rest with {name} of your own code, got {self.start}")
         if self.disturbance_source and self.plant:
             raise ValueError(
                 f"disturbance_source must be absent with a plant of your own, got {self.disturbance_source}"

@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from titop_plant.telescope.placed.readings import PlantWithReadings
 
 
-FROM_REST = "a run with code of the user starts at rest: no model of it is known"
+SWITCHED_ON = "no model of {} is known (a method system() gives one): the controllers are switched on at the start"
+TONE_WITHOUT = ", under the worst tone of the stage {}"
 
 
 @dataclass(frozen=True)
@@ -219,20 +220,37 @@ class RunParts:
         if not self.recorded and self.known_family is None and (start := from_runner(config)) is not None:
             return start
         laws = self.linear
-        if laws is None:  # of code no model is known: the tone that is worst without it
-            opened = "isolator" if config.loop != "none" else "none"
-            alone = RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened, start="rest"))
-            return alone.start if config.start == "rest" else replace(alone.start, note=FROM_REST)
+        if laws is None:
+            return self._start_without_model()
         family, actuators = self._loop_with(laws)
         return find_run_start(config, family, self.settings, laws, self.basis.authority, actuators)
 
+    def _start_without_model(self) -> RunStart:
+        """The tone that is worst without the controllers, and the telescope's steady state without them."""
+        config = self.config
+        opened = "isolator" if config.loop != "none" else "none"
+        alone = RunParts(replace(config, k_fsm=None, k_pma=None, loop=opened), known_family=self.family).start
+        if config.start == "rest" or alone.states is None:
+            return alone
+        sizes = (law.order for law in (self.k_fsm, self.k_pma))
+        actuators = sum(port.size for port in self._used("k_pma").outputs)
+        still = [np.zeros(n) for n in (alone.states.command.size + actuators, *sizes, alone.states.camera.size)]
+        states = replace(alone.states, **dict(zip(("command", "k_fsm", "k_pma", "camera"), still)))
+        unknown = [text for name, text in self.code.items() if self._model_of(name) is None]
+        note = SWITCHED_ON.format(" and ".join(unknown)) + (TONE_WITHOUT.format(opened) if alone.tone else "")
+        return replace(alone, states=states, note=note, switched_on=True)
+
+    def _model_of(self, name: str) -> SampledSystem | None:
+        """A controller as a linear system; None of code without a model."""
+        law = getattr(self, name)
+        found = law.linear if isinstance(law, UserBlock) else law
+        return found if isinstance(found, SampledSystem) else None
+
     @property
     def linear(self) -> dict[str, SampledSystem] | None:
-        """Both controllers as linear systems; None where one of them is code."""
-        if any(map(is_code, self.code.values())):
-            return None
-        laws = {name: law.linear if isinstance(law, UserBlock) else law for name, law in self.controllers.items()}
-        found = {name: law for name, law in laws.items() if isinstance(law, SampledSystem)}
+        """Both controllers as linear systems; None where one of them is code without a model."""
+        laws = {name: self._model_of(name) for name in LAWS}
+        found = {name: law for name, law in laws.items() if law is not None}
         return found if len(found) == len(laws) else None
 
     def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, list[PlacedActuator]]:

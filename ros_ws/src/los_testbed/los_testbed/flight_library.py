@@ -11,8 +11,20 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.systems.ports import Port
-from titop_plant.interface import ESTIMATES, FORCES, HELD, MEASUREMENTS, PLATFORM
+from lftkit.systems.ports import Port, total_size
+from lftkit.systems.sampled.sampled_system import SampledSystem
+from titop_plant.interface import (
+    DT,
+    ESTIMATES,
+    FORCES,
+    HELD,
+    K_FSM_INPUTS,
+    K_FSM_OUTPUTS,
+    K_PMA_INPUTS,
+    K_PMA_OUTPUTS,
+    MEASUREMENTS,
+    PLATFORM,
+)
 
 SIZES: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
@@ -68,6 +80,7 @@ class LibraryLaw:
         self._self = np.zeros(self.order + sum(sizes[:-1]))
         self._held = tuple(np.zeros(size) for size in sizes[1:-1])
         self._start = np.zeros(self.order)
+        self._inputs, self._outputs = sizes[0], tuple(K_FSM_OUTPUTS if self._held else K_PMA_OUTPUTS)
         getattr(self._library, f"{prefix}_init")(_pointer(self._self))
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
@@ -80,12 +93,28 @@ class LibraryLaw:
                 raise FlightLibraryError(f"{self.name}: state must have shape {kept.shape}, got {np.shape(given)}")
             kept[:] = given
 
-    def reset(self, state: FloatArray | None = None) -> None:
-        """Back to the start, or to `state` (order,)."""
+    def reset(self, state: FloatArray | None = None, held: FloatArray | None = None) -> None:
+        """Back to the start, or to `state` (order,), of K_FSM with the values `held` (h,)."""
         if state is not None and np.shape(state) != self._start.shape:
             raise FlightLibraryError(f"{self.name}: state must have shape {self._start.shape}, got {np.shape(state)}")
         start = self._start if state is None else np.ascontiguousarray(state, dtype=float)
-        self._reset_to(_pointer(self._self), _pointer(start), *map(_pointer, self._held))
+        kept = self._held if held is None else (np.ascontiguousarray(held, dtype=float),)
+        self._reset_to(_pointer(self._self), _pointer(start), *map(_pointer, kept))
+
+    def system(self) -> SampledSystem:
+        """The sampled system that it is: a tick from each unit state and with each unit input gives its matrices."""
+        n = self.order
+        columns = []
+        for j in range(n + self._inputs):
+            unit = np.zeros(n + self._inputs)
+            unit[j], out = 1.0, np.zeros(total_size(self._outputs))
+            self.reset(unit[:n], *(np.zeros(h.size) for h in self._held))
+            self.step(unit[n:], out)
+            columns.append(np.concatenate([self._self[:n], out]))
+        self.reset()
+        whole = np.array(columns).T.reshape(n + total_size(self._outputs), n + self._inputs)
+        ports = tuple(K_FSM_INPUTS if self._held else K_PMA_INPUTS), self._outputs
+        return SampledSystem(whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:], *ports, DT)
 
     def step(self, values: FloatArray, out: FloatArray) -> None:
         """Write the output of this tick; `values` are the measurement, or the accelerations of the platform."""

@@ -54,11 +54,19 @@ class RunStart:
         States in which the loop starts; None: at rest, all states zero.
     note : str
         Why it is not as the configuration asks for; empty otherwise.
+    switched_on : bool
+        Whether the states are those of the telescope without its controllers, which are switched on at tick 0.
     """
 
     tone: WorstTone | None = None
     states: LoopStart | None = None
     note: str = ""
+    switched_on: bool = False
+
+    @property
+    def steady(self) -> bool:
+        """Whether the loop starts in its steady state."""
+        return self.states is not None and not self.switched_on
 
     def to_bytes(self) -> bytes:
         """JSON text; numbers are exact."""
@@ -68,6 +76,7 @@ class RunStart:
             "tone": None if self.tone is None else self.tone.to_mapping(),
             "states": None if self.states is None else self.states.to_mapping(),
             "note": self.note,
+            **({"switched_on": True} if self.switched_on else {}),
         }
         return (json.dumps(content) + "\n").encode()
 
@@ -94,6 +103,7 @@ class RunStart:
             None if tone is None else WorstTone.from_mapping(tone),
             None if states is None else LoopStart.from_mapping(states),
             str(content.get("note", "")),
+            bool(content.get("switched_on", False)),
         )
 
     @property

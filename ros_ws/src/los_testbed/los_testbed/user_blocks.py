@@ -13,6 +13,10 @@ disturbance_source  step(out)                     forces and torques, :mod:`tito
 
 A controller that names sensors and actuators of the telescope's file (:mod:`los_testbed.law_devices`) has their values
 behind these inputs and outputs.
+
+A controller may have a model: a method ``system()`` returns the sampled system that it is, of python-control or of
+lftkit. Its ``reset(state)`` leads to a state of this system, ``reset(state, held)`` of an observer with the values that
+a camera had last. A run with it starts in the steady state of its loop, as one with a file does.
 """
 
 from __future__ import annotations
@@ -26,11 +30,12 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
-from lftkit.systems.ports import Port, port_slices, total_size
+from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code, is_library
 from los_testbed.law_devices import NO_DEVICES, Devices
+from los_testbed.law_models import difference, element, told_model
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from pointing_analysis.files.file_kind import kind_of_file
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -64,20 +69,6 @@ def beyond(values: FloatArray) -> BoolArray:
     array([False,  True,  True,  True])
     """
     return np.asarray(~(np.abs(values) <= LARGEST))
-
-
-def element(ports: Iterable[Port], where: BoolArray) -> str:
-    """Name of the first marked element of a vector.
-
-    Examples
-    --------
-    >>> element(K_FSM_INPUTS, np.arange(22) == 8)
-    'accel_M1[2]'
-    """
-    index = int(np.flatnonzero(where)[0])
-    columns = port_slices(ports)
-    name = next(name for name, part in columns.items() if part.start <= index < part.stop)
-    return f"{name}[{index - columns[name].start}]"
 
 
 class UserBlock:
@@ -124,31 +115,45 @@ class UserBlock:
         if not isinstance(self.design_basis, Mapping):
             raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
         self.tick = 0
+        self._told = self._told_model()
+        self._start: tuple[FloatArray, ...] = ()
 
     def require(self, inputs: Iterable[Port], outputs: Iterable[Port], dt: float) -> None:
         """Nothing: code has no ports of its own, `check` tries the step."""
 
+    def _told_model(self) -> SampledSystem | None:
+        """What a method ``system`` of code of the user returns; None without one."""
+        try:
+            return told_model(self.block, self.inputs, self.outputs)
+        except RAISED as error:
+            what = error if isinstance(error, ValueError) else in_one_line(error)
+            raise ContractError(f"{self.name}: system must return the sampled system that it is, got {what}") from error
+
     @property
     def linear(self) -> SampledSystem | None:
-        """The linear system that it is; None of code."""
-        found = self.block.k_fsm if isinstance(self.block, LosEstimator) else self.block
-        return found if isinstance(found, SampledSystem) else None
+        """The linear system that it is, or says to be; None of other code."""
+        found = self.block.k_fsm if type(self.block) is LosEstimator else self.block
+        return found if isinstance(found, SampledSystem) else self._told
 
     @property
     def order(self) -> int:
-        """Of a linear system; 0 of code, which has no state that is known."""
+        """Of a linear system; 0 of code without a model, which has no state that is known."""
         return 0 if self.linear is None else self.linear.order
 
     def start_at(self, state: FloatArray, camera: FloatArray) -> None:
-        """Say where the next reset leads to; nothing for code of the user, with which a run starts at rest."""
-        if isinstance(self.block, LosEstimator):
+        """Say where the next reset of an observer leads to; nothing for code without a model, which starts at rest."""
+        if type(self.block) is LosEstimator:
             self.block.start_at(state, camera)
+        elif self._told is not None:
+            self._start = np.array(state, dtype=float), np.array(camera, dtype=float)
 
     def reset(self, state: FloatArray | None = None) -> None:
-        """Back to the first tick; to `state` (order,) where it is a linear system."""
+        """Back to the first tick; to `state` (order,) where there is a model."""
         self.tick = 0
         try:
-            if isinstance(self.block, SampledSystem):
+            if self._told is not None:
+                self.block.reset(*(self._start if state is None else (state,)))
+            elif isinstance(self.block, SampledSystem):
                 self.block.reset(state)
             else:
                 self.block.reset()
@@ -195,6 +200,18 @@ class UserBlock:
             where = element(self.outputs, np.arange(first.shape[1]) == index)
             pair = f"{first[tick, index]:g} and {second[tick, index]:g}"
             raise ContractError(f"{self.name} must repeat itself after reset, got {pair} in {where} at tick {tick}")
+        if self._told is not None:
+            trial._check_model(self._told)
+
+    def _check_model(self, model: SampledSystem) -> None:
+        """Compare code of the user with the model that it says to be."""
+        try:
+            found = difference(self.block.reset, self.block.step, model)
+        except RAISED as error:
+            what = in_one_line(error)
+            raise ContractError(f"{self.name}: reset and step must work from a state, got {what}") from error
+        if found:
+            raise ContractError(f"{self.name}: step must do what system() does from a state, got {found}")
 
     def _trial(self) -> Iterable[FloatArray]:
         """Outputs of the first ticks after a reset, with zeros as input; held values are NaN from the second tick."""

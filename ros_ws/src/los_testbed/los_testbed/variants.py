@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lftkit.support.ordinary_file import read_ordinary_file
-from los_testbed.config import RunConfig, is_code, read_yaml
-from titop_plant.interface import MIRROR_STAGES
+from los_testbed.config import RunConfig, read_yaml
 from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -256,9 +255,8 @@ def of_designs(designs: str) -> dict[str, Any]:
 def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
     """Member of the family that a scenario asks for where the settings name none.
 
-    The scenario worst_case: the worst member of the stage, of the isolator alone where a controller is code of the
-    user. The scenario imbalance: wheel speeds at which harmonics are at structural modes. A disturbance of the user:
-    none.
+    The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
+    at structural modes. A disturbance of the user: none.
 
     Parameters
     ----------
@@ -271,9 +269,7 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     if config.disturbance_source or (config.disturbance_files and not config.scenario_acts):
         return {}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
-        code = is_code(config.k_fsm) or is_code(config.k_pma)
-        loop = "isolator" if code and config.loop in MIRROR_STAGES else config.loop  # as the tone, see run_start
-        return worst_member(loop, config.worst_of, config.parameters, designs)
+        return worst_member(config.loop, config.worst_of, config.parameters, designs)
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
         from titop_plant.simulation.build import resonant_speeds
 

@@ -57,7 +57,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
-        **({} if start.states is None or parts.sources else {"transient_s": "0"}),
+        **({"transient_s": "0"} if start.steady and not parts.sources else {}),
         **_sources(parts),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),

@@ -278,11 +278,8 @@ def configure(
         settings_given.pop("mode", None)
     else:
         free_mode = False
-    code = any(is_code(str(settings_given.get(name) or "")) for name in ("k_fsm", "k_pma"))
-    other = settings_given.get("plant") or settings_given.get("device")
-    if other or code:  # what is steady is known of the telescope and of linear laws only
+    if settings_given.get("plant") or settings_given.get("device"):  # what is steady is known of the telescope only
         settings_given = {"start": "rest", **settings_given}
-    if other:
         chosen = RunConfig.from_mapping(settings_given)
     else:
         chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})

@@ -1,0 +1,98 @@
+"""The model of a controller that is code of the user: what its method ``system()`` returns, and whether it is true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import BoolArray, FloatArray
+from lftkit.systems.ports import Port, port_slices, total_size
+from lftkit.systems.sampled.sampled_system import SampledSystem
+from los_estimator.runtime import LosEstimator
+from titop_plant.interface import DT, HELD, K_FSM_INPUTS
+
+TICKS, FRAME = 45, 20
+"""Ticks for which a class is compared with its model, and those of a frame of the camera within them."""
+SIZE, TOLERANCE = 1e-6, 1e-6
+"""Size of the states and inputs, and relative tolerance."""
+
+
+def element(ports: Iterable[Port], where: BoolArray) -> str:
+    """Name of the first marked element of a vector.
+
+    Examples
+    --------
+    >>> element(K_FSM_INPUTS, np.arange(22) == 8)
+    'accel_M1[2]'
+    """
+    index = int(np.flatnonzero(where)[0])
+    columns = port_slices(ports)
+    name = next(name for name, part in columns.items() if part.start <= index < part.stop)
+    return f"{name}[{index - columns[name].start}]"
+
+
+def told_model(block: Any, inputs: Sequence[Port], outputs: Sequence[Port]) -> SampledSystem | None:
+    """What a method ``system`` of a block returns, with these ports; None of a block without one.
+
+    Raises
+    ------
+    ValueError
+        It is no sampled system, or one with other ports or another period.
+    """
+    if not inputs or not callable(getattr(type(block), "system", None)):
+        return None
+    from lftkit.systems.exchange import as_sampled, as_system
+
+    found = block.system()
+    model = found if isinstance(found, SampledSystem) else as_sampled(as_system(found))
+    model = model.with_inputs(inputs)
+    model.require(inputs, outputs, DT)
+    return model
+
+
+def observes(inputs: Sequence[Port]) -> bool:
+    """Whether these are the inputs of an observer, whose camera is held between its frames."""
+    return tuple(inputs[: len(K_FSM_INPUTS)]) == K_FSM_INPUTS
+
+
+def difference(reset: Callable[..., None], step: Callable[..., None], model: SampledSystem) -> str:
+    """First difference of a block and its model from a random state under small random inputs; empty without one.
+
+    Parameters
+    ----------
+    reset : callable
+        Takes the state, of an observer the values that are held as well.
+    step : callable
+        Of the block: input and output.
+    model : SampledSystem
+        With the ports of the block.
+    """
+    rng = np.random.default_rng(1)
+    state, held = (SIZE * rng.standard_normal(n) for n in (model.order, HELD.size))
+    given = SIZE * rng.standard_normal((TICKS, total_size(model.inputs)))
+    if observes(model.inputs):
+        observer = LosEstimator(model, model.inputs[len(K_FSM_INPUTS) :])
+        observer.start_at(state, held)
+        observer.reset()
+        reset(state, held)
+        model_step: Callable[[FloatArray, FloatArray], None] = observer.step
+        given[np.ix_(np.arange(TICKS) % FRAME != FRAME // 2, HELD)] = np.nan
+    else:
+        law = replace(model)
+        law.reset(state)
+        reset(state)
+        model_step = law.step
+    found: FloatArray = np.zeros((TICKS, total_size(model.outputs)))
+    expected = np.zeros_like(found)
+    for tick in range(TICKS):
+        step(given[tick].copy(), found[tick])
+        model_step(given[tick], expected[tick])
+    odd = ~(np.abs(found - expected) <= TOLERANCE * np.abs(expected).max())
+    if not odd.any():
+        return ""
+    tick = int(np.argwhere(odd)[0][0])
+    pair = f"{found[tick][odd[tick]][0]:.6g} for {expected[tick][odd[tick]][0]:.6g}"
+    return f"{pair} in {element(model.outputs, odd[tick])} at tick {tick}"
