@@ -226,7 +226,8 @@ def table(result: dict[str, Any]) -> str:
             f"({100 * run['miss_rate']:.3g} %) "
             f"| {latency['median']:.0f} / {latency['p99']:.0f} / {latency['p999']:.0f} / {latency['max']:.0f} "
             f"| {late['median']:.0f} / {late['p999']:.0f} / {late['max']:.0f} "
-            f"| {', '.join(f'{node} {share:.0f}' for node, share in cpu.items())} | {run['messages_lost']} of {run['messages']} |"
+            f"| {', '.join(f'{node} {share:.0f}' for node, share in cpu.items())} "
+            f"| {run['messages_lost']} of {run['messages']} |"
         )
     rows += ["", *bare_lines(result)] if any("bare" in result.get(name, {}) for name in LABELS) else []
     m = result["machine"]

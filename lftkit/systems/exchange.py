@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,10 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import check_file, read_text
+from lftkit.support.input_limits import SYSTEM, UNPACKED
+from lftkit.support.mat_structure import check_mat
+from lftkit.support.structured_text import StructuredTextError, load_json
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from lftkit.systems.signal_labels import labels_of_ports, ports_of_labels
@@ -165,6 +169,7 @@ def read_mat(path: str | os.PathLike[str], name: str | None = None) -> System:
     from scipy import io
 
     try:
+        check_mat(path)
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
     except (OSError, ValueError, NotImplementedError, TypeError, io.matlab.MatReadError) as error:
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -194,6 +199,7 @@ def read_sampled(path: str | os.PathLike[str]) -> SampledSystem:
         The file cannot be read, holds no system, or one without a sampling period ``Ts``.
     """
     try:
+        check_file(path, SYSTEM)
         with open(path, "rb") as file:
             head = file.read(len(MATLAB))
     except OSError:
@@ -228,7 +234,7 @@ def _matrices_of(fields: Mapping[str, Any]) -> bool:
 def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
     lower = {key.lower(): value for key, value in fields.items()}
     try:
-        A, B, C, D = (np.asarray(getattr(lower[key], "todense", lambda key=key: lower[key])()) for key in "abcd")
+        A, B, C, D = (_full(lower[key]) for key in "abcd")
         m, p = (B.shape[1] if B.size else D.shape[1]), (C.shape[0] if C.size else D.shape[0])
         sides = []
         for kind, count, default in (("input", m, "u"), ("output", p, "y")):
@@ -247,6 +253,15 @@ def _from_fields(fields: Mapping[str, Any], name: str, path: Any) -> System:
         raise ValueError(f"{path}: {name} must have matrices that fit its names, got: {error}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _full(matrix: Any) -> Any:
+    """A matrix that may be sparse, in full."""
+    if not hasattr(matrix, "todense"):
+        return np.asarray(matrix)
+    if 8 * math.prod(matrix.shape) > UNPACKED:
+        raise ValueError(f"a sparse matrix must have at most {UNPACKED // 8} entries in full, got {matrix.shape}")
+    return np.asarray(matrix.todense())
 
 
 def _texts(value: Any) -> list[str]:
@@ -296,9 +311,9 @@ def from_json(text: str) -> System:
         Another text.
     """
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        raise ValueError("text must be JSON of a system, got another") from None
+        content = load_json(text, "text")
+    except StructuredTextError as error:
+        raise ValueError(f"text must be JSON of a system: {error}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
         raise ValueError(f'text must have "format": "{FORMAT}" and "version": {VERSION}, got another')
     try:
@@ -332,7 +347,7 @@ def write_system(path: str | os.PathLike[str], system: System) -> None:
 def read_system(path: str | os.PathLike[str]) -> System:
     """Read the file that :func:`write_system` wrote; a ValueError says what is wrong with it."""
     try:
-        return from_json(read_ordinary_file(path))
+        return from_json(read_text(path))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:

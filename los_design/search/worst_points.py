@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import load_json
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import COMMANDS
 
@@ -141,6 +142,6 @@ def _named(folder: Path | None) -> Iterator[dict[str, Any]]:
     if not path.exists():
         raise ValueError(f"{path} must exist: it is made by `los-testbed design all`")
     try:
-        yield json.loads(read_ordinary_file(path))
+        yield load_json(read_text(path), path)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} must hold worst points as made by `los-testbed design all`, got {error!r}") from None

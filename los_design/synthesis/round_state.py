@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import load_json
 from lftkit.tuning import Descent, DescentState, TuningStatus
 from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_points import WorstPoint
@@ -95,7 +96,7 @@ class RoundState:
             return None
         path, key = kept
         try:
-            content = json.loads(read_ordinary_file(path))
+            content = load_json(read_text(path), path)
             if content["key"] != dict(key):
                 return None
             points = [np.array(p, dtype=float) for p in content["points"]]

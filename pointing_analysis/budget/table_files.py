@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import LINES, TEXT, UNPACKED, UNPACKED_RATIO
 from pointing_analysis.budget.sources import BudgetError
 from pointing_analysis.files.atomic_output import atomic_file, write_text
-from pointing_analysis.files.structured_text import MAX_SIZE, read_text
+from pointing_analysis.files.structured_text import read_text
 
 WORKBOOK = ".xlsx"
 ENDINGS = (".csv", WORKBOOK)
@@ -36,7 +39,10 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     if path.suffix.lower() == WORKBOOK:
         lines = _lines_of_workbook(path)
     else:
-        lines = list(csv.reader(io.StringIO(read_text(path).lstrip("\ufeff")), skipinitialspace=True))
+        text = read_text(path).lstrip("\ufeff")
+        if text.count("\n") > LINES:
+            raise BudgetError(f"{path} must have at most {LINES} lines, got more")
+        lines = list(csv.reader(io.StringIO(text), skipinitialspace=True))
     heads = [cell.strip() for cell in lines[0]] if lines else []
     if twice := [head for head in heads if head and heads.count(head) > 1]:
         raise BudgetError(f"{path}: columns must stand once, got {twice[0]!r} {heads.count(twice[0])} times")
@@ -60,9 +66,7 @@ def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tu
 def _lines_of_workbook(path: Path) -> list[list[str]]:
     openpyxl = _openpyxl(path)
     try:
-        size = path.stat().st_size
-        if size > MAX_SIZE:
-            raise BudgetError(f"{path} must have at most {MAX_SIZE} bytes, got {size}")
+        _check_workbook(path, check_file(path, TEXT))
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             rows = book.worksheets[0].iter_rows(values_only=True, max_row=MAX_ROWS)
@@ -79,6 +83,14 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
     while lines and not any(lines[-1]):
         lines.pop()
     return lines
+
+
+def _check_workbook(path: Path, size: int) -> None:
+    """Refuse a workbook that unpacks to too much."""
+    with zipfile.ZipFile(path) as archive:
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    if unpacked > max(UNPACKED, UNPACKED_RATIO * size):
+        raise BudgetError(f"{path} must unpack to at most {UNPACKED / 1e6:g} MB, got {unpacked / 1e6:.0f}")
 
 
 def _text(cell: Any) -> str:

@@ -1,55 +1,41 @@
-"""YAML, TOML and JSON from files of others: size and nesting are limited before anything is built of them.
+"""Text files of others with structure: YAML, TOML and JSON, within the limits of :mod:`lftkit.support.input_limits`.
 
-A parser that calls itself for each level would end in a RecursionError, an alias in YAML could stand for a structure of
-any size, and an integer of some hundred digits fits no number of the computation.
+An alias in YAML could stand for a structure of any size: there are none.
 """
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import yaml
 
-from pointing_analysis.files.file_kind import kind_of_file, kind_of_text
+from lftkit.support import input_files
+from lftkit.support.file_kind import kind_of_file
+from lftkit.support.input_limits import DEPTH, TEXT
+from lftkit.support.structured_text import StructuredTextError, check_count, load_json, parse, too_deep
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # type: ignore[import-not-found]
 
-MAX_SIZE = 16_000_000
-"""Largest file [byte]."""
-MAX_DEPTH = 50
-"""Deepest nesting."""
-MAX_DIGITS = 300
-"""Longest integer; a float holds 308 digits."""
-
-
+EXPLAINED = 100_000
+"""Largest text that is parsed again for the message [character]."""
 _FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class StructuredTextError(ValueError):
-    """The text cannot be read; the message names the file and says what is wrong."""
-
-
-def read_text(path: Path) -> str:
+def read_text(path: Path, limit: int = TEXT) -> str:
     """Text of a file in UTF-8.
 
     Raises
     ------
     StructuredTextError
-        It cannot be read, is too large, or is not UTF-8.
+        It cannot be read, is no ordinary file, is too large, or is not UTF-8.
     """
     try:
-        if not path.is_file():
-            raise StructuredTextError(f"cannot read {path}: {'not a file' if path.exists() else 'No such file'}")
-        if path.stat().st_size > MAX_SIZE:
-            raise StructuredTextError(f"{path} must have at most {MAX_SIZE} bytes, got {path.stat().st_size}")
-        return path.read_text("utf-8")
+        return input_files.read_text(path, limit)
     except OSError as error:
         raise StructuredTextError(f"cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -68,51 +54,9 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _check(value: Any, what: object, depth: int = 0) -> None:
-    if depth > MAX_DEPTH:
-        raise StructuredTextError(f"{what} must be nested at most {MAX_DEPTH} levels deep, got more")
-    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 3.3 * MAX_DIGITS:
-        raise StructuredTextError(f"{what} must have integers of at most {MAX_DIGITS} digits, got a longer one")
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _check(key, what, depth + 1)
-            _check(item, what, depth + 1)
-    elif isinstance(value, (list, tuple)):
-        for item in value:
-            _check(item, what, depth + 1)
-
-
-def _load(text: str, what: object, kind: str, parse: Callable[[str], Any]) -> Any:
-    try:
-        content = parse(text)
-        _check(content, what)
-    except StructuredTextError:
-        raise
-    except RecursionError:
-        raise StructuredTextError(f"{what} must be nested at most {MAX_DEPTH} levels deep, got more") from None
-    except (ValueError, TypeError, OverflowError, yaml.YAMLError) as error:
-        found = kind_of_text(text)
-        if found is not None and found != kind:
-            raise StructuredTextError(f"{what} must be {kind}, got {found}") from None
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StructuredTextError(f"{what} must be {kind}: {first}") from None
-    return content
-
-
-def load_json(text: str, what: object) -> Any:
-    """Content of a JSON text that `what` names.
-
-    Raises
-    ------
-    StructuredTextError
-        Not JSON, nested too deep, an integer too long.
-    """
-    return _load(text, what, "JSON", json.loads)
-
-
 def load_toml(text: str, what: object) -> Any:
-    """Content of a TOML text; raises as `load_json`."""
-    return _load(text, what, "TOML", tomllib.loads)
+    """Content of a TOML text that `what` names; raises as `load_json`."""
+    return parse(text, what, "TOML", tomllib.loads)
 
 
 def load_yaml(text: str, what: object) -> Any:
@@ -125,28 +69,37 @@ def load_yaml(text: str, what: object) -> Any:
     >>> load_yaml("[" * 200, "settings")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    pointing_analysis.files.structured_text.StructuredTextError: settings must be nested at most 50 levels deep, ...
+    lftkit.support.structured_text.StructuredTextError: settings must be nested at most 50 levels deep, got more
     """
-    return _load(text, what, "YAML", lambda text: _safe_yaml(text, what))
+    return parse(text, what, "YAML", lambda text: _safe_yaml(text, what))
 
 
 def _safe_yaml(text: str, what: object) -> Any:
-    """By the parser in C, ten times as fast, where PyYAML has it; what it refuses, PyYAML's own parser explains."""
+    """By the parser in C, ten times as fast, where PyYAML has it; PyYAML's own parser explains what it refuses."""
     try:
-        return _yaml_by(_FAST_LOADER, text, what)
-    except (yaml.YAMLError, UnicodeError):
-        return _yaml_by(yaml.SafeLoader, text, what)
+        try:
+            return _yaml_by(_FAST_LOADER, text, what)
+        except (yaml.YAMLError, UnicodeError):
+            if len(text) > EXPLAINED:
+                raise
+            return _yaml_by(yaml.SafeLoader, text, what)
+    except yaml.YAMLError as error:
+        raise ValueError(*str(error).splitlines()[:1]) from None
 
 
 def _yaml_by(loader: Any, text: str, what: object) -> Any:
     depth = 0
-    for event in yaml.parse(text, Loader=loader):
+    for number, event in enumerate(yaml.parse(text, Loader=loader)):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         elif isinstance(event, yaml.AliasEvent):
             raise StructuredTextError(f"{what} must be YAML without aliases, got *{event.anchor}")
-        if depth > MAX_DEPTH:
-            raise StructuredTextError(f"{what} must be nested at most {MAX_DEPTH} levels deep, got more")
+        if depth > DEPTH:
+            raise too_deep(what)
+        check_count(number, what, "YAML")
     return yaml.load(text, loader)
+
+
+__all__ = ["StructuredTextError", "is_number", "load_json", "load_toml", "load_yaml", "read_text"]

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.files.structured_text import is_number
@@ -57,7 +58,8 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
     try:
         with warnings.catch_warnings(), fits.open(io.BytesIO(content), memmap=False) as file:
             warnings.simplefilter("ignore")
-            pictures = [unit for unit in file if getattr(unit, "is_image", False) and unit.data is not None]
+            pictures = [unit for unit in file if getattr(unit, "is_image", False) and unit.shape]
+            _check_sizes(pictures)
             found = [(unit.name, dict(unit.header), np.array(unit.data)) for unit in pictures]
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -79,6 +81,13 @@ def read_pupil(content: bytes, wavelength: float) -> PixelPupil:
         raise ValueError(f"{WAVE_FRONT} must have the shape of the pupil {data.shape}, got {front.shape}")
     phase = 0.0 if front is None else 2 * math.pi * front.astype(float) / wavelength
     return PixelPupil(np.asarray(amplitude * np.exp(1j * phase), dtype=complex), float(scale))
+
+
+def _check_sizes(pictures: list[Any]) -> None:
+    """A header of some kilobytes, or a compressed picture, can stand for any number of pixels."""
+    pixels = sum(math.prod(unit.shape) for unit in pictures)
+    if 8 * pixels > PICTURE:
+        raise ValueError(f"pictures must have at most {PICTURE // 8} pixels together, got {pixels}")
 
 
 def write_picture(path: Path, picture: FloatArray, header: dict[str, tuple[Any, str]]) -> None:

@@ -28,6 +28,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.image.pupil import AnnularPupil, Pupil, with_spider
@@ -229,9 +231,6 @@ def load_optics(path: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
     return {key: value for key, value in table.items() if key not in LAYOUT}, data
 
 
-MAX_PUPIL = 256_000_000
-
-
 def read_pupil_file(path: Path) -> bytes:
     """Content of a pupil file.
 
@@ -241,11 +240,7 @@ def read_pupil_file(path: Path) -> bytes:
         It cannot be read, or is too large.
     """
     try:
-        if not path.is_file():
-            raise OpticsError(f"cannot read the pupil {path}: {'not a file' if path.exists() else 'No such file'}")
-        if path.stat().st_size > MAX_PUPIL:
-            raise OpticsError(f"the pupil {path} must have at most {MAX_PUPIL} bytes, got {path.stat().st_size}")
-        return path.read_bytes()
+        return read_bytes(path, PICTURE)
     except OSError as error:
         raise OpticsError(f"cannot read the pupil {path}: {error.strerror}") from None
 

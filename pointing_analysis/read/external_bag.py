@@ -114,15 +114,13 @@ def _met(channel: Channel, first: bytes) -> _Topic:
     try:
         topic.types = ros_definitions.channel_types(channel)
         byte_order(channel.schema, first)
+        groups = ros_definitions.vectors(channel.schema, topic.types)
     except BagError as error:
         topic.refusal = str(error)
         return topic
-    for vector in ros_definitions.vectors(channel.schema, topic.types):
-        try:
-            ros_definitions.locate(channel.schema, topic.types, vector.path, first)
-        except (BagError, KeyError):
-            continue  # an array with fewer than two elements, or a definition that is not whole
-        topic.vectors += (vector,)
+    # not there: an array with fewer than two elements, or what is behind a definition that is not whole
+    there = ros_definitions.located(channel.schema, topic.types, first)
+    topic.vectors = tuple(v for v in groups if v.path in there)
     return topic
 
 

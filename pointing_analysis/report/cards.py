@@ -22,7 +22,8 @@ LINES_SHOWN = 12
 def _digest(run: Recording) -> str:
     if not run.path.exists():
         return "no file"
-    files = sorted(run.path.glob("*.mcap*")) if run.path.is_dir() else [run.path]
+    inside = (f for f in run.path.glob("*.mcap*") if f.is_file() and not f.is_symlink())
+    files = sorted(inside) if run.path.is_dir() else [run.path]
     if sum(f.stat().st_size for f in files) > HASH_LIMIT:
         return "not computed (large bag)"
     total = hashlib.sha256()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from los_testbed.cli import app
 
-from pointing_analysis.files.file_kind import kind_of_file
+from lftkit.support.file_kind import kind_of_file
 
 
 def _zip(*names: str) -> Callable[[Path], None]:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.input_limits import LINES
 
 PROFILES = ("linear", "trapezoidal")
 REFERENCE_WHEELS = 4
@@ -144,7 +145,10 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
         No such file, or no text.
     """
     try:
-        lines = list(csv.reader(read_ordinary_file(path).removeprefix("\ufeff").rstrip().splitlines()))
+        text = read_text(path).removeprefix("\ufeff").rstrip()
+        if text.count("\n") > LINES:
+            raise ValueError(f"{path} must have at most {LINES} lines, got more")
+        lines = list(csv.reader(text.splitlines()))
     except OSError as error:
         raise ValueError(
             f"{what} must be one of {', '.join(choices)} or a CSV file, got {path}: {error.strerror}"

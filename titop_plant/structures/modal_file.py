@@ -42,7 +42,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import StructuredTextError, parse
 from titop_plant.structures.kinematics import read_only
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.residual_mass import check_residual_mass
@@ -81,11 +82,13 @@ def read_modal_data(path: str | Path, *, check_residual: bool = True) -> ModalDa
     FileNotFoundError
         No such file.
     """
-    text = read_ordinary_file(path)
     try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: file must be TOML, got {error}") from None
+        text = read_text(path)
+        table = parse(text, "file", "TOML", tomllib.loads)
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: file must be TOML, got no text in UTF-8") from None
+    except StructuredTextError as error:
+        raise ValueError(f"{path}: {error}") from None
     reader = _Reader(str(path), text, table)
     data = reader.read()
     if check_residual:

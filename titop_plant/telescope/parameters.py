@@ -15,7 +15,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_bytes, read_text
+from lftkit.support.structured_text import StructuredTextError, parse
 from lftkit.uncertainty.parameters import RealParameter
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.guide_camera import with_guide_camera, without_images
@@ -163,20 +164,20 @@ def _shown(value: Any) -> str:
 def _read(path: Path) -> tuple[dict[str, Any], str]:
     """Content of a TOML file, and its text."""
     try:
-        text = read_ordinary_file(path)
+        text = read_text(path)
         return pickle.loads(_parsed(text)), text
     except OSError as error:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except StructuredTextError as error:
         raise ValueError(f"{path} is not a TOML file: {error}") from None
 
 
 @lru_cache(maxsize=4)
 def _parsed(text: str) -> bytes:
     """Content of a TOML text, pickled: a copy of its own for each caller, a hundred times as fast as parsing."""
-    return pickle.dumps(tomllib.loads(text))
+    return pickle.dumps(parse(text, "it", "TOML", tomllib.loads))
 
 
 def parameters_hash(parameters: Parameters) -> str:
@@ -208,7 +209,7 @@ def parameters_hash(parameters: Parameters) -> str:
 def _with_digest(table: Mapping[str, Any]) -> Mapping[str, Any]:
     """The table of a body, of its modal data file the content in place of the name."""
     file = table.get("modal_data", "")
-    return {**table, "modal_data": hashlib.sha256(Path(file).read_bytes()).hexdigest()} if file else table
+    return {**table, "modal_data": hashlib.sha256(read_bytes(file)).hexdigest()} if file else table
 
 
 def design_basis(parameters: Parameters) -> DesignBasis:

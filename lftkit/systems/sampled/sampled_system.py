@@ -28,7 +28,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import StructuredTextError, load_json
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
 from lftkit.systems.matrices import checked_matrices
 from lftkit.systems.ports import Port, as_ports, spread_columns, total_size
@@ -233,13 +234,13 @@ class SampledSystem:
             The file cannot be read, is not of this format, or holds matrices that do not fit.
         """
         try:
-            content = json.loads(read_ordinary_file(path))
+            content = load_json(read_text(path), "it")
         except OSError as error:
             raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None
-        except ValueError:
-            raise ValueError(f"{path} is not a controller file: expected JSON, the text is not") from None
-        except RecursionError:
-            raise ValueError(f"{path} is not a controller file: it is nested too deep") from None
+        except StructuredTextError as error:
+            raise ValueError(f"{path} is not a controller file: {error}") from None
+        except UnicodeDecodeError:
+            raise ValueError(f"{path} is not a controller file: it must be JSON, got no text in UTF-8") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:

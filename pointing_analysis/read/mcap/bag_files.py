@@ -13,6 +13,8 @@ from pointing_analysis.files.structured_text import StructuredTextError, load_ya
 from pointing_analysis.read.mcap.records import SQLITE, BagError
 
 _FILE = re.compile(r"\.mcap(\.zst|\.zstd)?$")
+LISTED = 200
+"""Characters of names in a message."""
 NAME_ORDER = "files taken in name order"
 
 
@@ -64,20 +66,26 @@ def bag_files(path: Path) -> BagFiles:
     """
     if is_single_file(path):
         return BagFiles((path,), {}, ())
-    on_disk = sorted((f for f in path.iterdir() if _FILE.search(f.name) and f.is_file()), key=_natural)
+    of_name = [f for f in path.iterdir() if _FILE.search(f.name)]
+    on_disk = sorted((f for f in of_name if f.is_file() and not f.is_symlink()), key=_natural)
     info, problems = _description(path)
     named = _named(path, info, problems)
     missing = [f.name for f in named if not f.is_file()]
     if missing:
         problems.append(f"files named in metadata.yaml are missing: {', '.join(missing)}")
-    files = [f for f in named if f.is_file()] or on_disk
+    files = [f for f in named if f.is_file()]
+    if not files:
+        files = on_disk
+        if links := sorted(f.name for f in of_name if f.is_symlink()):
+            problems.append(f"links in the folder of the bag are left out: {', '.join(links)[:LISTED]}")
     if any(".db3" in f.name for f in files or path.iterdir()):
         raise BagError(f"{path}: the bag must be MCAP, got {SQLITE}")
     compression = info.get("compression_format") or "zstd"
     if compression != "zstd":
         raise BagError(f"{path}: compression_format of the bag must be zstd, got {compression!r}")
     if not files:
-        raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got none")
+        got = "links to files only" if any(f.is_symlink() for f in of_name) else "none"
+        raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got {got}")
     return BagFiles(tuple(files), _counts(info), tuple(problems))
 
 

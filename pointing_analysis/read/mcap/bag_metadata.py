@@ -11,6 +11,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lftkit.support.input_limits import DIGITS
+from lftkit.support.structured_text import StructuredTextError, parse
 from pointing_analysis.read.mcap.records import FileInfo
 
 METADATA_NAME = "los_testbed"
@@ -21,8 +23,6 @@ BUDGET = "rpe_budget_mas"
 """Key of the allowances of the relative error in the metadata of a bag: an object with parts, and with the edge."""
 BUDGET_EDGE = "band_edge_rad_s"
 """Key in there of the frequency between slow and fast tones [rad/s]."""
-MAX_DIGITS = 300
-"""Longer integers than a float can hold stay text."""
 HASH = "metadata_sha256"
 """Key of the hash in a metadata record."""
 
@@ -64,6 +64,11 @@ def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[s
 def value_of(text: str) -> Any:
     """Value of an entry: JSON where it is, else the text."""
     try:
-        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < MAX_DIGITS else digits)
-    except (ValueError, RecursionError):
+        return parse(text, "entry", "JSON", _with_long_integers)
+    except StructuredTextError:
         return text
+
+
+def _with_long_integers(text: str) -> Any:
+    """JSON; integers that no float can hold stay text."""
+    return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < DIGITS else digits)

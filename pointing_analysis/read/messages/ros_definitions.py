@@ -6,6 +6,7 @@ two or three numbers of a message can be found in its bytes (plain CDR); nothing
 
 from __future__ import annotations
 
+import contextlib
 import re
 import struct
 from collections.abc import Iterator, Mapping
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.input_limits import MESSAGE_DEPTH, MESSAGE_ELEMENTS, MESSAGE_FIELDS
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.records import BagError, Channel
 from pointing_analysis.read.messages.cdr import byte_order, same_order
@@ -36,8 +38,6 @@ SIZES = {
 FLOATS = {"float32": "f4", "float64": "f8"}
 STAMP = "builtin_interfaces/Time"
 HEADER = "std_msgs/Header"
-MAX_DEPTH = 12
-MAX_ELEMENTS = 1_000_000
 _FIELD = re.compile(
     r"^(?P<type>[\w/]+(?:<=\d+)?)(?P<array>\[(?P<size>[<=\d]*)\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
@@ -137,11 +137,18 @@ def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
         return ()
     fields = types[root]
     stamped = bool(fields) and fields[0].type == HEADER
-    found = list(_groups(root, types, "", 0))
+    found: list[tuple[str, tuple[str, ...]]] = []
+    # some hundred bytes of definitions can stand for any number of paths
+    for number, group in enumerate(_groups(root, types, "", 0)):
+        if number > MESSAGE_FIELDS:
+            raise BagError(f"message type must have at most {MESSAGE_FIELDS} fields, got more in {root}")
+        if group is not None:
+            found.append(group)
     return tuple(Vector(path, names, stamped) for path, names in sorted(found, key=lambda f: f[0].count(".")))
 
 
-def _groups(kind: str, types: Definitions, path: str, depth: int) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _groups(kind: str, types: Definitions, path: str, depth: int) -> Iterator[tuple[str, tuple[str, ...]] | None]:
+    """Groups, and None for each other field that is passed."""
     fields = types.get(kind, ())
     names = tuple(f.name for f in fields if f.type in FLOATS and f.count is None)
     if 2 <= len(names) <= 3:
@@ -152,21 +159,28 @@ def _groups(kind: str, types: Definitions, path: str, depth: int) -> Iterator[tu
             yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count)))
         elif f.type in FLOATS and f.count == 0:
             yield inner, (f"{f.name}[0]", f"{f.name}[1]")
-        elif f.count is None and f.type in types and f.type != HEADER and depth < MAX_DEPTH:
+        else:
+            yield None
+        if f.count is None and f.type in types and f.type != HEADER and depth < MESSAGE_DEPTH:
             yield from _groups(f.type, types, inner, depth + 1)
 
 
 @dataclass
 class _Reader:
-    """Walks through a payload, remembering the length fields that fix its layout and the places of the target."""
+    """Walks through a payload, remembering the length fields that fix its layout and the places of floats by field.
+
+    With a `target` it ends behind the first two numbers of this field.
+    """
 
     payload: bytes
     types: Definitions
-    target: str
     order: str
+    target: str | None = None
     at: int = 4
     lengths: list[tuple[int, int]] = field(default_factory=list)
-    places: list[tuple[int, str]] = field(default_factory=list)
+    places: dict[str, tuple[list[tuple[int, str]], int]] = field(default_factory=dict)
+    """Of a field the places of its numbers, and how many length fields are before them."""
+    passed: int = 0
 
     def align(self, size: int) -> None:
         self.at += -(self.at - 4) % size
@@ -180,35 +194,43 @@ class _Reader:
             raise struct.error("length beyond the end of the message")
         return int(n)
 
-    def message(self, kind: str, path: str, depth: int = 0) -> bool:
-        """Walk through a message; True once the target is behind."""
-        if depth > MAX_DEPTH:
-            raise BagError(f"message type must have at most {MAX_DEPTH} levels, got more in {kind}")
+    def message(self, kind: str, path: str | None, depth: int = 0) -> bool:
+        """Walk through a message; True once the target is behind. Elements of an array of messages have no path."""
+        if depth > MESSAGE_DEPTH:
+            raise BagError(f"message type must have at most {MESSAGE_DEPTH} levels, got more in {kind}")
         for f in self.types[kind]:
-            inner = f"{path}.{f.name}" if path else f.name
+            inner = None if path is None else f"{path}.{f.name}" if path else f.name
             count = 1 if f.count is None else f.count or self.length()
-            if count > MAX_ELEMENTS:
-                raise BagError(f"{inner} must have at most {MAX_ELEMENTS} elements, got {count}")
+            self.passed += 1 if f.type in SIZES else count
+            if max(count, self.passed) > MESSAGE_ELEMENTS:
+                raise BagError(f"{f.name} of {kind} must have at most {MESSAGE_ELEMENTS} elements, got more")
             if f.type in SIZES:
-                size = SIZES[f.type]
                 if count:
-                    self.align(size)
-                wanted = inner == self.target if f.count is not None else path == self.target
-                if wanted and f.type in FLOATS:
-                    self.places += [(self.at + i * size, FLOATS[f.type]) for i in range(min(count, 3))]
-                self.at += size * count
-                if len(self.places) >= 2:
+                    self.align(SIZES[f.type])
+                if f.type in FLOATS:
+                    self.note(path if f.count is None else inner, f.type, count)
+                self.at += SIZES[f.type] * count
+                if self.target in self.places and len(self.places[self.target][0]) >= 2:
                     return True
                 continue
-            for i in range(count):
+            for _ in range(count):
                 if f.type in ("string", "wstring"):
                     length = self.length()
                     self.at += length * (4 if f.type == "wstring" else 1)
                 elif f.type not in self.types:
-                    raise BagError(f"definition must contain the type {f.type} of the field {inner}, got none")
-                elif self.message(f.type, inner if f.count is None else f"{inner}[{i}]", depth + 1):
+                    raise BagError(f"definition must contain the type {f.type} of the field {f.name}, got none")
+                elif self.message(f.type, inner if f.count is None else None, depth + 1):
                     return True
         return False
+
+    def note(self, owner: str | None, kind: str, count: int) -> None:
+        """Floats of a field at this place."""
+        if owner is None:
+            return
+        known, _ = self.places.get(owner, ([], 0))
+        if len(known) < 2:
+            new = [(self.at + i * SIZES[kind], FLOATS[kind]) for i in range(min(count, 3))]
+            self.places[owner] = known + new, len(self.lengths)
 
 
 @dataclass(frozen=True)
@@ -237,15 +259,31 @@ def locate(schema: str, types: Definitions, path: str, payload: bytes) -> Places
     BagError
         Not plain CDR, a message that is cut short, or a field with less than two numbers.
     """
-    reader = _Reader(payload, types, path, byte_order(schema, payload))
+    reader = _Reader(payload, types, byte_order(schema, payload), path)
     try:
         reader.message(short_name(schema), "")
     except struct.error:
         raise BagError(f"{schema}: the payload of {len(payload)} bytes is cut short") from None
-    numbers = tuple(reader.places[:2])
-    if len(numbers) < 2 or any(at + int(kind[1]) > len(payload) for at, kind in numbers):
-        raise BagError(f"{schema}: {path or 'the message'} must have two numbers, got {len(numbers)}")
-    return Places(len(payload), numbers, tuple(reader.lengths), reader.order)
+    found = _places(reader, path)
+    if found is None:
+        raise BagError(f"{schema}: {path or 'the message'} must have two numbers, got fewer")
+    return found
+
+
+def located(schema: str, types: Definitions, payload: bytes) -> frozenset[str]:
+    """Fields whose first two numbers :func:`locate` finds in one message, in one walk through it."""
+    reader = _Reader(payload, types, byte_order(schema, payload))
+    with contextlib.suppress(struct.error, BagError, KeyError):  # what comes before is there
+        reader.message(short_name(schema), "")
+    return frozenset(path for path in reader.places if _places(reader, path) is not None)
+
+
+def _places(reader: _Reader, path: str) -> Places | None:
+    places, lengths = reader.places.get(path, ([], 0))
+    numbers = tuple(places[:2])
+    if len(numbers) < 2 or any(at + int(kind[1]) > len(reader.payload) for at, kind in numbers):
+        return None
+    return Places(len(reader.payload), numbers, tuple(reader.lengths[:lengths]), reader.order)
 
 
 def numbers(rows: NDArray[np.uint8], places: Places) -> tuple[FloatArray, BoolArray]:

@@ -6,7 +6,7 @@ import zipfile
 from enum import Enum
 from pathlib import Path
 
-from pointing_analysis.files.file_kind import kind_of_file
+from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.tables.table import TableError
 

@@ -12,6 +12,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import TABLE
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.read.series import Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
@@ -46,6 +48,10 @@ def read_table(path: Path) -> Table:
     found = format_of(path)
     if found not in READERS:
         raise TableError(f"{path}: file must be a table, got a bag")
+    try:
+        check_file(path, TABLE)
+    except OSError as error:
+        raise TableError(f"cannot read {path}: {error.strerror}") from None
     table = READERS[found](path)
     if not table.columns:
         raise TableError(f"{path}: table must have numeric columns, got none")

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.support.input_limits import HDF5_DEPTH, HDF5_OBJECTS
+from lftkit.support.mat_structure import check_mat
 from pointing_analysis.read.tables.table import Gathered, Table, TableError, check_unpacked
 
 DEEPEST = 8
@@ -32,6 +34,7 @@ def read_mat(path: Path) -> Table:
     from scipy import io
 
     try:
+        check_mat(path)
         sizes = [int(np.prod(shape, dtype=np.int64)) for _, shape, kind in io.whosmat(path) if kind != "object"]
         check_unpacked(path, 8 * sum(sizes))
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
@@ -81,8 +84,9 @@ def read_hdf5(path: Path) -> Table:
             _add_attributes(found, "", file.attrs)
             for name, dataset in datasets:
                 _add_dataset(found, name, dataset)
-    except TableError:
-        raise
+    except TableError as error:
+        text = str(error)
+        raise TableError(text if text.startswith(str(path)) else f"{path}: {text}") from None
     except Exception as error:  # of a damaged file h5py raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise TableError(f"{path}: file must be HDF5, got: {text}") from None
@@ -92,20 +96,33 @@ def read_hdf5(path: Path) -> Table:
 def _datasets(file: Any, h5py: Any, notes: dict[str, None]) -> list[tuple[str, Any]]:
     """Datasets by name, those of links to other files left aside."""
     found: list[tuple[str, Any]] = []
-
-    def visit(name: str, item: Any) -> None:
-        if name.startswith("#"):  # what MATLAB keeps of objects and cells
-            if name.startswith("#subsystem#"):
-                notes[CLASSES] = None
-            return
-        if isinstance(item, h5py.Dataset) and item.shape is not None:
-            if item.external or item.is_virtual:
-                notes[f"{name}: its values are in another file, which is not read"] = None
-            elif name.count("/") <= DEEPEST:
-                found.append((name.replace("/", "."), item))
-
-    file.visititems(visit)
-    return found
+    waiting: list[tuple[str, Any]] = [("", file)]
+    seen: set[Any] = set()
+    for prefix, group in waiting:  # grows while it is gone through
+        depth = prefix.count("/")
+        if depth > HDF5_DEPTH:
+            raise TableError(f"file must have groups of at most {HDF5_DEPTH} levels, got more")
+        for key in group:
+            if len(seen) >= HDF5_OBJECTS:
+                raise TableError(f"file must have at most {HDF5_OBJECTS} groups and datasets, got more")
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                continue  # a link by name may lead anywhere
+            name, item = prefix + key, group[key]
+            info = h5py.h5o.get_info(item.id)
+            if (place := (info.fileno, info.addr)) in seen:
+                continue
+            seen.add(place)
+            if name.startswith("#"):  # what MATLAB keeps of objects and cells
+                if name.startswith("#subsystem#"):
+                    notes[CLASSES] = None
+            elif isinstance(item, h5py.Group):
+                waiting.append((name + "/", item))
+            elif isinstance(item, h5py.Dataset) and item.shape is not None:
+                if item.external or item.is_virtual:
+                    notes[f"{name}: its values are in another file, which is not read"] = None
+                elif depth <= DEEPEST:
+                    found.append((name.replace("/", "."), item))
+    return sorted(found, key=lambda pair: pair[0].split("."))
 
 
 def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:

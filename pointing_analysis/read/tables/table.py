@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lftkit.support.input_limits import UNPACKED, UNPACKED_RATIO
 from pointing_analysis.arrays import FloatArray, IntArray
 
 Column = FloatArray | IntArray | NDArray[np.datetime64]
-MAX_UNPACKED, MAX_RATIO = 200_000_000, 100
-"""A compressed table may unpack to this many bytes, or to this many times its size."""
 WIDEST = 12
 """Columns that an array of two dimensions may have to be columns of a table."""
 LISTED = 20
@@ -134,9 +133,9 @@ class Table:
 
 def check_unpacked(path: Path, size: int) -> None:
     """Some kilobytes can stand for any number of rows: the declared size is checked before memory is taken."""
-    if size > max(MAX_UNPACKED, MAX_RATIO * path.stat().st_size):
+    if size > max(UNPACKED, UNPACKED_RATIO * path.stat().st_size):
         raise TableError(
-            f"{path}: table must unpack to at most {MAX_UNPACKED / 1e6:g} MB or {MAX_RATIO} times its size, "
+            f"{path}: table must unpack to at most {UNPACKED / 1e6:g} MB or {UNPACKED_RATIO} times its size, "
             f"got {size / 1e6:.0f} MB"
         )
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import TABLE
 from pointing_analysis.read.tables.formats import text_encoding
 from pointing_analysis.read.tables.table import Column, Table, TableError
 from pointing_analysis.read.tables.times import dates
@@ -28,7 +30,7 @@ def read_text(path: Path) -> Table:
         Not text, no rows, rows of different length, columns of the same name.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, TABLE)
         text = content.decode(text_encoding(content[:4]))
     except (OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: table must be UTF-8 text, got {error}") from None

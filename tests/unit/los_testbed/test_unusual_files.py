@@ -41,6 +41,14 @@ INPUTS = [
     "run --mode=inprocess --parameters=pipe",
     "run --mode=inprocess --set=profile=pipe",
     "run --mode=inprocess --cases=pipe --case=x",
+    "run --mode=inprocess --parameters=body.toml",
+    "plant --parameters=body.toml",
+    "run --mode=inprocess --disturbance=pipe",
+    "run --mode=inprocess --disturbance=source.toml",
+    "run --mode=inprocess --k-fsm=pipe.so",
+    "run --live --live-tls-cert=pipe --live-tls-key=pipe",
+    "campaign --samples=2 --output=new --scheduler=tls://127.0.0.1:9 --tls-ca-file=pipe --tls-cert=pipe",
+    "bag sign bag --key=pipe",
     "campaign --sampling=pipe --samples=2",
     "bag repair loop",
     "analyse loop",
@@ -49,8 +57,10 @@ INPUTS = [
 
 @pytest.mark.parametrize("line", INPUTS)
 def test_a_pipe_or_a_circle_of_links_as_input_is_told_and_not_waited_for(call: Call, bag: Path, line: str) -> None:
-    for name in ("pipe", "pipe.mcap", "pipe.csv", "pipe.npy"):
+    for name in ("pipe", "pipe.mcap", "pipe.csv", "pipe.npy", "pipe.so"):
         os.mkfifo(bag.parent / name)
+    (bag.parent / "body.toml").write_text('[payload]\nmodal_data = "pipe"\n')
+    (bag.parent / "source.toml").write_text('[[disturbance]]\nname = "x"\nkind = "series"\nfile = "pipe"\n')
     (bag.parent / "loop").symlink_to(bag.parent / "loop")
     before = sorted(bag.parent.rglob("*"))
     code, out, err = call(*line.split())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lftkit.support.input_limits import PICTURE
 from pointing_analysis.image import optics as optics_module
 from pointing_analysis.image.fits_files import read_pupil
 from pointing_analysis.image.optics import Optics, OpticsError, from_mapping, load_optics
@@ -178,10 +179,10 @@ def test_files_of_optics(tmp_path: Path) -> None:
         load_optics(tmp_path / "none.toml")
 
 
-def test_a_large_pupil_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "p.fits").write_bytes(b"12345")
-    monkeypatch.setattr(optics_module, "MAX_PUPIL", 4)
-    with pytest.raises(OpticsError, match="must have at most 4 bytes, got 5"):
+def test_a_large_pupil_file_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "p.fits").open("wb") as file:
+        file.truncate(PICTURE + 1)  # sparse: nothing is written
+    with pytest.raises(OpticsError, match="larger than 256 MB"):
         optics_module.read_pupil_file(tmp_path / "p.fits")
 
 

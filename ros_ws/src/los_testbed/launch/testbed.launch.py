@@ -7,7 +7,6 @@ ros2 launch los_testbed testbed.launch.py params:=/path/to/run.yaml namespace:=/
 
 from pathlib import Path
 
-import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
@@ -17,9 +16,12 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from los_testbed.config import NAMESPACE, RunConfig
 
+from pointing_analysis.files.structured_text import load_yaml, read_text
+
 SEPARATE = ("plant", "estimator", "controller", "recorder")
 COMPOSED = ("plant", "estimator_controller", "recorder")
 """Programs of a run, with estimator and controller in two processes or in one."""
+
 SETTINGS = ("mode", "duration", "loop", "scenario", "output")
 ARGUMENTS = {
     "params": ("", "parameter file; empty for the one that is installed with the package"),
@@ -103,7 +105,7 @@ def start(context):
 
 def settings(file, given, record):
     """Parameters that the arguments name, the mode, and what follows from it."""
-    content = yaml.safe_load(file.read_text("utf-8"))
+    content = load_yaml(read_text(file), file)
     try:
         stated = content["/**"]["ros__parameters"]
     except (KeyError, TypeError):

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass
 
-from pointing_analysis.files.file_kind import kind_of_file
+from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import RATE, STAGES

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,9 +28,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import TABLE
 from los_testbed.config import RunConfig
 from los_testbed.disturbance_kinds import KINDS, Entry, Run
-from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
 from titop_plant.telescope.parameters import FOLDER
@@ -39,11 +40,6 @@ from titop_plant.telescope.parameters import FOLDER
 if TYPE_CHECKING:
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.parameters import Parameters
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
 
@@ -89,10 +85,7 @@ def entries_in(path: Path, content: Mapping[str, Any]) -> list[Entry]:
 
 
 def _toml(path: Path) -> dict[str, Any]:
-    try:
-        content: dict[str, Any] = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path} is not a TOML file: {error}") from None
+    content: dict[str, Any] = load_toml(read_text(path), path)
     return content
 
 
@@ -113,7 +106,7 @@ def digest(entries: Sequence[Entry], mechanisms: Sequence[tuple[str, Mapping[str
     for entry in entries:
         total.update(repr(sorted(entry.table.items())).encode())
         if isinstance(entry.table.get("file"), str):
-            total.update((entry.folder / entry.table["file"]).read_bytes())
+            total.update(read_bytes(entry.folder / entry.table["file"], TABLE))
     return total.hexdigest()
 
 

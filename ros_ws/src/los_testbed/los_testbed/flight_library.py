@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import SYSTEM
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from titop_plant.interface import (
@@ -59,6 +61,7 @@ class LibraryLaw:
     def __init__(self, path: Path, setting: str) -> None:
         self.name, self.design_basis = f"{setting} {path}", MappingProxyType(dict[str, Any]())
         try:
+            check_file(path, SYSTEM)
             self._library = ctypes.CDLL(str(path.resolve()))
         except OSError as error:
             raise FlightLibraryError(

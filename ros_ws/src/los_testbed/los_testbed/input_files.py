@@ -13,6 +13,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import PICTURE
 from los_testbed.config import RunConfig
 from los_testbed.plugins import source_hashes
 from pointing_analysis.files.structured_text import load_toml, read_text
@@ -88,7 +90,7 @@ def with_files_beside(path: Path) -> tuple[str, dict[str, bytes]]:
 def _content(path: Path) -> bytes:
     """Content of a file; ValueError: it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_bytes(path, PICTURE)
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
 

@@ -17,6 +17,8 @@ from types import FrameType, MappingProxyType
 from typing import Any
 
 import pointing_analysis
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import SYSTEM
 from los_testbed.config import RunConfig, is_code, is_library
 
 GROUPS: Mapping[str, str] = MappingProxyType(
@@ -138,7 +140,7 @@ def source_hashes(config: RunConfig) -> dict[str, str]:
             file = text if is_library(text) else inspect.getsourcefile(load(text, setting))
         except TypeError:  # built in, or an object without a file
             file = None
-        hashes[setting] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file and Path(file).is_file() else ""
+        hashes[setting] = hashlib.sha256(read_bytes(file, SYSTEM)).hexdigest() if file and Path(file).is_file() else ""
     return hashes
 
 

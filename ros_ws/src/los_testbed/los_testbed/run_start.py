@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.structured_text import load_json
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config import RunConfig
@@ -93,9 +94,9 @@ class RunStart:
         from los_loop.worst_tone import WorstTone
 
         try:
-            content = json.loads(data)
-        except (ValueError, RecursionError):
-            raise ValueError(f"{START_FILE} must be JSON, the text is not") from None
+            content = load_json(data.decode("utf-8"), START_FILE)
+        except UnicodeDecodeError:
+            raise ValueError(f"{START_FILE} must be JSON, got no text in UTF-8") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'{START_FILE} must have "format": "{FORMAT}"')
         tone, states = content.get("tone"), content.get("states")

@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
+from lftkit.support.file_kind import kind_of_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -37,7 +38,6 @@ from los_testbed.config import RunConfig, is_code, is_library
 from los_testbed.law_devices import NO_DEVICES, Devices
 from los_testbed.law_models import difference, element, told_model
 from los_testbed.plugins import RAISED, in_one_line, load, make
-from pointing_analysis.files.file_kind import kind_of_file
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 UNTOUCHED = -1.2345678901234567e-300

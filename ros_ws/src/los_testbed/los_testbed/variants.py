@@ -8,13 +8,13 @@ it, or ``frequencies`` of all arrays and appendages). The ranges are those of th
 from __future__ import annotations
 
 import difflib
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import load_json
 from los_testbed.config import RunConfig, read_yaml
 from titop_plant.simulation.profiles import PROFILES, read_profile
 
@@ -225,7 +225,7 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         return {}
     used = parameters_hash(load_parameters(parameters))
     try:
-        content = json.loads(read_ordinary_file(path))
+        content = load_json(read_text(path), path)
         if content["parameters_hash"] != used:
             return {}
         return member_settings(content["stages"][loop][worst_of]["parameters"])

@@ -84,7 +84,7 @@ def test_not_a_file_and_not_json(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot read the controller file"):
         SampledSystem.from_file(tmp_path / "none.json")
     (tmp_path / "x.json").write_text("hello")
-    with pytest.raises(ValueError, match="is not a controller file: expected JSON"):
+    with pytest.raises(ValueError, match="is not a controller file: it must be JSON"):
         SampledSystem.from_file(tmp_path / "x.json")
     (tmp_path / "y.json").write_text("{}")
     with pytest.raises(ValueError, match="is not a controller file"):

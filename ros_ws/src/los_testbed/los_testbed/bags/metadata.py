@@ -10,6 +10,7 @@ from pathlib import Path
 
 import yaml
 
+from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
 from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
 from los_testbed.config import is_code, physical_hash
@@ -164,7 +165,7 @@ def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[s
 def _json_of(path: Path) -> bytes:
     """A controller's file as JSON."""
     if path.suffix == ".json":  # as all stored ones are; nothing else is loaded for them
-        return path.read_bytes()
+        return read_bytes(path)
     from lftkit.systems.exchange import read_sampled
 
     return read_sampled(path).to_json().encode()

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.support.input_limits import SECRET
 from pointing_analysis.files.atomic_output import write_text
-from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.mcap.chain import Chain
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def _statement(chains: Sequence[Chain]) -> bytes:
 
 def _pem(option: str, file: Path) -> bytes:
     try:
-        return read_text(file).encode()
+        return read_text(file, SECRET).encode()
     except (OSError, ValueError) as error:
         raise ValueError(f"{option} must be a PEM file, got {file}: {error}") from None
 
@@ -100,7 +101,7 @@ def is_signed_by(file: Path, chains: Sequence[Chain], key: Ed25519PublicKey) -> 
     from cryptography.exceptions import InvalidSignature
 
     try:
-        content = json.loads(read_text(signature_file(file)))
+        content = load_json(read_text(signature_file(file), SECRET), "signature")
         key.verify(bytes.fromhex(content["signature"]), _statement(chains))
     except (OSError, ValueError, KeyError, TypeError, InvalidSignature):
         return False

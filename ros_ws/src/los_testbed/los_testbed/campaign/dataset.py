@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import load_json
 from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
@@ -311,7 +313,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         It is not there or cannot be read.
     """
     try:
-        content = json.loads((path / MANIFEST).read_text("utf-8"))
+        content = load_json(read_text(path / MANIFEST), "it")
     except OSError as error:
         raise ValueError(f"{path} must be the folder of a campaign: {MANIFEST}: {error.strerror}") from None
     except (ValueError, RecursionError):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from lftkit.support.input_files import read_bytes
 from los_testbed import __version__
 from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
@@ -394,6 +395,6 @@ def _evaluator(content: str) -> MemberEvaluator:
 
 def _digest(path: Path) -> str:
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+        return hashlib.sha256(read_bytes(path)).hexdigest()[:12]
     except OSError as error:
         raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None

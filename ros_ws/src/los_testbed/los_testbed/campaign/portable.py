@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
+from lftkit.support.input_files import read_text
 from los_testbed.config import RunConfig
 from los_testbed.input_files import with_files_beside
 
@@ -26,7 +27,7 @@ def portable(base: RunConfig, here: Mapping[str, str]) -> str:
     ValueError
         A file that cannot be read.
     """
-    files = {name: Path(path).read_text("utf-8") for name in FILES if (path := getattr(base, name))}
+    files = {name: read_text(path) for name in FILES if (path := getattr(base, name))}
     beside: dict[str, bytes] = {}
     if base.parameters:
         files["parameters"], beside = with_files_beside(Path(base.parameters))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lftkit.arrays import FloatArray
-from lftkit.support.ordinary_file import read_ordinary_file
+from lftkit.support.input_files import read_text
 
 UNITS = ("k_fsm", "k_pma", "controller", "gate")
 """Translation units with tables."""
@@ -153,7 +153,7 @@ def check_tables(folder: Path, expected: Mapping[str, Tables]) -> Checked:
 
 def _text(path: Path) -> str:
     try:
-        return read_ordinary_file(path)
+        return read_text(path)
     except UnicodeDecodeError:
         raise ValueError(f"{path} must be text in UTF-8, got other bytes") from None
     except OSError as error:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import SYSTEM
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
@@ -93,7 +95,7 @@ def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[Sampl
         A file that is no controller, a bag without it.
     """
     if given is not None:
-        return SampledSystem.from_file(given), given.read_bytes()
+        return SampledSystem.from_file(given), read_bytes(given)
     data = run.attachments.get(f"{name}.json")
     if data is None:
         raise BagError(
@@ -139,7 +141,7 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
 def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | LibraryLaw, bytes]:
     """:func:`controller_of`, or a law of a flight library and its file."""
     if given is not None and is_library(str(given)):
-        return LibraryLaw(given, name), given.read_bytes()
+        return LibraryLaw(given, name), read_bytes(given, SYSTEM)
     return controller_of(run, name, given)
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_bytes
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
@@ -348,7 +349,7 @@ def provenance(plan: Plan) -> dict[str, Any]:
     keys = ("software_version", "commit", "python")
     parts = RunParts(plan.base)
     metadata = run_metadata(parts)
-    designs = {name: hashlib.sha256(path.read_bytes()).hexdigest()[:16] for name, path in parts.model_files.items()}
+    designs = {name: hashlib.sha256(read_bytes(path)).hexdigest()[:16] for name, path in parts.model_files.items()}
     return {
         **{key: metadata[key] for key in keys},
         "mode": plan.base.mode,

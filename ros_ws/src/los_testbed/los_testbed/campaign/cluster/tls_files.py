@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import SECRET
+
 SCHEME = "tls://"
 
 
@@ -96,7 +99,8 @@ def client_security(scheduler: str, files: TlsFiles | None) -> Any:
 
 def _check_readable(option: str, path: Path) -> None:
     try:
-        path.read_bytes()
+        check_file(path, SECRET)
+        path.open("rb").close()
     except OSError as error:
         raise ValueError(f"{option} must be a file that can be read, got {path}: {error.strerror}") from None
 
