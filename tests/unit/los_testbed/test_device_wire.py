@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from los_testbed.config import RunConfig
 from los_testbed.device.clock_map import ClockMap
-from los_testbed.device.driver import secret_of
+from los_testbed.device.driver import PacketRig, secret_of
+from los_testbed.device.emulator import key_of
 from los_testbed.device.serial import BAUD, Frames, line_of
 from los_testbed.device.udp import address_of, other_machine
 from los_testbed.device.wire import Kind, Reader, encode, fits
@@ -81,6 +82,57 @@ def test_answers_that_were_held_up_on_their_way_are_of_no_clock_that_was_set(hel
     assert clocks.jumps == 1
 
 
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True) | st.integers(0, 2**32 - 1).map(float), max_size=4))
+@settings(max_examples=300, deadline=None)
+def test_no_packet_that_anyone_can_send_ends_a_rig(values):
+    """The key that opens a rig of this machine is zeros: the values of the packet may be anything."""
+    data = encode(Kind.OPEN, 1, 5, np.array(values), bytes(8))
+    key = key_of(Reader(bytes(8)).read(data))
+    right = len(values) == 2 and all(0 <= value < 2**32 for value in values)
+    assert (key is not None) == right and (key is None or len(key) == 8)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e300])
+def test_no_answer_about_the_clock_ends_the_host(value):
+    rig = PacketRig()
+    rig._line = Answers([encode(Kind.SYNC_REPLY, 1, 5, np.array([value, 3.0]), rig.key)])
+    assert list(rig.read(0)) == [] and not rig.clock.known
+
+
+class Answers:
+    """A line on which these packets come."""
+
+    name = "line"
+
+    def __init__(self, packets):
+        self.packets = packets
+
+    def send(self, data):
+        """Nobody is there."""
+
+    def receive(self):
+        return [(data, 7) for data in self.packets]
+
+
+@given(st.lists(st.integers(-900, 900), min_size=1, max_size=40))
+@settings(max_examples=200, deadline=None)
+def test_the_counts_do_not_know_where_the_numbers_begin_anew(steps):
+    """The same order of packets is counted alike near 2^32 and far from it; the numbers go on."""
+    far, near = Reader(KEY), Reader(KEY)
+    for step in [0, *steps]:
+        plain = far.read(encode(Kind.FAST, 10_000 + step, 5, VALUES, KEY))
+        found = near.read(encode(Kind.FAST, 2**32 - 1 + step, 5, VALUES, KEY))
+        assert (plain is None) == (found is None)
+    assert (far.lost, far.reordered, far.refused) == (near.lost, near.reordered, near.refused)
+
+
+def test_a_sender_of_more_packets_than_32_bits_count_is_read_on():
+    reader = Reader(KEY)
+    numbers = [2**32 - 2, 2**32 - 1, 2**32, 2**32 + 1, 2**32 + 3]
+    assert [reader.read(encode(Kind.FAST, n, 5, VALUES, KEY)).sequence for n in numbers] == numbers
+    assert (reader.lost, reader.reordered, dict(reader.refused)) == (1, 0, {})
+
+
 def test_a_rig_on_another_machine_needs_a_key(tmp_path):
     assert address_of("127.0.0.1:47800") == ("127.0.0.1", 47800)
     assert secret_of(RunConfig(), other_machine("127.0.0.1")) == bytes(8)
@@ -91,6 +143,9 @@ def test_a_rig_on_another_machine_needs_a_key(tmp_path):
     assert secret_of(RunConfig(device_key=str(tmp_path / "key")), "10.0.0.7") != bytes(8)
     with pytest.raises(ValueError, match="16 characters or more, got 5"):
         secret_of(RunConfig(device_key=str(tmp_path / "short")), "10.0.0.7")
+    for path in ("/dev/zero", tmp_path, tmp_path / "none"):
+        with pytest.raises(ValueError, match="device_key must be a file, got"):
+            secret_of(RunConfig(device_key=str(path)), "10.0.0.7")
     with pytest.raises(ValueError, match="device_address must be HOST:PORT, got 'nonsense'"):
         address_of("nonsense")
 

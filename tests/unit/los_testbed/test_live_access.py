@@ -6,6 +6,7 @@ import os
 import shutil
 import ssl
 import subprocess
+from functools import partial
 
 import pytest
 
@@ -190,6 +191,24 @@ def test_a_server_that_listens_everywhere_is_addressed_by_numbers_and_its_own_na
     assert access.host(os.uname().nodename)
     assert not access.host("rebound.example:8765")
     assert Access("testbed.example").host("testbed.example:8766")
+
+
+def test_a_server_that_listens_everywhere_lets_no_page_of_another_address_in():
+    """A page at any bare address of the internet is no page of this machine."""
+    access = Access("0.0.0.0")
+    assert access.origin("http://192.0.2.5:8080", "192.0.2.5:8765")
+    assert access.origin("http://localhost:8080", "192.0.2.5:8765")
+    assert access.origin(f"http://{os.uname().nodename}", "192.0.2.5:8765")
+    for origin in ("http://203.0.113.9", "https://[2001:db8::9]:443", "http://0.0.0.0", "http://192.0.2.50"):
+        assert not access.origin(origin, "192.0.2.5:8765")
+        assert not access.origin(origin, "localhost:8765")
+    assert not Access("::").origin("http://203.0.113.9", "[2001:db8::5]:8765")
+
+
+def test_the_gate_of_a_server_that_listens_everywhere_compares_origin_and_host():
+    server = partial(FoxgloveServer, {}, "0.0.0.0", 0)
+    for origin, wanted in (("http://203.0.113.9", 403), ("http://127.0.0.1:8080", 101)):
+        assert status(server, headers=f"{FOXGLOVE}Origin: {origin}\r\n") == wanted
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,13 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import SECRET
 from los_testbed.config import RunConfig
 from los_testbed.device.clock_map import ClockMap
 from los_testbed.device.contract import TRUTH_PORT, Sample
@@ -79,13 +80,21 @@ def secret_of(config: RunConfig, needed: str = "") -> bytes:
         None was given for another machine.
     """
     if config.device_key is not None:
-        text = Path(config.device_key).read_bytes().strip()
+        try:
+            text = read_bytes(config.device_key, SECRET).strip()
+        except OSError as error:
+            raise ValueError(f"device_key must be a file, got {config.device_key}: {error.strerror}") from None
         if len(text) < 16:
             raise ValueError(f"device_key must be a file with 16 characters or more, got {len(text)}")
         return struct.pack("<II", zlib.crc32(text), zlib.crc32(text[::-1]))
     if needed:
         raise ValueError(f"device_key must be given for a rig on another machine, got none for {needed}")
     return bytes(KEY_BYTES)
+
+
+def _are_counts(values: FloatArray) -> bool:
+    """Whether values stand for counts below 2^32: anything may come from a line."""
+    return bool(np.all((values >= 0.0) & (values < SPLIT)))
 
 
 class PacketRig:
@@ -142,7 +151,7 @@ class PacketRig:
         """Samples that have come, oldest first."""
         found: list[Sample] = []
         for packet, received in self._take():
-            if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3):
+            if packet.kind == Kind.SYNC_REPLY and len(packet.values) in (2, 3) and _are_counts(packet.values):
                 sent = int(packet.values[0] * SPLIT + packet.values[1]) + int(packet.values[2:].sum())
                 self.clock.answer(sent, packet.time_ns, received)
             else:

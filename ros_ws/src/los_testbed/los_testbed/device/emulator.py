@@ -25,7 +25,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
-from los_testbed.device.driver import secret_of
+from los_testbed.device.driver import SPLIT, secret_of
 from los_testbed.device.serial import SerialLine, line_of, open_line, open_pseudo_terminal
 from los_testbed.device.supervisor import EVERY_TICK
 from los_testbed.device.udp import UdpSocket, address_of, other_machine
@@ -289,9 +289,8 @@ class Emulator:
 
     def _open(self, packet: Packet, peer: Any) -> None:
         """A host opens the rig: from now on packets with its key count, until it closes or the rig is started again."""
-        if packet.kind != Kind.OPEN or len(packet.values) != 2:
+        if (key := key_of(packet)) is None:
             return
-        key = struct.pack("<II", *(int(value) % 2**32 for value in packet.values))
         now = time.monotonic_ns()
         left = self._safe and now - self._heard_ns > LEFT_NS
         if self._key and key != self._key and not left:
@@ -305,7 +304,7 @@ class Emulator:
 
     def _obey(self, packet: Packet, arrived_ns: int) -> None:
         now = self._heard_ns = time.monotonic_ns()
-        if packet.kind == Kind.SYNC:
+        if packet.kind == Kind.SYNC and len(packet.values) == 2:
             values = np.append(packet.values, now - arrived_ns)
             self._send(self._packet(Kind.SYNC_REPLY, self._clock(), values))
         elif packet.kind == Kind.COMMAND and len(packet.values) == COMMANDS and np.isfinite(packet.values).all():
@@ -347,6 +346,14 @@ class Emulator:
         self._mirror.stop()
         ill = {"fault_ms": round(self._since_fault_ns() / 1e6, 3)} if self.settings.fault else {}
         say("safe", why=why, after_ms=round(since, 3), before=before, **ill)
+
+
+def key_of(packet: Packet) -> bytes | None:
+    """Key (8,) that a packet opens a rig with; None where it is no such packet. Anyone can send one."""
+    words = packet.values.tolist()
+    if packet.kind != Kind.OPEN or len(words) != 2 or not all(0.0 <= word < SPLIT for word in words):
+        return None
+    return struct.pack("<II", *map(int, words))
 
 
 def _name_of(plant: Any) -> float:

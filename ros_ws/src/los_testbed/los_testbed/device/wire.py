@@ -7,7 +7,7 @@ magic    4     ``LOSR``
 version  1     1
 kind     1     `Kind`
 flags    2     of a rig: bit 0 it is safe, bit 1 it has limited a command, bit 2 it was started again
-sequence 4     one more at each packet of a sender
+sequence 4     one more at each packet of a sender, after 2^32 - 1 comes 0
 time     8     of acquisition, of a command its deadline: clock of the sender [ns]
 n        2     number of values
 reserved 2     zero
@@ -24,7 +24,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -35,6 +35,8 @@ MAGIC, VERSION = b"LOSR", 1
 HEAD = struct.Struct("<4sBBHIqHH")
 CHECK = struct.Struct("<I")
 KEY_BYTES, MOST_VALUES = 8, 64
+WRAP = 2**32
+"""Packets after which the sequence number of a sender begins anew: 46 days at 1080 in a second."""
 SAFE, LIMITED, RESTARTED = 1, 2, 4
 
 
@@ -63,7 +65,8 @@ class Packet:
 
     Attributes
     ----------
-    kind, flags, sequence : as in the table above
+    kind, flags : as in the table above
+    sequence : number of the packet; a :class:`Reader` counts on where the 32 bits of the wire begin anew
     time_ns : clock of the sender
     values : (n,)
     """
@@ -87,7 +90,7 @@ def encode(kind: Kind, sequence: int, time_ns: int, values: FloatArray, key: byt
     >>> reader.read(data), reader.read(data[:-1] + b"!"), dict(reader.refused)
     (None, None, {'repeated': 1, 'check': 1})
     """
-    data = HEAD.pack(MAGIC, VERSION, kind, flags, sequence % 2**32, time_ns, len(values), 0)
+    data = HEAD.pack(MAGIC, VERSION, kind, flags, sequence % WRAP, time_ns, len(values), 0)
     data += np.asarray(values, "<f8").tobytes()
     return data + CHECK.pack(zlib.crc32(key, zlib.crc32(data)))
 
@@ -120,7 +123,8 @@ class Reader:
         packet = self._parse(data)
         if packet is None:
             return None
-        number = packet.sequence
+        number = self._unwrapped(packet.sequence)
+        packet = replace(packet, sequence=number)
         if number in self._seen or number < self._newest - 1000:
             self.refused["repeated"] += 1
             return None
@@ -135,6 +139,12 @@ class Reader:
         if len(self._seen) > 4000:
             self._seen = {old for old in self._seen if old > self._newest - 1000}
         return packet
+
+    def _unwrapped(self, sequence: int) -> int:
+        """The number that has these 32 bits and is next to the newest one: the counter of a sender begins anew."""
+        if self._newest < 0:
+            return sequence
+        return self._newest + (sequence - self._newest + WRAP // 2) % WRAP - WRAP // 2
 
     def begin_counts(self) -> None:
         """Count from now on; packets that were sent before the newest one and come late are in no count."""

@@ -15,6 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import SECRET
+
 MAX_VIEWERS = 16
 """Viewers that each server of a run has at a time; each one costs some percent of a processor."""
 
@@ -39,6 +42,8 @@ class Access:
     (True, True, False, False)
     >>> access.origin("http://127.0.0.1:8080"), access.origin("https://a.example"), access.origin("null")
     (True, False, False)
+    >>> Access("0.0.0.0").origin("http://203.0.113.9", "192.0.2.7:8765")
+    False
     """
 
     listens: str = "127.0.0.1"
@@ -48,10 +53,21 @@ class Access:
         """Whether this is a name of the server, with or without a port."""
         return self._own(_name(f"http://{header}"))
 
-    def origin(self, header: str) -> bool:
-        """Whether pages of this origin may open a web socket."""
-        scheme = header.partition("://")[0]
-        return header in self.origins or (scheme in ("http", "https") and self._own(_name(header)))
+    def origin(self, header: str, host: str = "") -> bool:
+        """Whether pages of this origin may open a web socket to the server that `host`, the header Host, names.
+
+        A page may come from any address of the internet: where every address is permitted as a name of the server, only
+        pages of the address under which it is addressed are those of this machine.
+        """
+        if header in self.origins:
+            return True
+        name = _name(header)
+        if header.partition("://")[0] not in ("http", "https") or not self._own(name):
+            return False
+        address, listens = _address(name), _address(self.listens)
+        if address is None or address.is_loopback or listens is None or not listens.is_unspecified:
+            return True
+        return address == _address(_name(f"http://{host}"))
 
     def _own(self, name: str) -> bool:
         if not name:
@@ -111,6 +127,8 @@ def certificate(cert: Path | str | None, key: Path | str | None) -> ssl.SSLConte
         raise ValueError("--live-tls-cert and --live-tls-key must be given together, got one of them")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
+        for path in (cert, key):
+            check_file(path, SECRET)
         context.load_cert_chain(cert, key, password=lambda: "")
     except (OSError, ssl.SSLError) as error:
         reason = error.strerror or str(error)

@@ -91,7 +91,7 @@ class Gate(TCPServer):  # type: ignore[misc, unused-ignore]
         hosts, origins = headers.get_list("Host"), headers.get_list("Origin")
         if len(hosts) != 1 or not self._access.host(hosts[0]):
             return _answer("403 Forbidden", "Host must be a name of this server (--live-host)")
-        if not all(self._access.origin(origin) for origin in origins):
+        if not all(self._access.origin(origin, hosts[0]) for origin in origins):
             return _answer("403 Forbidden", "Origin must be a site that is permitted (--live-origin)")
         if not self._place_is_free():
             return _answer("503 Service Unavailable", f"there are {MAX_VIEWERS} viewers already")
