@@ -19,6 +19,7 @@ from pointing_analysis.read.run import Run
 pytestmark = pytest.mark.ros
 
 MODULE = """
+import threading
 import numpy as np
 from los_estimator.runtime import LosEstimator
 from lftkit.systems.sampled.sampled_system import SampledSystem
@@ -47,6 +48,12 @@ class Raising(Law):
         super().step(accel_Ip, out)
         if self.tick > 300:
             {}["no such key"]
+
+class Waiting(Law):
+    def step(self, accel_Ip, out):
+        super().step(accel_Ip, out)
+        if self.tick > 300:
+            threading.Event().wait()
 
 class Plant:
     frame_ticks = 20
@@ -139,6 +146,14 @@ def test_any_exception_of_the_user_ends_the_run_with_one_line_and_a_whole_bag(
     assert error.value.code == 1 and "\n" not in str(error.value) and "started again" not in str(error.value)
     run = Run.open(tmp_path / "bag")
     assert run.problems == () and len(run["truth/los"]) >= ticks - 100
+
+
+def test_a_law_that_waits_for_ever_ends_the_run(tmp_path: Path, module: str) -> None:
+    """Python answers no request meanwhile, and no signal ends it: after a while it is killed."""
+    config = config_for(tmp_path, mode="lockstep", duration=60.0, hang_timeout=6.0, k_pma=f"{module}:Waiting")
+    results = Runner(config, lambda ticks: None).run()
+    assert results.failures == ["estimator_controller has not answered for 6 s: the run was ended (--hang-timeout)"]
+    assert len(Run.open(results.bag)["truth/los"]) >= 300
 
 
 BUILT = """

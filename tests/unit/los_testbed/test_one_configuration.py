@@ -91,6 +91,7 @@ OTHER = {
     "wait_for_recorder": True,
     "wait_for_start": True,
     "start_timeout": 5.0,
+    "hang_timeout": 30.0,
     "processes": "separate",
     "exercise": 2.0,
     "max_missed": 3.0,
@@ -100,6 +101,7 @@ OTHER = {
 
 NEEDS = {"plant": {"start": "rest"}, "device": {"start": "rest"}}
 """Settings that a value of another one asks for."""
+
 
 OPTIONS = {"disturbance_source": "--disturbance", "disturbance_files": "--disturbance"}
 """Options that do not have the name of their setting."""

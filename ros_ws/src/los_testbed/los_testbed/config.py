@@ -112,6 +112,7 @@ class RunConfig(PhysicalSettings):
     wait_for_recorder: bool = setting(False, "begin only when a recorder sees every topic")
     wait_for_start: bool = setting(False, "begin only when the service plant/start is called")
     start_timeout: float = setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
+    hang_timeout: float = setting(60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400)
     exercise: float = setting(0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60)
     max_missed: float = setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0)
     mode_choice: str | None = setting(None, "why the program chose the mode", absent="it was asked for")

@@ -25,7 +25,7 @@ MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.FINISHED: "finished",
         ExitCode.FAILED: "the work failed",
         ExitCode.USER_ERROR: "user error, found before any work",
-        ExitCode.RESTARTED: "finished, but a node died and was restarted, or a topic had a second publisher",
+        ExitCode.RESTARTED: "finished, but a node died or did not answer, or a topic had a second publisher",
         ExitCode.MISSED_TICKS: "finished, but more ticks were missed than `--max-missed` permits",
         ExitCode.CONTRADICTION: "finished, but a bag contradicts its own digests",
         ExitCode.DEVICE: "a device failed or fell silent; the message says whether mirror and forces are at zero",

@@ -28,7 +28,7 @@ ADMITTED = frozenset(
         *("hold_ticks", "fade_ticks", "old_frames", "lost_samples", "camera_latency"),
         # where and how long the same loop runs, and how it starts
         *("loop", "duration", "mode", "start", "output", "namespace", "domain", "priority", "pin"),
-        *("processes", "exercise", "max_missed", "mode_choice"),
+        *("processes", "exercise", "max_missed", "hang_timeout", "mode_choice"),
         *("wait_for_recorder", "wait_for_start", "start_timeout"),
         # of a device, which is none of these
         *("device_address", "device_key"),

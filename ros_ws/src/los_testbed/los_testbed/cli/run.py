@@ -437,7 +437,7 @@ def execute(parts: RunParts, nodes: Nodes) -> Results:
 
         watched = replace(config, wait_for_recorder=True)
         results = Runner(
-            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain
+            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain, tell=bar.print
         ).run()
     if results.too_slow is not None:
         told = late_answers(config, results.too_slow)

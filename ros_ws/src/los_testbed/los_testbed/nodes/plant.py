@@ -376,6 +376,7 @@ class PlantLoop:
             if not pacer.wait(now) or self._again:
                 break
             self.latency.add(time.monotonic_ns() - start_time)
+            context.alive(tick=self.ticks)
             if k % 20 == 0:
                 context.report_second_publishers(self.io.watch.look(time.monotonic_ns()))
             if k % 100 == 0:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import selectors
+import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from los_testbed.factories import RunParts
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.loop.slow_sensor import frames_in_words
 from los_testbed.run.bag_names import free_name, recorded
+from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from los_testbed.run.processes.domains import domain_lock, output_lock
 from los_testbed.run.processes.isolation import Network, network_of_nodes
 from los_testbed.run.processes.memory import check_address_space
@@ -52,6 +54,10 @@ REMIND_S = 5.0
 """A node that has not ended by then is asked again: a signal that comes while it starts may be lost."""
 
 
+class HungError(RuntimeError):
+    """Nodes of a run do not answer, or its ticks stand still."""
+
+
 class Runner:
     """One run with processes.
 
@@ -69,6 +75,8 @@ class Runner:
         The nodes have a network of their own, in which nobody else is.
     lock_domain : bool
         Refuse another run on the domain and namespace; False where the caller holds them.
+    tell : callable
+        Called with a line about what happens while the run goes on.
     """
 
     def __init__(
@@ -79,7 +87,11 @@ class Runner:
         live: Live | None = None,
         isolated: bool = False,
         lock_domain: bool = True,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
+        self._tell = tell
+        self._watch = AnswerWatch()
+        self._hung: list[str] = []
         self._live = live
         self._isolated, self._lock_domain = isolated, lock_domain and not isolated
         self._network = Network()
@@ -186,14 +198,35 @@ class Runner:
                 self.results.too_slow = Exercised(slow["ticks"], slow["late"], slow["lost"], slow["median_us"])
                 return
             self._until("plant", "done", None)
+        except HungError as error:
+            self.results.failures.append(str(error))
+            self._end_ticks()
         except KeyboardInterrupt:
             self.results.interrupted = True
             self._accept_ends()
             if ("plant", "running") not in self._seen:
                 return
-            self._nodes["plant"].interrupt()
-            self._until("plant", "done", STOP_S)
+            self._end_ticks()
         self._finish()
+
+    def _end_ticks(self) -> None:
+        """End a run before its time; a node that was stopped goes on, to its end."""
+        self._hung = [name for name in self._watch.silent() if name in self._nodes]
+        for name in self._hung:
+            self._nodes[name].process.send_signal(signal.SIGCONT)
+        self._nodes["plant"].interrupt()
+        self._ends_in_order("plant")
+
+    def _ends_in_order(self, name: str, bag: Path | None = None) -> None:
+        """Wait for a node to be done; one that is not within a while is killed, with this bag as it is."""
+        try:
+            self._until(name, "done", STOP_S)
+        except RunError as error:
+            if self._nodes[name].process.poll() is not None:
+                raise
+            self.results.failures.append(str(error))
+            self._nodes[name].process.kill()
+            self._seen[name, "done"] = {"statistics": {}, "bag": None if bag is None else str(bag)}
 
     def _accept_ends(self) -> None:
         """The run ends: nodes that a signal has ended before they were asked to have done their work."""
@@ -213,6 +246,8 @@ class Runner:
         for name in (*laws, *served):
             self._nodes[name].interrupt()
         self._await_exit(("plant", *laws))
+        for name in (name for name in self._hung if name != "recorder"):
+            self._nodes[name].process.kill()
         for name in NODES[:-1]:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
         assert self._statistics is not None
@@ -220,7 +255,10 @@ class Runner:
         if self._replaced.get("recorder") and ("recorder", "ready") not in self._seen:
             raise RunError("the run was over before another recorder was ready")
         self._nodes["recorder"].interrupt()
-        self._until("recorder", "done", 60.0)
+        if "recorder" in self._hung:
+            self._ends_in_order("recorder", self._config.bag if self._config.bag.is_dir() else None)
+        else:
+            self._until("recorder", "done", 60.0)
         self._await_exit(("recorder", *served))
         self.results.statistics["recorder"] = self._seen[("recorder", "done")]["statistics"]
         self._tell_counts()
@@ -277,6 +315,7 @@ class Runner:
             if (name, or_kind) in self._seen:
                 return
             self._check()
+            self._check_answers()
             self._check_awaited(name, kind)
             if end is not None and time.monotonic() > end:
                 raise RunError(f"{name} did not get to {kind!r} within {timeout:g} s{_load()}")
@@ -296,6 +335,21 @@ class Runner:
             told = [message for who, message in self._errors if who == name]
             raise RunError(f"{name}: {told[-1]}" if told else node.how_it_ended(code))
 
+    def _check_answers(self) -> None:
+        """Say who is silent; raise if somebody is for too long, unless the run ends anyway."""
+        if self._nodes["plant"].asked_to_stop or ("plant", "done") in self._seen:
+            return
+        for line in self._watch.look():
+            self._tell(line)
+        if hung := self._watch.silent(self._config.hang_timeout):
+            raise HungError(f"{self._watch.in_words(hung)}: the run was ended (--hang-timeout)")
+
+    def _hear(self, name: str) -> None:
+        """A program has told something, or a tick was done."""
+        if (line := self._watch.heard(name)) and not self._hung:  # those are woken to their end
+            self._tell(line)
+            self.results.warnings.append(line)
+
     def _poll(self, timeout: float) -> None:
         for key, _ in self._selector.select(timeout):
             node: NodeProcess = key.data
@@ -306,6 +360,8 @@ class Runner:
                 node.errors = (node.errors + data.decode(errors="replace"))[-4000:]
             else:
                 for event in node.feed(data):
+                    if self._watch.knows(node.name):
+                        self._hear(node.name)
                     told = str(event.get("node", node.name))
                     self._handle(told if told in node.nodes else node.name, event, node)
 
@@ -320,9 +376,18 @@ class Runner:
             kind = ENDED
             if event.get("bag"):
                 self._closed_by_recorder = [Path(event["bag"])]
-        if kind == "progress":
+        if kind in ("done", ENDED):
+            self._watch.forget(node.name)
+        if kind == "alive" and name != LIVE:
+            self._hear(node.name)
+            if name == "plant":
+                self._watch.waits_for(event.get("waits_for", ()))
+        if "tick" in event:
+            self._hear(TICKS)
             self._ticks_done = self._before + int(event["tick"])
             self._progress(self._ticks_done)
+        elif kind == "running":
+            self._hear(TICKS)
         elif kind == "warning":
             message = str(event["message"])
             if message not in self.results.warnings:
@@ -332,6 +397,7 @@ class Runner:
             if message not in self.results.failures:
                 self.results.failures.append(message)
         elif kind == "reset":
+            self._watch.forget(TICKS)
             self._resets += 1
             self._ticks_done = self._before
         elif kind == "live" and self._live is not None:
@@ -400,8 +466,10 @@ class Runner:
         if not possible or sum(self._replaced.values()) >= RESTARTS or (node.name == "plant" and rest < 1):
             raise RunError(what)
         self._replaced[node.name] = self._replaced.get(node.name, 0) + 1
+        self._watch.forget(node.name)
         if node.name == "plant":
             self._before = self._ticks_done
+            self._watch.forget(TICKS)
         if running:
             self.results.failures.append(f"{what}; it was started again{self._left_by(node)}")
         else:

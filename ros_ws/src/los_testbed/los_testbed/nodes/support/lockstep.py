@@ -57,6 +57,7 @@ class LockstepPacer:
                 return self.wait_for_recorder(now, AHEAD_NS)
             if self._context.stop:
                 return False
+            self._context.alive(waits_for=io.unanswered(following))
             self._on_any.wait(WAIT_NS)
 
     def wait_for_recorder(self, now: int, ahead: int = 0) -> bool:
@@ -77,5 +78,6 @@ class LockstepPacer:
                 break
             if self._context.stop or time.monotonic() > deadline:
                 return not self._context.stop
+            self._context.alive(waits_for=[self._io.progress_input.name])
             self._recorder.wait(WAIT_NS)
         return True

@@ -53,6 +53,9 @@ have no introspection: who used them is not known."""
 NO_FRAME = ""
 """Frame of a report: the state of a node has none."""
 
+ALIVE_S = 1.0
+"""A node tells the runner so often that it works [s]."""
+
 REPORT_S = 5.0
 """Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
 
@@ -111,6 +114,7 @@ class NodeContext:
         self.name = name
         self.process: NodeProcess = NodeProcess(name, arguments) if beside is None else beside.process
         self._first = beside is None
+        self._next_alive = 0.0
         managed = name in MANAGED
         self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
         self.config = declare_config(self.node, NAMES.get(name, ()))
@@ -190,8 +194,15 @@ class NodeContext:
             for line in lines:
                 self.node.get_logger().warning(line)
 
+    def alive(self, **content: Any) -> None:
+        """Tell the runner, once a second, that the node works, and what it does or waits for."""
+        if self.process.tells and (now := time.monotonic()) >= self._next_alive:
+            self._next_alive = now + ALIVE_S
+            self.event("alive", **content)
+
     def service(self) -> None:
         """Answer a request, if there is one."""
+        self.alive()
         if self._requests.waiting():
             if self.requesters is not None:
                 self.requesters.begin()

@@ -302,6 +302,11 @@ class PlantIo:
         """Whether all commands are those computed from the tick before `now_ns`."""
         return all(one.gate.fresh(now_ns) for one in self.commands)
 
+    def unanswered(self, now_ns: int) -> list[str]:
+        """Topics on which no command has come that was computed from the tick before `now_ns`."""
+        late = [one for one in self.commands if not one.gate.fresh(now_ns)]
+        return [reader.source.name for reader in self.readers if any(one in late for one in reader.inputs)]
+
     def apply(self, now_ns: int, out: FloatArray) -> None:
         """Write the command of a tick into `out` (8 and those of further actuators)."""
         for one in self.commands:

@@ -1,0 +1,41 @@
+"""A node that stops answering, or a tick that nobody completes: a line, then the end of the run with a readable bag."""
+
+import os
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy")
+from los_testbed.run.runner import Runner
+from ros_runs import PLANT, config_for
+
+from pointing_analysis.read.run import Run
+
+pytestmark = pytest.mark.ros
+
+
+def run_that_hangs(config, node):
+    """Results of a run in which this node is stopped after 200 ticks, and the lines that were told meanwhile."""
+    told, stopped = [], []
+
+    def progress(ticks):
+        if ticks >= 200 and not stopped:
+            stopped.append(runner.processes[node])
+            os.kill(stopped[0], signal.SIGSTOP)
+
+    runner = Runner(config, progress, tell=told.append, commands={"plant": PLANT})
+    return runner.run(), told
+
+
+@pytest.mark.parametrize(
+    ("mode", "node"),
+    [("lockstep", "estimator"), ("lockstep", "recorder"), ("realtime", "plant"), ("realtime", "controller")],
+)
+def test_a_stopped_node_ends_the_run_with_a_bag(tmp_path, mode, node):
+    """It is said after 5 s who is silent; after the time of the option the run ends, and the bag is whole."""
+    results, told = run_that_hangs(config_for(tmp_path, duration=60.0, mode=mode, hang_timeout=7.0), node)
+    assert told == [f"{node} has not answered for 5 s"]
+    assert results.failures == [f"{node} has not answered for 7 s: the run was ended (--hang-timeout)"]
+    run = Run.open(results.bag)
+    assert len(run["truth/los"]) >= 200
+    assert not [problem for problem in run.problems if "cut off" in problem]
