@@ -36,6 +36,7 @@ def config_for(folder: Path, **values: object) -> RunConfig:
         "domain": private_domain(),
         "wait_for_recorder": True,
         "start_timeout": 60.0,
+        "max_missed": 100.0,  # how many ticks are missed is a matter of the machine
         "start": "rest",  # of the telescope alone is it known what is steady
         **write_controllers(folder),
     }

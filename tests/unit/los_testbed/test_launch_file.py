@@ -142,6 +142,16 @@ def test_a_node_that_died_is_started_again_and_the_launch_fails_at_the_end(launc
         ends["recorder"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=True))
 
 
+def test_a_plant_that_missed_too_many_ticks_has_ended_and_the_launch_fails(launched):
+    """It is not started again: the run is over."""
+    _, ends = actions(launched)
+    (over,) = ends["plant"](SimpleNamespace(returncode=4), SimpleNamespace(is_shutdown=False))
+    assert over.event.reason == "plant ended with code 4"
+    ends["estimator_controller"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=True))
+    with pytest.raises(RuntimeError, match="plant ended with code 4"):
+        ends["recorder"](SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=True))
+
+
 def test_in_lockstep_a_node_that_dies_ends_the_run(launched):
     _, ends = actions(launched, mode="lockstep", composed="false")
     (over,) = ends["estimator"](SimpleNamespace(returncode=1), SimpleNamespace(is_shutdown=False))

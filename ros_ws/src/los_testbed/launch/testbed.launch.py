@@ -15,6 +15,7 @@ from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from los_testbed.config import NAMESPACE, RunConfig
+from los_testbed.exit_codes import ExitCode
 
 from pointing_analysis.files.structured_text import load_yaml, read_text
 
@@ -133,7 +134,7 @@ class RunEnd:
             code = event.returncode
             if code:
                 self.failures.append(f"{name} ended with code {code}")
-            if code and not context.is_shutdown and self.respawns[name]:
+            if code and code != ExitCode.MISSED_TICKS and not context.is_shutdown and self.respawns[name]:
                 self.respawns[name] -= 1
                 return [LogInfo(msg=f"{self.failures[-1]}; it is started again")]
             self.running.discard(name)

@@ -28,7 +28,7 @@ from los_testbed.factories import RunParts
 from los_testbed.run.modes import first_choice, in_lockstep, late_answers
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.processes.viewers import Live
-from los_testbed.run.results import Results, RunError
+from los_testbed.run.results import Results, RunError, check_missed
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
 from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
@@ -232,15 +232,12 @@ def _run_and_tell(
         raise typer.Exit(ended)
     if not whole:
         raise typer.Exit(ExitCode.FAILED)
-    if (share := missed_share(summaries.runs[0])) > parts.config.max_missed:
-        message = (
-            f"missed ticks must be at most {parts.config.max_missed:g} % (--max-missed), got {share:.2f} %: this "
-            "machine was too slow or too busy for the loop; --mode lockstep misses none on any; the bag is whole: "
-            f"{bag}"
-        )
+    try:
+        check_missed(missed_share(summaries.runs[0]), parts.config, f"; the bag is whole: {bag}")
+    except RunError as error:
         if parts.config.mode_choice is None:
-            raise RunError(message, ExitCode.MISSED_TICKS)
-        say(console, message, "warning")
+            raise
+        say(console, str(error), "warning")
 
 
 def configure(

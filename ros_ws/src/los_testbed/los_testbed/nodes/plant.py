@@ -39,7 +39,7 @@ from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
 from los_testbed.plants import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line, made_by
-from los_testbed.run.results import Exercised, in_statistics
+from los_testbed.run.results import Exercised, check_missed, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from pointing_analysis.read.unsent import UNSENT
@@ -180,6 +180,8 @@ class PlantLoop:
         context.event("done", statistics=self.statistics(), latency=self.latency.histogram())
         if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
+        if not context.process.tells:  # a runner, where there is one, judges the run by its record
+            check_missed(100.0 * self.missed / max(self.ticks, 1), context.config)
         return 0
 
     def _keeps_pace(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from los_testbed.config import RunConfig
+from los_testbed.exit_codes import ExitCode
 from los_testbed.topics import LATE_REPORTS, LIVELINESS_LOST, REPORT_DEADLINE_S
 
 MAX_MISSED = float(RunConfig.SETTINGS["max_missed"].default)
@@ -58,6 +59,37 @@ def in_statistics(exercised: Exercised) -> dict[str, str]:
         "exercised_lost": str(exercised.lost),
         "exercised_median_us": f"{exercised.median_us:.0f}",
     }
+
+
+def check_missed(share: float, config: RunConfig, rest: str = "") -> None:
+    """Refuse a run in real time that missed too much.
+
+    Parameters
+    ----------
+    share : float
+        Missed ticks [%].
+    config : RunConfig
+    rest : str
+        End of the message.
+
+    Raises
+    ------
+    RunError
+        More than ``max_missed``.
+
+    Examples
+    --------
+    >>> check_missed(0.4, RunConfig())
+    >>> check_missed(24.0, RunConfig(mode="lockstep"))
+    """
+    if config.mode != "realtime" or share <= config.max_missed:
+        return
+    remedy = "" if config.device else "; --mode lockstep misses none on any"
+    raise RunError(
+        f"missed ticks must be at most {config.max_missed:g} % (--max-missed), got {share:.2f} %: this machine was "
+        f"too slow or too busy for the loop{remedy}{rest}",
+        ExitCode.MISSED_TICKS,
+    )
 
 
 def counted(statistics: Mapping[str, Mapping[str, str]], beginning: str) -> dict[str, int]:
