@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -13,10 +14,12 @@ import time
 from pathlib import Path
 
 import pytest
+from los_testbed.bags.check import check_bag as check_of_bag
 from los_testbed.bags.repair import repair_bag
 
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 
 pytest.importorskip("rclpy")
 TIMES = int(os.environ.get("SIGNAL_TRIALS", "25"))
@@ -147,6 +150,27 @@ def test_a_run_ended_at_a_random_time(tmp_path: Path, mode: str, name: str) -> N
         folder = tmp_path / str(seed)
         folder.mkdir()
         trial(folder, mode, name, seed)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_the_bag_of_a_killed_program_says_that_its_run_ended_early(tmp_path: Path, mode: str) -> None:
+    """The nodes end in order when their program is gone: the file is whole, the run is not."""
+    process = started(tmp_path, mode, 600.0)
+    end = time.monotonic() + 120
+    while not list(tmp_path.glob("bag/*.mcap")):
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.1)
+    process.kill()
+    output_of(process)
+    while nodes_of(tmp_path / "bag"):
+        assert time.monotonic() < end, "processes are left"
+        time.sleep(0.2)
+    found = check_of_bag(tmp_path / "bag")
+    (row,) = [row for row in found.rows if row.state == "early"]
+    assert found.code == 0 and re.fullmatch(r"the run ended before its plan: after \d+ of 600000 ticks", row.found)
+    assert found.title == f"whole; {row.found}"
+    assert row.found in summarise(Run.open(tmp_path / "bag")).problems
 
 
 def recorder_trial(folder: Path, name: str, seed: int) -> None:

@@ -11,14 +11,16 @@ from los_testbed.bags.signature import is_signed_by, signature_file, write_signa
 from los_testbed.exit_codes import ExitCode
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
-from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
+from pointing_analysis.read.run_end import early_end
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-State = Literal["agrees", "none", "damaged", "contradicts"]
+State = Literal["agrees", "none", "early", "damaged", "contradicts"]
+"""``early``: whole, of a run that did not end by its plan."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,12 @@ class BagCheck:
     problems: tuple[str, ...]
     messages: dict[str, int]
     losses: tuple[TopicLoss, ...]
+
+    @property
+    def title(self) -> str:
+        """Whether it is whole, and that its run ended early."""
+        early = "".join(f"; {row.found}" for row in self.rows if row.state == "early")
+        return f"{'not whole' if self.code else 'whole'}{early}"
 
     @property
     def code(self) -> int:
@@ -125,6 +133,7 @@ def _check(
         Row("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
         counts,
         Row("lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))),
+        _end_of_run(infos),
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
@@ -204,6 +213,15 @@ def _counts(infos: list[FileInfo], bag: BagFiles, messages: Counter[str], incomp
     names = " and ".join(where for where, _ in sources)
     text = f"{messages.total()} messages of {len(messages)} topics"
     return Row("counts", "agrees", f"{text}, as in {names}") if sources else Row("counts", "none", text)
+
+
+def _end_of_run(infos: list[FileInfo]) -> Row | None:
+    """Whether the run ended by its plan; None where its recorder wrote no results."""
+    known = {key: value_of(text) for key, text in merged(infos)[0].items()}
+    if "statistics" not in known:
+        return None
+    early = early_end(known)
+    return Row("end of the run", "early", early) if early else Row("end of the run", "agrees", "by its plan")
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> Row:

@@ -42,6 +42,7 @@ from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.run.results import Exercised, check_missed, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
+from pointing_analysis.read.run_end import PLANNED
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 
@@ -399,6 +400,7 @@ class PlantLoop:
         outside = self.ticks - self.sent - self.unsent[UNSENT_TICKS]
         return {
             "ticks": str(self.ticks),
+            PLANNED: str(self.context.config.ticks),
             "missed_ticks": str(self.missed),
             "lost_periods": str(self.lost),
             **{f"{UNSENT}{name}": str(count) for name, count in sorted(self.unsent.items())},
