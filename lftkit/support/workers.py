@@ -22,6 +22,13 @@ _LARGEST_KEPT = 31 << 20  # bytes; glibc's largest bound is 32 MB
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # malloc.h
 
 
+def processors() -> int:
+    """Number of processors that this process may use; all of the machine where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class Workers:
     """Maps functions over items, in this process or in others: a context manager.
 

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from lftkit.support.input_files import read_bytes
+from lftkit.support.workers import processors
 from los_testbed import __version__
 from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
@@ -128,7 +129,7 @@ def cluster(scheduler: str, workers: int, tls: TlsFiles | None = None) -> Iterat
             yield client
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    count = workers or len(os.sched_getaffinity(0))
+    count = workers or processors()
     with local_cluster(count) as processes, Client(processes) as client:
         yield client
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.support.workers import processors
 from los_testbed.cli.options.options import with_options
 from los_testbed.cli.output import number
 
@@ -48,7 +48,7 @@ def with_cluster(command: Callable[..., None]) -> Callable[..., None]:
 def processes(workers: int) -> int:
     """The number of processes that an option asks for."""
     number("--workers", workers, 0, 1000)
-    return workers or len(os.sched_getaffinity(0))
+    return workers or processors()
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
+import platform
 import socket
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +19,9 @@ PORT_BASE, DOMAIN_GAIN, FIRST_PARTICIPANT, PARTICIPANT_GAIN = 7400, 250, 10, 2
 
 PARTICIPANTS = 32
 """So many of a machine are looked for: nodes may still run whose first participant has ended."""
+
+_NAMES_OF_THE_KERNEL = platform.system() == "Linux"
+"""Elsewhere a lock of a file in the temporary folder, which the end of the process frees, too."""
 
 
 @contextlib.contextmanager
@@ -49,6 +55,14 @@ def output_lock(bag: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _held(name: str, refusal: str) -> Iterator[None]:
     """Hold a name of the kernel, which frees it when the process ends, however it ends."""
+    if not _NAMES_OF_THE_KERNEL:
+        with open(Path(tempfile.gettempdir(), f"los_testbed_{name.replace('/', '_')}.lock"), "ab") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise ValueError(refusal) from None
+            yield
+        return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
         try:
             held.bind(f"\0los_testbed_{name}")

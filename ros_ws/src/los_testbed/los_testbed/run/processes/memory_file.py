@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+
+_IN_MEMORY = hasattr(os, "memfd_create")
+"""Linux has such files; elsewhere it is one of the temporary folder, without a name."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class MemoryFile:
     @property
     def path(self) -> str:
         """Path in this process, and in children that inherited the descriptor."""
-        return f"/proc/self/fd/{self.descriptor}"
+        return f"{'/proc/self/fd' if _IN_MEMORY else '/dev/fd'}/{self.descriptor}"
 
 
 @contextlib.contextmanager
@@ -35,10 +39,15 @@ def memory_file(data: bytes, name: str) -> Iterator[MemoryFile]:
     ...     stream.read()
     b'content'
     """
-    descriptor = os.memfd_create(name)
+    if _IN_MEMORY:
+        descriptor = os.memfd_create(name)
+    else:
+        with tempfile.TemporaryFile() as unnamed:
+            descriptor = os.dup(unnamed.fileno())
     try:
         with open(descriptor, "wb", closefd=False) as stream:
             stream.write(data)
+        os.lseek(descriptor, 0, os.SEEK_SET)  # /dev/fd of macOS opens the file where it stands
         yield MemoryFile(descriptor)
     finally:
         os.close(descriptor)

