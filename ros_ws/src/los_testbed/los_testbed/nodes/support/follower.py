@@ -17,7 +17,6 @@ from los_testbed.nodes.support.plant_clock import PlantClock
 from los_testbed.nodes.support.transport.bundle import Bundle
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
-from titop_plant.interface import TICK_NS
 
 WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000
@@ -193,10 +192,7 @@ class Follower:
         ]
         self._on_trigger = Waiter(self._context.node, self._subscriptions[-1:])
         self._on_any = Waiter(self._context.node, self._subscriptions)
-        early = [i for i, part in enumerate(synchronizer.parts[:-1]) if part.period_ns == TICK_NS]
-        # in lockstep each further wake-up would cost time: nothing goes on meanwhile
-        self._early = early if len(early) > 1 and not every else []
-        self._gathered = [-1] * len(inputs)
+        self._trigger = len(inputs) - 1
         self._clock = PlantClock() if mode == "realtime" else None  # in lockstep no time is too early
         self._begun = 0
         self._choose_working()
@@ -220,9 +216,8 @@ class Follower:
             law.context.event("ready")
         next_decision = 0
         while not all(law.context.ended for law in self._laws):
-            gathering = self._wait()
-            now = time.monotonic_ns()
-            self._begun = now - gathering
+            (self._on_any if self._synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
+            now = self._begun = time.monotonic_ns()
             self._drain()
             if now >= next_decision:
                 next_decision = now + DECISION_NS
@@ -255,66 +250,19 @@ class Follower:
                 law.report(self._synchronizer, self._names)
                 return
 
-    def _wait(self) -> int:
-        """Wait for the last sample of a tick; the time spent on the earlier ones meanwhile [ns].
-
-        Where there are several earlier ones, they are taken while the last one is still on its way (in real time).
-        """
-        synchronizer, spent, done = self._synchronizer, 0, 0
-        while done < len(self._early) and (done or not synchronizer.waiting):
-            self._on_any.wait(WAIT_NS)
-            start_time, before = time.monotonic_ns(), done
-            while done < len(self._early) and self._gather(self._early[done], start_time):
-                done += 1
-            spent += time.monotonic_ns() - start_time
-            if done == before:  # another one, or nothing has come
-                return spent
-        (self._on_any if synchronizer.waiting else self._on_trigger).wait(WAIT_NS)
-        return spent
-
-    def _gather(self, index: int, steady: int) -> bool:
-        """Take a sample of a topic that comes at every tick, if there is one."""
-        subscription = self._subscriptions[index]
-        if (taken := subscription.take()) is None:
-            return False
-        if self._clock is not None:
-            self._synchronizer.now = self._clock.now(steady)
-        source = subscription.sort(taken, steady)
-        self._put(index, taken[0], source)
-        self._gathered[index] = stamp_of(taken[0]) if not source and len(taken[0]) >= 12 else -1
-        return True
-
     def _drain(self) -> None:
-        """Take what has come.
-
-        The trigger is taken first. It carries the newest stamp, and the other topics are taken up to
-        that stamp: no take is spent on asking whether there is more.
-        """
-        synchronizer, steady = self._synchronizer, time.monotonic_ns()
-        trigger = len(self._subscriptions) - 1
-        waiting, newest = [], -1
-        while (taken := self._subscriptions[trigger].take()) is not None:
-            source = self._subscriptions[trigger].sort(taken, steady)
-            waiting.append((taken[0], source))
-            newest = stamp_of(taken[0]) if len(taken[0]) >= 12 else newest
-            if self._clock is not None and not source and newest > HOLD_STAMP:
-                self._clock.note(newest, steady)
-        if self._clock is not None:
-            synchronizer.now = self._clock.now(steady)
-        for index in range(trigger):
-            period = synchronizer.parts[index].period_ns
-            due = newest - newest % period if newest > 0 else newest
-            subscription, gathered = self._subscriptions[index], self._gathered[index]
-            seen = gathered if gathered == due else -1
-            self._gathered[index] = -1
-            while seen < due or newest <= 0:
-                taken = subscription.take()
-                if taken is None:
-                    break
-                seen = stamp_of(taken[0]) if len(taken[0]) >= 12 else seen
-                self._put(index, taken[0], subscription.sort(taken, steady))
-        for data, source in waiting:
-            self._put(trigger, data, source)
+        """Take what has come; the topic that wakes the loop last, so that it completes the tick."""
+        synchronizer, clock, steady = self._synchronizer, self._clock, time.monotonic_ns()
+        for index, subscription in enumerate(self._subscriptions):
+            while (taken := subscription.take()) is not None:
+                source = subscription.sort(taken, steady)
+                if clock is not None:
+                    stamp = stamp_of(taken.data) if len(taken.data) >= 12 and not source else HOLD_STAMP
+                    if index == self._trigger and stamp > HOLD_STAMP:
+                        clock.note(stamp, steady)
+                    synchronizer.now = clock.now(steady)
+                self._put(index, taken.data, source)
+                clock = self._clock  # another one where another run begins
 
     def _put(self, index: int, data: bytes, source: str) -> None:
         """Hand a message to the synchronizer; where it completes a tick, step the laws and send what they give."""
