@@ -47,10 +47,18 @@ class Statement:
     figures: tuple[str, ...]
     checked: bool
     relative: float | None = None
-    with_noise: tuple[str, ...] = ()
-    """Proven sums of tones and noise, each with its limit; none where the noise was not proven."""
-    probabilities: tuple[float, ...] = ()
-    """With which each of these sums is kept."""
+    sums: tuple[ErrorSum, ...] = ()
+    """Proven sums of tones and noise; none where the noise was not proven."""
+
+    @property
+    def with_noise(self) -> tuple[str, ...]:
+        """These sums, each with its limit."""
+        return tuple(row.short_text for row in self.sums)
+
+    @property
+    def probabilities(self) -> tuple[float, ...]:
+        """With which each of these sums is kept."""
+        return tuple(float(row.probability or 0.0) for row in self.sums)
 
     @property
     def text(self) -> str:
@@ -65,13 +73,16 @@ class Statement:
 
         Examples
         --------
-        >>> sums = ("APE 9.947 of 12 arcsec", "slow tone 65.581 of 90 mas")
-        >>> Statement("0", (), True, None, sums, (0.997, 0.997)).noise_text
+        >>> from dataclasses import replace
+        >>> names = ("APE, tone of norm 1 and noise", "RPE, slow tone of norm 1 and noise")
+        >>> sums = ErrorSum(names[0], 9.947, 12.0, "arcsec", 0.997), ErrorSum(names[1], 65.581, 90.0, "mas", 0.997)
+        >>> Statement("0", (), True, None, sums).noise_text
         'with noise, proven: APE 9.947 of 12 arcsec, slow tone 65.581 of 90 mas, each with probability 0.997'
-        >>> Statement("0", (), True, None, sums, (0.997, 0.9999)).noise_text[20:]
+        >>> other = replace(sums[1], probability=0.9999)
+        >>> Statement("0", (), True, None, (sums[0], other)).noise_text[20:]
         'APE 9.947 of 12 arcsec with probability 0.997, slow tone 65.581 of 90 mas with probability 0.9999'
         """
-        if not self.with_noise:
+        if not self.sums:
             return ""
         words = [probability_text(part) for part in self.probabilities]
         if len(set(words)) == 1:
@@ -121,8 +132,7 @@ def statement_of(
         found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
         sums = _sums(shipped, stage, levels, parameters)
-        texts, parts = tuple(row.short_text for row in sums), tuple(float(row.probability or 0.0) for row in sums)
-        return Statement(shipped["name"], found, True, relative_error(levels), texts, parts) if found else None
+        return Statement(shipped["name"], found, True, relative_error(levels), tuple(sums)) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
     from lftkit.proofs.trusted.proof import ProofError

@@ -11,7 +11,7 @@ from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
-from pointing_analysis.requirements.rows import css_class, digits, overall
+from pointing_analysis.requirements.rows import css_class, digits
 from pointing_analysis.requirements.summary import WINDOW, Summary
 from pointing_analysis.spectra.spectra import Line
 
@@ -98,7 +98,7 @@ def _amplitude(line: Line, axis: int) -> str:
 
 def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) -> dict[str, Any]:
     """Everything that the page shows of one run, ready to print."""
-    status = overall(s.verdicts)
+    status = s.overall
     return {
         "label": label,
         "status": status,

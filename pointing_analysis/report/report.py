@@ -38,7 +38,7 @@ from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
 from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.report.source_share import SourceShare
-from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits
+from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits, rows_of
 from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
@@ -212,10 +212,9 @@ def pictures(
 def _rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:
     """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
     several = len(names) > 1
-    judged = [(name, v) for name, s in zip(names, summaries) for v in s.verdicts]
-    joint = {str(v.requirement): v for _, v in judged if several and v.requirement.across_runs}
-    own = [RequirementRow.of(v, name) for name, v in judged if str(v.requirement) not in joint]
-    return own + [RequirementRow.of(v, ALL_RUNS) for v in joint.values()]
+    joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
+    own = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
+    return [row for row in own if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
 
 
 def _limits(requirements: Sequence[Requirement], index: str) -> list[float]:
@@ -306,7 +305,6 @@ def render(
         names=names,
         several=len(runs) > 1,
         rows=rows,
-        bound="Bound" if any(row.lower for row in rows) else "Upper bound",
         beyond="Time beyond limit" if any(row.lower for row in rows) else "Time above limit",
         unknown=all(not s.requirements_known for s in summaries) and UNKNOWN,
         cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],

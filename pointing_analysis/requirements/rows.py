@@ -6,14 +6,20 @@ Each output is made of the same rows, so that none of them can say what another 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from pointing_analysis.requirements.guarantee import ProvenBound
 from pointing_analysis.requirements.verdict import Status, Verdict
+from pointing_analysis.rounding import at_most
+from pointing_analysis.units import ANGLES
 
 KEEPS = "keeps its limits"
 """Shown for a run that keeps a limit and is too short to prove it."""
+DISTURBED = "disturbed"
+"""Shown for a run in real time in which more ticks were missed than may be."""
 ABSENT = "–"
 ALL_RUNS = "all runs"
 
@@ -59,13 +65,34 @@ def shown_status(v: Verdict) -> str:
     return KEEPS if v.status == "not enough data" and v.keeps else v.status
 
 
-def overall(verdicts: Sequence[Verdict]) -> str:
-    """One word for several verdicts: the worst of them."""
+def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
+    """One word for several verdicts: the worst of them, or that the run was `disturbed`."""
+    if disturbed and verdicts:
+        return DISTURBED
     found = {shown_status(v) for v in verdicts}
     for status in ("not compliant", "not enough data", "not judged", KEEPS):
         if status in found:
             return status
     return "compliant" if found else "not judged"
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What else is known of a requirement in a run.
+
+    Attributes
+    ----------
+    proven : bound that is proven for the loop and the tones that act; None where none is
+    unproven : what is said where the run is too short for a bound and none is proven
+    disturbed : why the verdict is not of the loop alone; empty where it is
+    """
+
+    proven: ProvenBound | None = None
+    unproven: str = "none: too short a record"
+    disturbed: str = ""
+
+
+NOTHING = Beside()
 
 
 @dataclass(frozen=True)
@@ -92,6 +119,8 @@ class RequirementRow:
     missing : samples that are missing
     note : of the verdict
     lower : whether the limit is a lower one
+    beside : what else is known of it
+    named : whether other requirements of the table are on the same quantity, so that the name tells them apart
     """
 
     run: str
@@ -114,12 +143,15 @@ class RequirementRow:
     missing: float
     note: str
     lower: bool = False
+    beside: Beside = NOTHING
+    named: bool = False
 
     @classmethod
-    def of(cls, verdict: Verdict, run: str = "") -> RequirementRow:
+    def of(cls, verdict: Verdict, run: str = "", beside: Beside = NOTHING, named: bool = False) -> RequirementRow:
         """Row of a verdict."""
         r, scale = verdict.requirement, verdict.requirement.scale
         judged = verdict.status != "not judged"
+        disturbed = f"{DISTURBED}: {beside.disturbed}; " if beside.disturbed else ""
         tail = "" if r.interpretation == "temporal" else f", {r.interpretation}"
         return cls(
             run=run,
@@ -132,8 +164,8 @@ class RequirementRow:
             bound=(verdict.quantile.lower if r.lower else verdict.quantile.upper) / scale if judged else math.nan,
             confidence=r.confidence,
             status=verdict.status,
-            shown=shown_status(verdict),
-            statement=verdict.statement,
+            shown=DISTURBED if beside.disturbed else shown_status(verdict),
+            statement=f"{disturbed}{verdict.statement}",
             remark=_remark(verdict),
             exceeding=verdict.exceeding,
             samples=verdict.samples,
@@ -142,7 +174,14 @@ class RequirementRow:
             missing=verdict.missing,
             note=verdict.note,
             lower=r.lower,
+            beside=beside,
+            named=named,
         )
+
+    @property
+    def label(self) -> str:
+        """Judged quantity, behind the name where others are on the same one."""
+        return f"{self.name}: {self.quantity}" if self.named and self.name else self.quantity
 
     @property
     def css(self) -> str:
@@ -161,11 +200,15 @@ class RequirementRow:
 
     @property
     def bound_text(self) -> str:
-        """Upper bound with its unit and its confidence, or that there is none yet; a lower one says so."""
+        """Bound of the quantile with its unit and its confidence; of a lower limit the lower one, which says so.
+
+        Where the record shows none, the bound that is proven for the loop, or that there is none.
+        """
         if math.isnan(self.bound):
             return ABSENT
         if math.isinf(self.bound):
-            return "none yet"
+            proven = self.beside.proven
+            return self.beside.unproven if proven is None else proven.text(self._scale, self.unit)
         bound = with_unit(f"{'above ' if self.lower else ''}{digits_beside(self.bound, self.limit)}", self.unit)
         return f"{bound} at {100 * self.confidence:g} %"
 
@@ -199,6 +242,11 @@ class RequirementRow:
         return "open" if math.isnan(self.value) else "ok" if self._margin >= 0 else "bad"
 
     @property
+    def _scale(self) -> float:
+        """Value of the unit [rad]."""
+        return ANGLES.get(self.unit, 1.0)
+
+    @property
     def _margin(self) -> float:
         return self.value - self.limit if self.lower else self.limit - self.value
 
@@ -214,6 +262,8 @@ class RequirementRow:
             "limit": number(self.limit),
             **({"lower_bound": number(self.bound)} if self.lower else {"upper_bound": number(self.bound)}),
             "confidence": number(self.confidence),
+            **self._proven_dict(),
+            **({"disturbed": self.beside.disturbed} if self.beside.disturbed else {}),
             "unit": self.unit,
             "exceeding": number(self.exceeding),
             "effective_samples": number(self.effective),
@@ -221,6 +271,23 @@ class RequirementRow:
             "missing": number(self.missing),
             "note": self.note,
         }
+
+    def _proven_dict(self) -> dict[str, Any]:
+        """Proven bound for JSON, rounded up."""
+        proven = self.beside.proven
+        if proven is None:
+            return {}
+        value = float(at_most(proven.value / self._scale, 6))
+        condition = {"proven_without": proven.condition} if proven.condition else {}
+        return {"proven_bound": value, "proven_probability": proven.probability, **condition}
+
+
+def rows_of(verdicts: Sequence[Verdict], beside: Sequence[Beside], run: str = "") -> list[RequirementRow]:
+    """Rows of the verdicts on one run; no two of them have the same label unless their names are the same."""
+    more = list(beside) or [NOTHING] * len(verdicts)
+    rows = [RequirementRow.of(verdict, run, one) for verdict, one in zip(verdicts, more, strict=True)]
+    count = Counter(row.quantity for row in rows)
+    return [replace(row, named=count[row.quantity] > 1) for row in rows]
 
 
 def _remark(v: Verdict) -> str:
@@ -240,15 +307,10 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit else text
 
 
-HEADS = ("requirement", "value", "limit", "upper bound", "verdict")
+HEADS = ("requirement", "value", "limit", "bound", "verdict")
 """Headings of `cells`."""
-
-
-def heads(rows: Sequence[RequirementRow]) -> tuple[str, ...]:
-    """Headings of a table: of a bound on either side where a limit is a lower one."""
-    return tuple("bound" if head == "upper bound" and any(r.lower for r in rows) else head for head in HEADS)
 
 
 def cells(row: RequirementRow) -> tuple[str, str, str, str, str]:
     """A row as texts for a table of the screen or of Markdown, under `HEADS`."""
-    return row.quantity, row.value_text, row.limit_text, row.bound_text, row.verdict_text
+    return row.label, row.value_text, row.limit_text, row.bound_text, row.verdict_text

@@ -31,8 +31,17 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run_end import early_end
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import unsent
+from pointing_analysis.requirements.guarantee import NO_PROOF, proven_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
-from pointing_analysis.requirements.rows import RequirementRow, digits, number, with_unit
+from pointing_analysis.requirements.rows import (
+    Beside,
+    RequirementRow,
+    digits,
+    number,
+    overall,
+    rows_of,
+    with_unit,
+)
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
@@ -154,6 +163,7 @@ class Summary:
     star : exposures of a star of 20 ms; None where no optics are known
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
+    beside : of each verdict what else is known of it
     """
 
     path: Path
@@ -187,11 +197,17 @@ class Summary:
     star: StarExposures | None = None
     kind: str = "bag"
     sampling: str = ""
+    beside: tuple[Beside, ...] = ()
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
         """Row of the table of requirements for each verdict."""
-        return tuple(RequirementRow.of(verdict) for verdict in self.verdicts)
+        return tuple(rows_of(self.verdicts, self.beside))
+
+    @property
+    def overall(self) -> str:
+        """One word for all verdicts."""
+        return overall(self.verdicts, self.beside[0].disturbed if self.beside else "")
 
     @property
     def image(self) -> ImageSummary | None:
@@ -289,6 +305,27 @@ def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Req
     """Requirements that apply to the loop stage of a run (all, if the bag does not name it)."""
     loop = run.parameters.get("loop")
     return tuple(r for r in requirements if not r.loops or loop is None or loop in r.loops)
+
+
+def beside_of(run: Recording, requirement: Requirement) -> Beside:
+    """What a recording says of a requirement beside its samples: a proven bound, ticks that were missed."""
+    proven = proven_bound(run, requirement)
+    unproven = {"unproven": NO_PROOF} if "loop" in run.parameters else {}
+    return Beside(proven, disturbed=_disturbed(run), **unproven)
+
+
+def _disturbed(run: Recording) -> str:
+    """Ticks that were missed in real time, where they were more than the run permits; empty elsewhere."""
+    plant = _plant_statistics(run)
+    try:
+        missed, ticks = (int(plant.get(name, 0)) for name in ("missed_ticks", "ticks"))
+        most = float(run.parameters.get("max_missed", math.inf))
+    except (TypeError, ValueError):
+        return ""
+    share = 100.0 * missed / max(ticks, 1)
+    if run.parameters.get("mode") != "realtime" or not share > most:
+        return ""
+    return f"{share:.3g} % of the ticks were missed"
 
 
 def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
@@ -431,6 +468,7 @@ def summarise(
         problems.append(
             "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
         )
+    asked = applicable(known or (), run)
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
@@ -444,7 +482,8 @@ def summarise(
         lost_by_topic=lost,
         camera_dropped=dropped,
         knowledge=_knowledge(run, transient),
-        verdicts=tuple(judge(r, [run], transient) for r in applicable(known or (), run)),
+        verdicts=tuple(judge(r, [run], transient) for r in asked),
+        beside=tuple(beside_of(run, r) for r in asked),
         requirements_known=known is not None,
         problems=tuple(problems),
         losses=run.losses,

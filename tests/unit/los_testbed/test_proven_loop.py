@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from los_testbed.bags.metadata import final_metadata, run_metadata
-from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_KEYS, proof_of
+from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
@@ -61,7 +61,9 @@ def test_another_loop_has_no_proof(settings: dict[str, Any], reason: str) -> Non
 def test_the_proven_loop_has_one(settings: dict[str, Any]) -> None:
     """Other members, tones, seeds and machines are those of the proof."""
     found = proof_of(RunParts(RunConfig(**settings)))
-    assert set(found) == set(PROOF_KEYS) and found["proof"].startswith("proven for every telescope of the family")
+    others = settings.get("scenario", "worst_case") != "worst_case" and settings.get("disturbance", True)
+    assert set(found) == set(PROOF_KEYS) - ({PROOF_BOUNDS} if others else set()), "bounds are for its tone of norm 1"
+    assert found["proof"].startswith("proven for every telescope of the family")
 
 
 def test_every_setting_is_admitted_judged_or_fixed() -> None:
@@ -89,7 +91,6 @@ def test_several_reasons_stand_in_one_line() -> None:
 @pytest.mark.parametrize(
     ("node", "values", "reason"),
     [
-        ("plant", {"missed_ticks": "3"}, "3 ticks had an older command"),
         ("plant", {"changes": '[{"tick": 5, "name": "camera_dropout", "value": 0.5}]'}, "camera_dropout changed"),
         ("controller", {"changes": '[{"tick": 5, "name": "loop", "value": "fsm"}]'}, "loop changed"),
         ("estimator", {"changes": '[{"tick": 5, "name": "active", "value": false}]'}, "what was active changed"),
@@ -100,7 +101,18 @@ def test_what_happened_in_the_run_counts_at_its_end(node: str, values: dict[str,
     parts = RunParts(RunConfig(mode="lockstep", start="rest"))
     assert run_metadata(parts)["proof"].startswith("proven")
     found = final_metadata(parts, {node: values})
-    assert [found[key] for key in PROOF_KEYS] == [f"no proof of this run: {reason}", "", ""]
+    assert [found[key] for key in PROOF_KEYS] == [f"no proof of this run: {reason}", "", "", ""]
+
+
+def test_ticks_with_an_older_command_leave_the_bound_of_the_loop() -> None:
+    """It says without what it is proven; there is no proof of the run."""
+    parts = RunParts(RunConfig(mode="lockstep", start="rest"))
+    found = final_metadata(parts, {"plant": {"missed_ticks": "3"}})
+    assert found["proof"] == "no proof of this run: 3 ticks had an older command"
+    assert not found["proof_noise"] and not found["proof_rpe"]
+    bounds = json.loads(found[PROOF_BOUNDS])
+    assert bounds["condition"] == "3 missed ticks" and bounds["window_s"] == 0.02
+    assert json.loads(run_metadata(parts)[PROOF_BOUNDS]) == {**bounds, "condition": ""}
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def seen(row: dict[str, Any]) -> list[str]:
     unit = row["unit"]
     not_judged = row["status"] == "not judged"
     value = "–" if row["quantile"] is None else f"{digits(row['quantile'])} {unit}"
-    bound = "–" if not_judged else "none yet"
+    bound = "–" if not_judged else "none: too short a record"
     if row["upper_bound"] is not None:
         bound = f"{digits(row['upper_bound'])} {unit} at {100 * row['confidence']:g} %"
     verdict = f"{row['statement']}: {row['note']}" if not_judged else row["statement"]
@@ -123,7 +123,7 @@ def test_all_outputs_agree(seed: int, tmp_path: Path, monkeypatch: pytest.Monkey
             joint = count > 1 and requirement.across_runs
             on_page = shown["all runs" if joint else run.path.name, row["text"]]
             _, value, limit, bound, _ = seen(row)
-            assert [on_page[head] for head in ("Quantile", "Limit", "Upper bound")] == [value, limit, bound]
+            assert [on_page[head] for head in ("Quantile", "Limit", "Bound")] == [value, limit, bound]
             words = {"not enough data": ("not enough data", "keeps its limits")}.get(row["status"], (row["status"],))
             assert on_page["Verdict"] in words
             assert ("keeps" in on_page["Verdict"]) == row["statement"].startswith(("keeps its limit", "at its limit"))

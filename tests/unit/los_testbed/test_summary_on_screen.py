@@ -164,7 +164,6 @@ def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> Non
     assert {str(c.header): c.justify for c in table.columns if c.justify == "right"}.keys() == {
         "value",
         "limit",
-        "upper bound",
     }
     judged = {row.quantity for row in summary.rows}
     beside = [figure for figure in summary.figures if figure.quantity not in judged]

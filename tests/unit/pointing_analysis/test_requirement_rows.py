@@ -125,7 +125,7 @@ def test_remarks() -> None:
     assert remark(note="cut off") == "13 s would prove it. cut off"
     assert RequirementRow.of(verdict(note="2 of 9 are missing")).remark == "2 of 9 are missing"
     no_bound = RequirementRow.of(replace(OPEN, quantile=replace(OPEN.quantile, upper=math.inf)))
-    assert no_bound.bound_text == "none yet" and no_bound.as_dict()["upper_bound"] is None
+    assert no_bound.bound_text == "none: too short a record" and no_bound.as_dict()["upper_bound"] is None
 
 
 def test_shown_and_overall() -> None:

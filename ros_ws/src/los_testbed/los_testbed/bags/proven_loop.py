@@ -10,13 +10,19 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import ACTIVE, RunConfig, is_code
 from los_testbed.factories import RunParts
+from pointing_analysis.requirements import guarantee
+from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
+from pointing_analysis.units import ANGLES
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.telescope.parameters import design_basis, parameters_hash
+
+if TYPE_CHECKING:
+    from los_design.verification.statements import Statement
 
 ADMITTED = frozenset(
     {
@@ -49,7 +55,7 @@ JUDGED = frozenset(
 )
 """Settings that a proof admits with some values, see :func:`reasons_against`; any other must have its default."""
 
-PROOF_KEYS = ("proof", "proof_noise", PROOF_RPE)
+PROOF_KEYS = ("proof", "proof_noise", PROOF_RPE, PROOF_BOUNDS)
 """Keys of a bag's metadata that :func:`proof_of` makes."""
 
 OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
@@ -59,7 +65,8 @@ OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
 def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, str]:
     """What is proven of a run's loop: lines under ``proof`` and ``proof_noise``; bound of the RPE under ``proof_rpe``.
 
-    Nothing for a stage without fine control.
+    Bounds with noise are under ``proof_bounds`` (:mod:`pointing_analysis.requirements.guarantee`), also of a run of
+    which there is no proof for nothing else than ticks with an older command. Nothing for a stage without fine control.
 
     Parameters
     ----------
@@ -73,20 +80,43 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
     from los_design.verification.statements import NO_PROOF, statement_of
     from los_design.verification.subject import Subject
 
-    against = [*reasons_against(parts), *_happened(statistics or {})]
+    missed, changed = _missed(statistics or {}), _happened(statistics or {})
+    late = [f"{_ticks(missed)} had an older command"] * (missed > 0)
+    against = [*reasons_against(parts), *changed]
     if against:
-        return {"proof": f"no proof of this run: {'; '.join(against)}"}
+        return {"proof": f"no proof of this run: {'; '.join([*late, *against])}"}
     folders = {path.parent for path in parts.files.values()}
     folder = folders.pop() if len(folders) == 1 else None
     subject = Subject.of(**parts.models, telescope=parameters_hash(parts.parameters))
     found = statement_of(subject, config.loop, folder, parts.parameters)
     if found is None:
         return {"proof": NO_PROOF}
-    said = {"proof": found.text} | ({"proof_noise": found.noise_text} if found.noise_text else {})
+    bounds = _bounds(parts, found, missed)
+    if late:
+        return {"proof": f"no proof of this run: {late[0]}", **bounds}
+    said = bounds | {"proof": found.text} | ({"proof_noise": found.noise_text} if found.noise_text else {})
     if found.relative is None:
         return said
     window = float(parts.parameters["weights"]["rpe_window"])
     return {**said, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
+
+
+def _bounds(parts: RunParts, found: Statement, missed: int) -> dict[str, str]:
+    """Bounds with noise, for the tone of norm 1 that the scenario makes; nothing for other disturbances."""
+    from los_design.verification.error_sum import WITH_NOISE
+
+    config = parts.config
+    if not found.sums or not (config.scenario == "worst_case" or not config.disturbance):
+        return {}
+    kinds = {
+        "APE": guarantee.ABSOLUTE,
+        "slow tone": guarantee.SLOW,
+        "fast tone": guarantee.FAST,
+        "both": guarantee.BOTH,
+    }
+    content = {kinds[WITH_NOISE[row.name]]: (row.value * ANGLES[row.unit], row.probability) for row in found.sums}
+    window = float(parts.parameters["weights"]["rpe_window"])
+    return {PROOF_BOUNDS: json.dumps({**content, "window_s": window, "condition": _ticks(missed, "missed ")})}
 
 
 def reasons_against(parts: RunParts) -> list[str]:
@@ -134,13 +164,21 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _missed(statistics: Mapping[str, Mapping[str, str]]) -> int:
+    """Ticks for which no command came in time."""
+    missed = str(statistics.get("plant", {}).get("missed_ticks", "0"))
+    return int(missed) if missed.isdecimal() else 0
+
+
+def _ticks(count: int, which: str = "") -> str:
+    """Number of ticks in words; empty without any."""
+    return f"{count} {which}{'tick' if count == 1 else 'ticks'}" if count else ""
+
+
 def _happened(statistics: Mapping[str, Mapping[str, str]]) -> list[str]:
     """What made another loop of it while it ran, one phrase each."""
     plant = statistics.get("plant", {})
     found = ["plant is an object of a program"] if "plant" in plant else []
-    missed = str(plant.get("missed_ticks", "0"))
-    if missed.isdecimal() and int(missed) > 0:
-        found.append(f"{missed} {'tick' if int(missed) == 1 else 'ticks'} had an older command")
     rows = [row for values in statistics.values() for row in _changes(values.get("changes", ""))]
     changed = {str(row["name"]) for row in rows if row.get("name") in OTHER_LOOP}
     changed |= {"what was active" for row in rows if row.get("name") == ACTIVE and not row.get("value")}

@@ -13,7 +13,8 @@ from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select,
 from los_testbed.run.summary import worst_case_rows
 from los_testbed.run.summary.screen import numbers
 from pointing_analysis.indices.errors import RAD_PER_MAS
-from pointing_analysis.requirements.rows import cells, heads
+from pointing_analysis.requirements.rows import HEADS as ROW_HEADS
+from pointing_analysis.requirements.rows import cells
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -114,10 +115,8 @@ def requirement_rows(results: Sequence[StageResult], scenario: str) -> list[list
     return [[loop, *cells(row)] for loop, r in found if r is not None and r.summary for row in r.summary.rows]
 
 
-def requirement_heads(results: Sequence[StageResult], scenario: str) -> tuple[str, ...]:
-    """Headings of `requirement_rows`."""
-    found = [select(results, scenario, loop, "all").get("nominal") for loop in stages_of(results)]
-    return ("stage", *heads([row for r in found if r is not None and r.summary for row in r.summary.rows]))
+REQUIREMENT_HEADS = ("stage", *ROW_HEADS)
+"""Headings of `requirement_rows`."""
 
 
 def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
@@ -138,9 +137,7 @@ def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
                 yield table
         judged = requirement_rows(results, scenario)
         if judged:
-            yield _plain_table(
-                requirement_heads(results, scenario), judged, f"{scenario}: requirements, nominal telescope"
-            )
+            yield _plain_table(REQUIREMENT_HEADS, judged, f"{scenario}: requirements, nominal telescope")
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
         if found:
             yield _plain_table(
@@ -203,7 +200,7 @@ def markdown(results: Sequence[StageResult], plan: Plan) -> str:
             lines += [
                 "Requirements, nominal telescope:",
                 "",
-                *_markdown_table(requirement_heads(results, scenario), table),
+                *_markdown_table(REQUIREMENT_HEADS, table),
                 "",
             ]
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)

@@ -87,7 +87,7 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
-    from pointing_analysis.requirements.rows import digits, overall
+    from pointing_analysis.requirements.rows import digits
     from pointing_analysis.requirements.summary import UNKNOWN
 
     texts = (Column("run", overflow="fold"), Column("verdict", no_wrap=True))
@@ -95,7 +95,7 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
     table = Table(*heads, title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
-        table.add_row(Text(name), overall(s.verdicts), ape, rpe, f"{s.transient:g} s", s.lost_text())
+        table.add_row(Text(name), s.overall, ape, rpe, f"{s.transient:g} s", s.lost_text())
     console.print(table)
     if not all(s.requirements_known for s in found):
         say(console, UNKNOWN, "note")

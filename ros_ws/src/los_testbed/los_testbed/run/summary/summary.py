@@ -27,7 +27,7 @@ from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
-from pointing_analysis.requirements.rows import cells, heads
+from pointing_analysis.requirements.rows import HEADS, cells
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
@@ -304,8 +304,8 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
     table = Table(title=Text(title, style="table.title"))
-    for head in heads(summary.rows):
-        table.add_column(head, justify="right" if head in ("value", "limit", "upper bound", "bound") else "left")
+    for head in HEADS:
+        table.add_column(head, justify="right" if head in ("value", "limit") else "left")
     for row in summary.rows:
         style = {"ok": "green", "bad": "red"}.get(row.css, "")
         table.add_row(*cells(row)[:-1], Text(printable(row.verdict_text), style=style))

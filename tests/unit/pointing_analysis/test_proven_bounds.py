@@ -1,0 +1,121 @@
+"""Bounds that are proven for a loop, beside what a short run shows."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pointing_analysis.requirements.guarantee import proven_bound
+from pointing_analysis.requirements.rows import DISTURBED, Beside, overall, rows_of
+from pointing_analysis.requirements.summary import beside_of
+from pointing_analysis.requirements.text import parse
+from pointing_analysis.requirements.verdict import decide
+from pointing_analysis.units import ANGLES
+
+MAS = ANGLES["mas"]
+BOUNDS = {
+    "APE": [9.9771e3 * MAS, 0.997],
+    "slow": [39.8732 * MAS, 0.997],
+    "fast": [39.9841 * MAS, 0.997],
+    "both": [42.9543 * MAS, 0.997],
+    "window_s": 0.02,
+    "condition": "",
+}
+RPE = "prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence"
+
+
+def recorded(tones: Any = (378.2,), **more: Any) -> Any:
+    budget = {"noise": 1.0, "band_edge_rad_s": 85.0}
+    return SimpleNamespace(
+        parameters={"proof_bounds": BOUNDS, "rpe_budget_mas": budget, "tones_rad_s": list(tones), "loop": "fsm"} | more
+    )
+
+
+@pytest.mark.parametrize(
+    ("tones", "mas"),
+    [((378.2,), 39.9841), ((0.7,), 39.8732), ((0.7, 378.2), 42.9543), ((), 42.9543), ((85.0,), 39.8732)],
+)
+def test_the_bound_is_that_of_the_tones_that_act(tones: tuple[float, ...], mas: float) -> None:
+    found = proven_bound(recorded(tones), parse(RPE, "RPE"))
+    assert found is not None and found.value == pytest.approx(mas * MAS) and found.probability == 0.997
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        RPE.replace("20 ms", "50 ms"),
+        RPE.replace("0.997", "0.9999"),
+        RPE.replace("rms RPE(20 ms)", "|RPE(20 ms)|"),
+        RPE.replace("rms RPE(20 ms)", "|PDE(20 ms, 1 s)|"),
+        "prob(MTF(20 ms, Nyquist) > 0.9) >= 0.997 at 95 % confidence",
+        "prob(|APE_x| < 10 arcsec) >= 0.997 at 95 % confidence",
+    ],
+)
+def test_another_window_probability_or_index_has_none(text: str) -> None:
+    assert proven_bound(recorded(), parse(text, "other")) is None
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        None,
+        [],
+        {"fast": 3.0},
+        {"fast": [None, 0.997]},
+        {"fast": [-1e-7, 0.997]},
+        {"fast": [1e-7, 1.5]},
+        {"fast": [1e-7]},
+    ],
+)
+def test_what_is_no_bound_is_none(odd: Any) -> None:
+    found = {"window_s": 0.02, **odd} if isinstance(odd, dict) else odd
+    assert proven_bound(recorded(proof_bounds=found), parse(RPE, "RPE")) is None
+
+
+def test_a_row_has_the_proven_bound_where_the_record_shows_none() -> None:
+    """Rounded up, in the unit of the requirement, with its probability; the same in JSON."""
+    requirement = parse(RPE, "RPE, finest")
+    short = decide(requirement, 25.0 * MAS * (1 + 0.1 * (1.0 * np.arange(100) % 2)), 100.0, 2.0)
+    (row,) = rows_of([short], [beside_of(recorded(), requirement)])
+    assert row.bound_text == "39.99 mas, proven (99.7 %)"
+    assert row.as_dict()["proven_bound"] == pytest.approx(39.9841, abs=2e-4) and row.as_dict()["upper_bound"] is None
+    late = recorded(proof_bounds={**BOUNDS, "condition": "16 missed ticks"})
+    (row,) = rows_of([short], [beside_of(late, requirement)])
+    assert row.bound_text == "39.99 mas, proven (99.7 %) without the 16 missed ticks"
+    other = SimpleNamespace(parameters={"loop": "fsm"})
+    assert rows_of([short], [beside_of(other, requirement)])[0].bound_text == "no proof for this loop"
+    foreign = SimpleNamespace(parameters={})
+    assert rows_of([short], [beside_of(foreign, requirement)])[0].bound_text == "none: too short a record"
+
+
+def test_two_requirements_on_one_quantity_are_told_apart_by_their_names() -> None:
+    numbers = 25.0 * MAS * np.ones(50)
+    verdicts = [
+        decide(parse(RPE.replace("40", limit), name), numbers, 50.0, 1.0) for name, limit in (("a", "100"), ("b", "40"))
+    ]
+    labels = [row.label for row in rows_of(verdicts, ())]
+    assert labels == ["a: rms RPE(20 ms), 99.7 %", "b: rms RPE(20 ms), 99.7 %"]
+    assert rows_of(verdicts[:1], ())[0].label == "rms RPE(20 ms), 99.7 %"
+
+
+def test_a_run_that_missed_too_many_ticks_is_disturbed() -> None:
+    """In real time, at the limit that the run had; the words stand in every output."""
+    statistics = {"plant": {"ticks": "1000", "missed_ticks": "6"}}
+    run = recorded(mode="realtime", max_missed=0.5, statistics=statistics)
+    requirement = parse(RPE, "RPE")
+    numbers = 25.0 * MAS * np.ones(50)
+    verdict = decide(requirement, numbers, 50.0, 1.0)
+    (row,) = rows_of([verdict], [beside_of(run, requirement)])
+    assert row.shown == DISTURBED and row.css == "open"
+    assert row.verdict_text.startswith("disturbed: 0.6 % of the ticks were missed; ")
+    assert row.as_dict()["disturbed"] == "0.6 % of the ticks were missed"
+    assert overall([verdict], "0.6 %") == DISTURBED
+    for other in ({"mode": "lockstep"}, {"max_missed": 0.6}, {"statistics": {}}, {"max_missed": "x"}):
+        found = beside_of(
+            recorded(**{"mode": "realtime", "max_missed": 0.5, "statistics": statistics, **other}), requirement
+        )
+        assert not found.disturbed
+    assert Beside().disturbed == ""
