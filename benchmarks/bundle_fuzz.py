@@ -75,7 +75,7 @@ class Remembered:
 
 def model_key(model: LoopModel, box: Any) -> str:
     """Of all that a model is."""
-    return repr((model_digest(model, box), model.dt, model.frame.tolist(), model.groups, model.angle))
+    return model_digest(model, box)
 
 
 def strip_key(item: tuple[LoopModel, Strip, float]) -> bytes:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lftkit.proofs.axis.checker import check_axis_proof
 from lftkit.proofs.axis.proof import FORMAT as AXIS
 from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.entries import file_content
 from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE
@@ -80,17 +77,8 @@ def proof_format(path: Path) -> str:
     ProofError
         No such file, or no header of a proof.
     """
-    if not path.is_file():
-        raise ProofError(f"the proof must be an ordinary file, got {path}")
-    try:
-        if zipfile.is_zipfile(path):
-            with np.load(path, allow_pickle=False) as archive:
-                header = json.loads(bytes(archive["header"]).decode())
-        else:
-            header = json.loads(path.read_text("utf-8"))
-        name = header["format"]
-    except Exception as error:  # of a damaged file numpy raises a dozen kinds, that of its tokenizer included
-        raise ProofError(f"the file must be a proof, got {type(error).__name__}") from None
+    header, _ = file_content(path)
+    name = header.get("format") if isinstance(header, dict) else None
     if name not in FORMATS:
-        raise ProofError(f"format must be one of {', '.join(map(repr, FORMATS))}, got {name!r}")
+        raise ProofError(f"format must be one of {', '.join(map(repr, FORMATS))}, got {name!r}"[:400])
     return str(name)

@@ -9,28 +9,29 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import math
 import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lftkit.proofs.entries import each, index, number, pair, record, text, truth
+from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.bounds import DEEPEST
 from lftkit.proofs.sampled_loop.files import write_loop_proof
-from lftkit.proofs.strip_files import packed, unpacked
 from lftkit.proofs.trusted.checker import covered
+from lftkit.proofs.trusted.premises import require_strip
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
 from lftkit.proofs.trusted.stability import nominal_windows, whole_axis, windows_above
-from lftkit.proofs.trusted.strips import windows_of
+from lftkit.proofs.trusted.strips import check_strip, windows_of
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
@@ -46,6 +47,18 @@ SLOWEST_PARTS = (0.01, 0.3)
 """Upper ends of the first parts of a band that begins at zero [rad/s]."""
 
 
+PART_FORMAT = "los-testbed part of a proof 1"
+PART_ENTRIES = record(
+    {
+        "format": text,
+        "names": each(text),
+        "uncovered": each(pair),
+        "point": each(number),
+        "windows": index,
+        "finished": truth,
+        **dict.fromkeys(("lower", "omega", "seconds"), number),
+    }
+)
 PROBES, MOST_OTHERS = 6, 3
 """Windows of another proof that are tried, and most other proofs."""
 
@@ -181,18 +194,31 @@ def prove_part(part: ProofPart) -> PartResult:
 def kept_part(part: ProofPart) -> PartResult | None:
     """What was proven before, or that there is no time; None where the part is to be proven.
 
-    A file that cannot be read, as one whose end is missing after a loss of power, is proven again; one line says so.
+    What a file says is checked again. One that cannot be read, as one whose end is missing after a loss of power, or
+    that does not pass is proven again; one line says so.
     """
     if part.file.exists():
         try:
-            arrays, summary = _read_part(part.file)
-            return PartResult(unpacked(arrays, len(part.box)), **summary)
-        except Exception as error:  # of a damaged file numpy raises a dozen kinds, EOFError and BadZipFile among them
-            words = f"is damaged ({type(error).__name__}) and is proven again"
+            result = _read_part(part.file)
+            _check_part(part, result)
+            return result
+        except ProofError as error:
+            words = f"is damaged ({error}) and is proven again"
             sys.stderr.write(f"part {part.file.parent.name}/{part.file.name} {words}\n")
     if time.monotonic() > part.until:
         return PartResult((), [part.band], 0.0, [], 0.0, 0, 0.0, False)
     return None
+
+
+def _check_part(part: ProofPart, result: PartResult) -> None:
+    """Refuse strips that do not prove a part; what a part leaves open needs no proof."""
+    if not result.uncovered:
+        covered(LoopProof(part.model, ("",) * len(part.box), part.box, part.band, part.level, result.strips))
+    for place, strip in enumerate(result.strips):
+        require_strip(place, strip, part.model)
+        outcome = check_strip((part.model, strip, part.level))
+        if isinstance(outcome, str):
+            raise ProofError(f"strip {place}: {outcome}")
 
 
 def task_of(part: ProofPart) -> PartTask:
@@ -223,28 +249,28 @@ def keep_part(part: ProofPart, result: PartResult) -> None:
     """Write a part that is finished to its file."""
     if result.finished:
         summary = {name: value for name, value in vars(result).items() if name != "strips"}
-        text = np.frombuffer(json.dumps(summary).encode(), np.uint8)
-        arrays = {**packed(result.strips, len(part.box)), "summary": text}
-        with atomic_file(part.file) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())  # else a loss of power may leave the name of a file without its content
+        header = {"format": PART_FORMAT, "names": [""] * len(part.box), **summary}
+        with atomic_file(part.file) as temporary:
+            write_archive(temporary, header, packed(result.strips, len(part.box)))
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())  # else a loss of power may leave the name of a file without its content
 
 
 def _strips(file: Path) -> tuple[Strip, ...]:
     """Strips of a part that was proven, none if it was not covered or cannot be read."""
     try:
-        arrays, summary = _read_part(file)
-        return () if summary["uncovered"] else unpacked(arrays, arrays["boxes"].shape[1])
-    except Exception:  # as in `kept_part`; these strips are a help only
+        result = _read_part(file)
+    except ProofError:  # these strips are a help only
         return ()
+    return () if result.uncovered else result.strips
 
 
-def _read_part(file: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arrays and summary of a part."""
-    with np.load(file, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    return arrays, json.loads(bytes(arrays["summary"]).decode())
+def _read_part(file: Path) -> PartResult:
+    """What the file of a part says; a ProofError where it cannot be read."""
+    header, arrays = read_archive(file, PART_FORMAT, PART_ENTRIES, {})
+    strips, uncovered = unpacked(arrays, len(header["names"])), list(header["uncovered"])
+    rest = {name: header[name] for name in ("lower", "omega", "windows", "seconds", "finished")}
+    return PartResult(strips, uncovered, point=list(header["point"]), **rest)
 
 
 def _useful(part: PartTask, strips: tuple[Strip, ...]) -> bool:
@@ -377,22 +403,14 @@ def stable_above(loop: ImplementedLoop) -> bool:
 
 
 def model_digest(model: LoopModel, box: Box) -> str:
-    """Of all that a proof is about but its band and level."""
-    claim: tuple[Any, ...] = (box, model.window, model.rows, model.scale, model.commands)
-    key = hashlib.sha256(repr((*claim, model.added, model.returned) if model.added else claim).encode())
-    for array in (
-        model.poles,
-        model.C,
-        model.B,
-        model.D,
-        model.K_poles,
-        model.K_C,
-        model.K_B,
-        model.K_D,
-        model.weights,
-    ):
-        key.update(np.ascontiguousarray(array).tobytes())
-    return key.hexdigest()[:12]
+    """SHA-256 of all that a proof is about but its band and level: every field of the model."""
+    key = hashlib.sha256(repr(box).encode())
+    for field in fields(model):
+        value = getattr(model, field.name)
+        array = np.ascontiguousarray(value) if isinstance(value, np.ndarray) else None
+        key.update(repr((field.name, value if array is None else (array.dtype.str, array.shape))).encode())
+        key.update(b"" if array is None else array.tobytes())
+    return key.hexdigest()
 
 
 def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:

@@ -12,12 +12,31 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.blocks.structure import REAL
-from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
+from lftkit.proofs.entries import Form, array, each, fixed, index, maybe, number, pair, record, text
+from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.trusted.proof import Interval, Strip
 
 FORMAT = "lftkit axis proof 1"
-ARRAYS = ("A", "B", "C", "D", "poles", "T", "X")
 SIDES = ("below", "above")
+ARRAYS: dict[str, Form] = {
+    **{name: array("float64", None, None) for name in "ABCD"},
+    "poles": array("complex128", None),
+    **{name: array("complex128", None, None) for name in "TX"},
+}
+HEADER = record(
+    {
+        "format": text,
+        "kind": text,
+        "level": maybe(number),
+        "names": each(text),
+        "nominal": each(number),
+        "box": each(pair),
+        "band": fixed(number, maybe(number)),
+        "groups": each(each(index)),
+        "border": number,
+    },
+    {"kinds": each(text)},
+)
 
 
 @dataclass(frozen=True)
@@ -116,29 +135,17 @@ class AxisProof:
         ProofError
             No such file, or not a proof.
         """
-        with read_archive(path, FORMAT, "a proof") as (header, arrays):
-            box = tuple((float(a), float(b)) for a, b in header["box"])
-            low, high = header["band"]
-            below, above = (_strips(arrays, side, len(box)) for side in SIDES)
-            return cls(
-                kind=str(header["kind"]),
-                level=None if header["level"] is None else float(header["level"]),
-                names=tuple(map(str, header["names"])),
-                nominal=tuple(map(float, header["nominal"])),
-                box=box,
-                band=(float(low), math.inf if high is None else float(high)),
-                groups=tuple(tuple(map(int, group)) for group in header["groups"]),
-                kinds=tuple(map(str, header.get("kinds", [REAL] * len(box)))),
-                border=float(header["border"]),
-                below=below,
-                above=above,
-                **{name: arrays[name] for name in ARRAYS},
-            )
-
-
-def _strips(arrays: dict[str, Any], side: str, parameters: int) -> tuple[Strip, ...]:
-    prefix = f"{side}_"
-    return unpacked({name[len(prefix) :]: a for name, a in arrays.items() if name.startswith(prefix)}, parameters)
+        header, arrays = read_archive(path, FORMAT, HEADER, ARRAYS, [f"{side}_" for side in SIDES])
+        low, high = header.pop("band")
+        del header["format"]
+        below, above = (unpacked(arrays, len(header["names"]), f"{side}_") for side in SIDES)
+        return cls(
+            **{"kinds": (REAL,) * len(header["names"]), **header},
+            band=(low, math.inf if high is None else high),
+            below=below,
+            above=above,
+            **{name: arrays[name] for name in ARRAYS},
+        )
 
 
 def deviations_of(box: tuple[Interval, ...], nominal: tuple[float, ...]) -> tuple[Interval, ...]:

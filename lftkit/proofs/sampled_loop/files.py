@@ -9,14 +9,31 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.proofs.entries import Form, array, each, index, mapping, number, pair, record, text, truth, word
+from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.loop import Loop
 
 FORMAT = "los-testbed loop proof 1"
-HEADER = ("groups", "angle", "rows", "commands", "added", "returned")
-MODEL = tuple(f.name for f in fields(LoopModel) if f.name not in HEADER)
+HEADER: dict[str, Form] = {
+    "groups": each(each(index)),
+    "angle": each(truth),
+    "rows": each(index),
+    "commands": truth,
+}
+ADDED: dict[str, Form] = {"added": each(index), "returned": index}
+"""Entries that a file without such signals leaves out."""
+COMPLEX, REAL, SCALAR = ("poles", "C", "B", "K_poles", "K_C", "K_B"), ("D", "K_D", "weights"), ("dt", "window", "scale")
+ARRAYS: dict[str, Form] = {
+    **{name: array("complex128", *(None,) * (1 if "poles" in name else 2)) for name in COMPLEX},
+    **{name: array("float64", None, None) for name in REAL},
+    **{name: array("float64") for name in SCALAR},
+    "frame": array("int64", None),
+}
+MODEL = tuple(f.name for f in fields(LoopModel) if f.name not in {**HEADER, **ADDED})
+CLAIM: dict[str, Form] = {"format": text, "names": each(text), "box": each(pair), "about": mapping(word)}
+"""Entries of every header of a sampled loop."""
 
 
 def write_loop_proof(proof: LoopProof, path: Path) -> None:
@@ -42,12 +59,12 @@ def read_loop_proof(path: Path) -> LoopProof:
     ProofError
         No such file, or not a proof.
     """
-    with read_archive(path, FORMAT, "a proof of a loop") as (header, arrays):
-        model = model_of(header, arrays)
-        box = tuple((float(a), float(b)) for a, b in header["box"])
-        band = (float(header["band"][0]), float(header["band"][1]))
-        strips = unpacked(arrays, len(header["names"]))
-        return LoopProof(model, tuple(header["names"]), box, band, float(header["level"]), strips, header["about"])
+    form = record({**CLAIM, **HEADER, "band": pair, "level": number}, ADDED)
+    header, arrays = read_archive(path, FORMAT, form, ARRAYS)
+    strips, level = unpacked(arrays, len(header["names"])), header["level"]
+    return LoopProof(
+        model_of(header, arrays), header["names"], header["box"], header["band"], level, strips, header["about"]
+    )
 
 
 def model_entries(model: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -59,15 +76,6 @@ def model_entries(model: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def model_of(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> LoopModel:
-    """The model of :func:`model_entries`."""
-    parts = {name: arrays[name][()] for name in MODEL}
-    parts |= {name: float(parts[name]) for name in ("dt", "window", "scale")}
-    return LoopModel(
-        **parts,
-        groups=tuple(map(tuple, header["groups"])),
-        angle=tuple(map(bool, header["angle"])),
-        rows=tuple(header["rows"]),
-        commands=bool(header["commands"]),
-        added=tuple(header.get("added", ())),
-        returned=header.get("returned", 0),
-    )
+    """The model of :func:`model_entries`, of entries that were read."""
+    parts = {name: float(arrays[name]) if name in SCALAR else arrays[name] for name in MODEL}
+    return LoopModel(**parts, **{name: header[name] for name in (*HEADER, *ADDED) if name in header})

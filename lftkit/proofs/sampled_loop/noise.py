@@ -24,9 +24,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lftkit.proofs.sampled_loop.files import model_entries, model_of
+from lftkit.proofs.entries import each, fixed, index, number, record
+from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
+from lftkit.proofs.sampled_loop.files import ADDED, ARRAYS, CLAIM, HEADER, model_entries, model_of
 from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.strip_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.trusted.checker import FAULTS, check_loop_proof
 from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.polynomials import INFLATE, UNIT
@@ -101,14 +102,18 @@ class NoiseProof:
         ProofError
             No such file, or not a proof.
         """
-        with read_archive(path, FORMAT, "a proof of noise") as (header, arrays):
-            box = tuple((float(a), float(b)) for a, b in header["box"])
-            strips = iter(unpacked(arrays, len(header["names"])))
-            parts = tuple(
-                NoisePart(tuple(rows), (float(low), float(high)), float(level), tuple(itertools.islice(strips, count)))
-                for rows, low, high, level, count in header["parts"]
-            )
-            return cls(model_of(header, arrays), tuple(header["names"]), box, parts, header["about"])
+        part = fixed(each(index), number, number, number, index)
+        form = record({**CLAIM, **HEADER, "parts": each(part)}, ADDED)
+        header, arrays = read_archive(path, FORMAT, form, ARRAYS)
+        found = unpacked(arrays, len(header["names"]))
+        if sum(count for *_, count in header["parts"]) != len(found):
+            raise ProofError(f"parts must have {len(found)} strips in all, got another number")
+        strips = iter(found)
+        parts = tuple(
+            NoisePart(rows, (low, high), level, tuple(itertools.islice(strips, count)))
+            for rows, low, high, level, count in header["parts"]
+        )
+        return cls(model_of(header, arrays), header["names"], header["box"], parts, header["about"])
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.entries import each, file_content, fixed, index, mapping, maybe, number, pair, record, table, text
 from lftkit.proofs.trusted.definite import positive
 from lftkit.proofs.trusted.polynomials import TINY
 from lftkit.proofs.trusted.proof import ProofError, uncovered
@@ -51,6 +52,45 @@ from lftkit.proofs.verdict import CheckedProof
 
 FORMAT = "los-testbed proof 1"
 DISCRETE = "los-testbed proof in discrete time 1"
+SCALING = fixed(table, table)
+CELL = record(
+    {
+        "intervals": each(pair),
+        "band": fixed(number, maybe(number)),
+        "P": SCALING,
+        "Q": SCALING,
+        "D": mapping(SCALING),
+        "G": mapping(SCALING),
+        "centre": number,
+        "performance": number,
+    }
+)
+SYSTEM = record(
+    {
+        "order": index,
+        "inputs": index,
+        "outputs": index,
+        "channels": each(text),
+        "parameters": each(record({"name": text, "nominal": number, "unit": text})),
+        **dict.fromkeys("ABCD", table),
+    },
+    {"dt": number, "disks": each(record({"name": text, "radius": number, "outputs": index, "inputs": index}))},
+)
+CONTENT = record(
+    {
+        "format": text,
+        "kind": text,
+        "level": maybe(number),
+        "band": fixed(number, maybe(number)),
+        "box": mapping(pair),
+        "system": SYSTEM,
+        "cells": each(CELL),
+        "stable": maybe(record({"point": each(number), "L": table, "T": table, "weights": mapping(each(number))})),
+        "sha256": text,
+    },
+    {"posed": each(CELL)},
+)
+"""What a file holds, as :mod:`lftkit.proofs.entries` reads it."""
 UNIT = 2.0**-53
 INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
 
@@ -101,7 +141,7 @@ def exact_product(*factors: FloatArray) -> Ball:
     return Ball(mid, UNIT * np.abs(mid) * INFLATE + 1e-300)
 
 
-def number(value: float) -> Ball:
+def scalar(value: float) -> Ball:
     """Exact scalar."""
     return Ball(np.array([[float(value)]]))
 
@@ -112,11 +152,17 @@ def embedded(real: FloatArray, imaginary: FloatArray | None = None) -> FloatArra
     return np.block([[real, -imag], [imag, real]])
 
 
+def sized(values: Any, shape: tuple[int, int], what: str) -> FloatArray:
+    """A matrix that must have a shape and finite numbers; rows without columns are lost in a file."""
+    found = np.array(values, dtype=float)
+    if (found.shape != shape and found.size + math.prod(shape) > 0) or not np.isfinite(found).all():
+        raise ProofError(f"{what} must be finite and have shape {shape}, got {found.shape}")
+    return found.reshape(shape)
+
+
 def hermitian(parts: Any, size: int, what: str) -> FloatArray:
     """Embedded Hermitian matrix of the lower triangles that a proof stores."""
-    real, imag = (np.array(part, dtype=float).reshape(size, size) for part in parts)
-    if not (np.isfinite(real).all() and np.isfinite(imag).all()):
-        raise ProofError(f"{what} must be finite")
+    real, imag = (sized(part, (size, size), what) for part in parts)
     lower, strict = np.tril(real), np.tril(imag, -1)
     return embedded(lower + np.tril(real, -1).T, strict - strict.T)
 
@@ -176,11 +222,9 @@ class Inequality:
         self.gain = proof["kind"] == "gain"
         n, q = int(system["order"]), len(channels)
         m, p = (int(system["inputs"]), int(system["outputs"])) if self.gain else (0, 0)
-        A, B, C, D = (np.array(system[key], dtype=float) for key in "ABCD")
-        D = D.reshape(q + int(system["outputs"]), q + int(system["inputs"]))
-        A, B, C = A.reshape(n, n), B.reshape(n, D.shape[1]), C.reshape(len(D), n)
-        if not all(np.isfinite(matrix).all() for matrix in (A, B, C, D)):
-            raise ProofError("the system's matrices must be finite")
+        rows, columns = q + int(system["outputs"]), q + int(system["inputs"])
+        shapes = {"A": (n, n), "B": (n, columns), "C": (rows, n), "D": (rows, columns)}
+        A, B, C, D = (sized(system[key], shape, key) for key, shape in shapes.items())
         if static:
             A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0))
             self.gain, n, m, p = False, 0, 0, 0
@@ -199,7 +243,7 @@ class Inequality:
 
     def delta(self, name: str, value: float) -> Ball:
         """``value - nominal`` with its rounding."""
-        return number(value) - number(self.nominal[name])
+        return scalar(value) - scalar(self.nominal[name])
 
     def ratio(self, cell: dict[str, Any], level: float | None) -> float:
         """Smallest :func:`definite_ratio` of the cell's matrices."""
@@ -232,8 +276,8 @@ class Inequality:
             if level is None or not (factor > 0.0 and level > 0.0):
                 raise ProofError(f"performance and level must be positive, got {factor} and {level}")
             e, d = (exact_product(embedded(part), coordinates) for part in (self.e, self.d))
-            allowed = (d.transposed() @ d).times(number(level)).times(number(level))
-            total = total + (e.transposed() @ e - allowed).times(number(factor))
+            allowed = (d.transposed() @ d).times(scalar(level)).times(scalar(level))
+            total = total + (e.transposed() @ e - allowed).times(scalar(factor))
         return min(*ratios, definite_ratio(Ball(0.0 * total.mid) - total))
 
     def disk_form(self, disk: Disk, D: FloatArray, coordinates: FloatArray) -> Ball:
@@ -243,7 +287,7 @@ class Inequality:
             signal = exact_product(embedded(part[[row for place in places for row in place]]), coordinates)
             scaling = Ball(np.asarray(np.kron(D, np.eye(len(places[0]))), dtype=np.float64))
             forms.append(signal.transposed() @ (scaling @ signal))
-        radius = number(disk.radius)
+        radius = scalar(disk.radius)
         return forms[0].times(radius).times(radius) - forms[1]
 
     def coordinates(self, cell: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -263,7 +307,7 @@ class Inequality:
         Written in coordinates ``T y`` of the states, with a multiplier of ``|w - delta z|^2`` for each channel.
         """
         n, q = self.n, self.q
-        L, T = (np.array(stable[key], dtype=float).reshape(n, n) for key in "LT")
+        L, T = (sized(stable[key], (n, n), key) for key in "LT")
         basis = np.block([[T, np.zeros((n, q))], [np.zeros((q, n)), np.eye(q)]])
         part = slice(0, n + q)
         signals = [[factor.real for factor in self.signal(*parts)] for parts in ((0.0, 1.0), (1.0, 0.0))]
@@ -303,10 +347,8 @@ def check_proof(proof: Any) -> CheckedProof:
     proof : Path, dict or Proof
         File, its content, or an object that has the content as attribute ``content``.
     """
-    if isinstance(proof, Path) and not proof.is_file():
-        raise ProofError(f"the proof must be an ordinary file, got {proof}")
+    content = file_content(proof)[0] if isinstance(proof, Path) else getattr(proof, "content", proof)
     try:
-        content = json.loads(proof.read_text("utf-8")) if isinstance(proof, Path) else getattr(proof, "content", proof)
         with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
             return _checked(content)
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
@@ -322,12 +364,15 @@ def _band(ends: Any) -> tuple[float, float]:
 
 
 def _checked(proof: dict[str, Any]) -> CheckedProof:
+    own = digest(proof)
+    proof = CONTENT(proof, "proof")
     if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
         raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
-    if proof["sha256"] != digest(proof):
+    if proof["sha256"] != own:
         raise ProofError("the content must match its SHA-256, got another: the file was altered")
     inequality, band = Inequality(proof), _band(proof["band"])
-    box = [(float(proof["box"][name][0]), float(proof["box"][name][1])) for name in inequality.names]
+    require_names(proof, inequality)
+    box = [proof["box"][name] for name in inequality.names]
     level = float(proof["level"]) if proof["kind"] == "gain" else None
     worst = _smallest_ratio(inequality, proof["cells"], [*box, band], level)
     if inequality.dt:
@@ -347,6 +392,20 @@ def _checked(proof: dict[str, Any]) -> CheckedProof:
     named, omega = dict(zip(inequality.names, box)), frequencies(band, inequality.dt)
     disks = {disk.name: disk.radius for disk in inequality.disks}
     return CheckedProof(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable, disks)
+
+
+def require_names(proof: dict[str, Any], inequality: Inequality) -> None:
+    """Whether all that is by name is of the elements of the system, nothing missing and nothing more."""
+    real, every = {*inequality.names}, {*inequality.names, *(disk.name for disk in inequality.disks)}
+    cells, stable = (*proof["cells"], *proof.get("posed", ())), proof["stable"]
+    own = [("box", proof["box"], real)]
+    own += [(key, cell[key], names) for cell in cells for key, names in (("D", every), ("G", real))]
+    own += [("weights", stable["weights"], every)] if stable is not None else []
+    for what, values, names in own:
+        if set(values) != names:
+            raise ProofError(f"{what} must have the names {sorted(names)}, got {sorted(values)}"[:300])
+    if (proof["format"] == DISCRETE) != ("posed" in proof):
+        raise ProofError("cells that show members well posed must be in a proof in discrete time, and in no other")
 
 
 def _smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:

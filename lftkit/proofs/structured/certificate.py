@@ -15,7 +15,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, checked_matrix, parts
-from lftkit.proofs.state_space.checker import Ball, definite_ratio, embedded, number
+from lftkit.proofs.state_space.checker import Ball, definite_ratio, embedded, scalar
 from lftkit.proofs.trusted.proof import ProofError
 
 
@@ -72,7 +72,7 @@ def check_mu(M: ComplexArray, structure: Sequence[UncertaintyBlock], certificate
 def _ratio(matrix: ComplexArray, structure: Sequence[UncertaintyBlock], certificate: MuCertificate) -> float:
     """Smallest ratio of the certificate's matrices."""
     width = matrix.shape[1]
-    square = number(certificate.level) @ number(certificate.level)
+    square = scalar(certificate.level) @ scalar(certificate.level)
     total = Ball(np.zeros((2 * width, 2 * width)))
     worst = np.inf
     unit = np.eye(width, dtype=complex)

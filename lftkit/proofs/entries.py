@@ -1,0 +1,243 @@
+"""The one reader of what files of proofs hold: exact types and shapes, nothing unknown, nothing twice.
+
+A *form* is a function of a value and its name; it returns the value that the program uses, or refuses with a
+:class:`ProofError`. A truth value is no number, a number no truth value, a whole number with a point no index; of all
+types only an integer passes for another, for a number. Sequences become tuples, tables of numbers arrays.
+
+>>> claim = record({"level": number, "rows": each(index)}, {"note": text})
+>>> claim({"level": 2, "rows": [0, 1]}, "proof")
+{'level': 2.0, 'rows': (0, 1)}
+>>> claim({"level": 2.0, "rows": [False, True]}, "proof")
+Traceback (most recent call last):
+...
+lftkit.proofs.trusted.proof.ProofError: proof.rows[0] must be a whole number from zero on, got False
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lftkit.proofs.trusted.proof import ProofError
+
+Form = Callable[[Any, str], Any]
+MOST_BYTES = 2**31
+"""Of a file, and of all its members unpacked."""
+MOST_MEMBERS = 10_000
+LONGEST_TEXT, MOST_ENTRIES, LARGEST_INDEX = 10_000, 10_000_000, 2**31
+TYPES = ("<f8", "<c16", "<c8", "<i8", "|u1")
+"""Of the numbers of an array."""
+
+
+def refuse(where: str, wanted: str, got: Any) -> ProofError:
+    """The error that says what an entry must be."""
+    return ProofError(f"{where} must be {wanted}, got {repr(got)[:60]}")
+
+
+def number(value: Any, where: str) -> float:
+    """A finite number."""
+    if type(value) not in (int, float) or not abs(value) < 1.8e308:
+        raise refuse(where, "a finite number", value)
+    return float(value)
+
+
+def index(value: Any, where: str) -> int:
+    """A whole number from zero on."""
+    if type(value) is not int or not 0 <= value < LARGEST_INDEX:
+        raise refuse(where, "a whole number from zero on", value)
+    return int(value)
+
+
+def text(value: Any, where: str) -> str:
+    """A text."""
+    if type(value) is not str or len(value) > LONGEST_TEXT:
+        raise refuse(where, "a text", value)
+    return str(value)
+
+
+def truth(value: Any, where: str) -> bool:
+    """True or false."""
+    if type(value) is not bool:
+        raise refuse(where, "true or false", value)
+    return bool(value)
+
+
+def word(value: Any, where: str) -> str | float:
+    """A text or a number for people."""
+    return text(value, where) if type(value) is str else number(value, where)
+
+
+def maybe(form: Form) -> Form:
+    """What has a form, or null."""
+    return lambda value, where: None if value is None else form(value, where)
+
+
+def each(form: Form) -> Form:
+    """A sequence whose entries have a form."""
+
+    def read(value: Any, where: str) -> tuple[Any, ...]:
+        if type(value) not in (list, tuple) or len(value) > MOST_ENTRIES:
+            raise refuse(where, "a list", value)
+        return tuple(form(entry, f"{where}[{k}]") for k, entry in enumerate(value))
+
+    return read
+
+
+def fixed(*forms: Form) -> Form:
+    """A sequence with as many entries as forms."""
+
+    def read(value: Any, where: str) -> tuple[Any, ...]:
+        if type(value) not in (list, tuple) or len(value) != len(forms):
+            raise refuse(where, f"a list of {len(forms)}", value)
+        return tuple(form(entry, f"{where}[{k}]") for k, (form, entry) in enumerate(zip(forms, value)))
+
+    return read
+
+
+pair = fixed(number, number)
+
+
+def mapping(form: Form) -> Form:
+    """Texts as keys, and values of a form."""
+
+    def read(value: Any, where: str) -> dict[str, Any]:
+        if type(value) is not dict or len(value) > MOST_ENTRIES:
+            raise refuse(where, "an object", value)
+        return {text(key, f"a key of {where}"): form(entry, f"{where}.{key}"[:200]) for key, entry in value.items()}
+
+    return read
+
+
+def record(forms: Mapping[str, Form], optional: Mapping[str, Form] | None = None) -> Form:
+    """Exactly these keys; the optional ones may be missing."""
+    known = {**forms, **(optional or {})}
+
+    def read(value: Any, where: str) -> dict[str, Any]:
+        if type(value) is not dict:
+            raise refuse(where, "an object", value)
+        if not set(forms) <= set(value) <= set(known):
+            wrong = set(forms) - set(value) or set(value) - set(known)
+            raise refuse(where, f"an object with the keys {', '.join(known)}", sorted(map(str, wrong)))
+        return {key: known[key](entry, f"{where}.{key}") for key, entry in value.items()}
+
+    return read
+
+
+def table(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Rows of finite numbers, all of the same length."""
+    rows = value if type(value) in (list, tuple) else (None,)
+    if not all(type(row) in (list, tuple) for row in rows) or len({len(row) for row in rows}) > 1:
+        raise refuse(where, "a list of rows of the same length", value)
+    if not {type(entry) for row in rows for entry in row} <= {int, float}:
+        raise refuse(where, "rows of numbers", next(e for row in rows for e in row if type(e) not in (int, float)))
+    found = np.array([list(map(float, row)) for row in rows], dtype=np.float64)
+    if not np.isfinite(found).all():
+        raise refuse(where, "rows of finite numbers", value)
+    return found.reshape(len(rows), -1) if len(rows) else np.zeros((0, 0))
+
+
+def array(types: str | Sequence[str], *shape: int | None) -> Form:
+    """An array of finite numbers of one of some types, with a shape; None stands for any length."""
+    wanted = (types,) if isinstance(types, str) else tuple(types)
+
+    def read(value: Any, where: str) -> np.ndarray[Any, Any]:
+        own = isinstance(value, np.ndarray) and value.dtype.name in wanted and value.ndim == len(shape)
+        if not own or any(size not in (None, have) for size, have in zip(shape, value.shape)):
+            got = f"{value.dtype.name} {value.shape}" if isinstance(value, np.ndarray) else value
+            raise refuse(where, f"an array of type {' or '.join(wanted)} and shape {shape}", got)
+        if value.dtype.kind in "fc" and not np.isfinite(value).all():
+            raise refuse(where, "an array of finite numbers", "others")
+        return np.asarray(value)
+
+    return read
+
+
+def parsed(content: bytes, where: str) -> Any:
+    """What a text in JSON says: no key twice, no NaN, no infinite number."""
+
+    def entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) != len(pairs):
+            raise ProofError(f"{where} must have no key twice, got {[key[:60] for key, _ in pairs]}"[:300])
+        return found
+
+    def refused(name: str) -> Any:
+        raise refuse(where, "JSON with finite numbers", name)
+
+    def finite(digits: str) -> float:
+        return number(float(digits), where)
+
+    try:
+        given = content.decode("utf-8")
+        return json.loads(given, object_pairs_hook=entries, parse_constant=refused, parse_float=finite)
+    except ProofError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ProofError(f"{where} must be JSON, got {type(error).__name__}") from None
+
+
+def zip_members(path: Path) -> dict[str, bytes]:
+    """All members of a zip file, whose number and size are limited before they are unpacked.
+
+    Raises
+    ------
+    ProofError
+        More of them, or one twice.
+    """
+    with zipfile.ZipFile(path) as archive:
+        infos = archive.infolist()
+        if len(infos) > MOST_MEMBERS or sum(info.file_size for info in infos) > MOST_BYTES:
+            raise ProofError(f"the file must have at most {MOST_MEMBERS} members and {MOST_BYTES} bytes, got more")
+        found = {info.filename: archive.read(info) for info in infos}
+        if len(found) != len(infos):
+            raise ProofError(f"the file must have no member twice, got {sorted(found)}"[:300])
+        return found
+
+
+def file_content(path: Path) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
+    """Header and arrays of the file of a proof; one in JSON has no arrays.
+
+    Raises
+    ------
+    ProofError
+        No ordinary file of a limited size, a member twice, of another type or larger than it says, or no JSON.
+    """
+    if not path.is_file():
+        raise ProofError(f"the proof must be an ordinary file, got {path}")
+    if path.stat().st_size > MOST_BYTES:
+        raise ProofError(f"the file must have at most {MOST_BYTES} bytes, got {path.stat().st_size}")
+    try:
+        if not zipfile.is_zipfile(path):
+            return parsed(path.read_bytes(), "the file"), {}
+        arrays = {name.removesuffix(".npy"): member(data, name) for name, data in zip_members(path).items()}
+        return parsed(array("uint8", None)(arrays.pop("header"), "header").tobytes(), "header"), arrays
+    except ProofError:
+        raise
+    except Exception as error:  # of damaged streams the decompressors raise errors of their own
+        raise ProofError(f"the file must be a proof, got {type(error).__name__}") from None
+
+
+def member(data: bytes, name: str) -> np.ndarray[Any, Any]:
+    """An array in numpy's format, of which nothing is made before its size is known to be that of the data."""
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, by_columns, kind = read(stream)
+    count, start = math.prod(shape), stream.tell()
+    sizes = all(type(size) is int and size >= 0 for size in shape) and kind.str in TYPES
+    if (
+        not sizes
+        or not name.endswith(".npy")
+        or version not in ((1, 0), (2, 0))
+        or len(data) - start != count * kind.itemsize
+    ):
+        raise ProofError(f"{name} must be an array of {', '.join(TYPES)} and of its size, got {kind.str} {shape}")
+    values = np.frombuffer(data[start:], kind) if count else np.zeros(0, kind)
+    return values.reshape(shape, order="F" if by_columns else "C").copy()
