@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import subprocess
 from pathlib import Path
 
@@ -35,6 +36,16 @@ def source_digest() -> str:
 
 
 def digest(system: SampledSystem) -> str:
-    """Twelve hexadecimal digits that name the matrices of a controller."""
-    content = b"".join(np.ascontiguousarray(getattr(system, key)).tobytes() for key in "ABCD")
-    return hashlib.sha256(content).hexdigest()[:12]
+    """128 bits, as hexadecimal digits, that name all numbers of a controller which a law uses.
+
+    Matrices and their shapes, the period, the ports, and of ``design_basis`` the mirror's sensitivity, by which the
+    mirror law divides, and the authorities; the name of the telescope in it and the provenance do not count.
+    """
+    basis = {name: value for name, value in system.design_basis.items() if name != "parameters_hash"}
+    ports = [[vars(port) for port in side] for side in (system.inputs, system.outputs)]
+    numbers = {name: float(value).hex() for name, value in {"dt": system.dt, **basis}.items()}
+    key = hashlib.sha256(json.dumps([ports, numbers], sort_keys=True).encode())
+    for name in "ABCD":
+        matrix = np.ascontiguousarray(getattr(system, name), dtype=np.float64)
+        key.update(f"{name} {matrix.shape}".encode() + matrix.tobytes())
+    return key.hexdigest()[:32]

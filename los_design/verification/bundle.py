@@ -42,6 +42,7 @@ import numpy as np
 import scipy
 
 from lftkit import SampledSystem
+from lftkit.proofs.entries import mapping, parsed, record, text, zip_members
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise_proof
@@ -49,7 +50,7 @@ from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
 from los_design.verification.check_proof_texts import require_plain
-from los_design.verification.error_sum import PARTS, ErrorSum
+from los_design.verification.error_sum import FAST, PARTS, ErrorSum, window_limit
 from los_design.verification.error_sums import error_sums
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
@@ -65,14 +66,13 @@ from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.guide_camera import without_images
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
-from titop_plant.telescope.parameters import OWN_BODIES, SOURCES, Parameters, parameters_hash
+from titop_plant.telescope.parameters import OWN_BODIES, SOURCES, Parameters, parameters_digest
 from titop_plant.telescope.requirements import design_limits, telescope_requirements
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
 PROOFS, MODAL_DATA = "proofs", "modal_data"
-MOST_MEMBERS, LARGEST = 100, 2_000_000_000
-"""Of a bundle that is read: members, and their bytes together."""
+MANIFEST_ENTRIES = record({"format": text, "versions": mapping(text), "commit": text, "sha256": mapping(text)})
 SYNTAX_ERRORS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, OSError)
 
 
@@ -121,7 +121,7 @@ class CheckedBundle:
         Deviations of the parameters from their nominal values, of all statements; of the angle [rad]. It is that of
         the telescope, also where the box of a proof is wider.
     requirements : tuple of str
-        Of the telescope in the bundle.
+        Of the telescope those that a limit of a proven figure, or of noise, is made of.
     name : str
         :attr:`Bundle.name`.
     frames : mapping of str to float
@@ -168,11 +168,11 @@ class Bundle:
     @cached_property
     def subject(self) -> Subject:
         """Names of its controllers and its telescope."""
-        return Subject.of(self.k_fsm, self.k_pma, parameters_hash(self.parameters))
+        return Subject.of(self.k_fsm, self.k_pma, parameters_digest(self.parameters))
 
     @cached_property
     def name(self) -> str:
-        """Twelve hexadecimal digits of the SHA-256 of what is in it: subject and arrays of the proofs.
+        """128 bits, as hexadecimal digits, of the SHA-256 of what is in it: subject and arrays of the proofs.
 
         However the files are compressed, and with whatever versions they were written.
         """
@@ -183,7 +183,7 @@ class Bundle:
                 for name in sorted(archive.files):
                     array = np.ascontiguousarray(archive[name])
                     key.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-        return key.hexdigest()[:12]
+        return key.hexdigest()[:32]
 
     @property
     def figures(self) -> tuple[tuple[str, str], ...]:
@@ -293,13 +293,15 @@ def open_bundle(path: Path) -> Iterator[Bundle]:
 
 def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
     text = members[MANIFEST]
-    _check_hashes(json.loads(text), {name: data for name, data in members.items() if name != MANIFEST})
+    _check_hashes(parsed(text, MANIFEST), {name: data for name, data in members.items() if name != MANIFEST})
     for name, data in members.items():
         if PurePosixPath(name).parts[:-1] not in ((), (PROOFS,), (MODAL_DATA,)) or name[-1] in "/.":
             raise ProofError(f"a member must be a file of {PROOFS} or {MODAL_DATA}, got {name!r}")
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
     parameters = _telescope(folder, frozenset(members))
+    for name in (K_FSM, K_PMA):
+        parsed(members[name], name)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
     k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
@@ -313,24 +315,21 @@ def _refused(error: BaseException) -> ProofError:
 
 
 def _members(path: Path) -> dict[str, bytes]:
-    """All members of a zip file, whose number and size are limited before they are unpacked."""
+    """All members of a bundle."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            infos = archive.infolist()
-            names = [info.filename for info in infos]
-            if len(infos) > MOST_MEMBERS or sum(info.file_size for info in infos) > LARGEST:
-                raise ProofError(f"a bundle must have at most {MOST_MEMBERS} members and {LARGEST} bytes, got more")
-            if len(set(names)) != len(names) or MANIFEST not in names:
-                raise ProofError(f"a bundle must have {MANIFEST} and no member twice, got {sorted(names)}")
-            return {info.filename: archive.read(info) for info in infos}
+        found = zip_members(path)
     except Exception as error:  # of damaged streams the decompressors raise errors of their own
         raise _refused(error) from None
+    if MANIFEST not in found:
+        raise ProofError(f"a bundle must have {MANIFEST}, got {sorted(found)}"[:300])
+    return found
 
 
 def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
-    if manifest["format"] != FORMAT:
-        raise ProofError(f"format must be {FORMAT!r}, got {str(manifest['format'])[:60]!r}")
-    hashes = manifest["sha256"]
+    own = manifest.get("format") if isinstance(manifest, dict) else None
+    if own != FORMAT:
+        raise ProofError(f"format must be {FORMAT!r}, got {str(own)[:60]!r}")
+    hashes = MANIFEST_ENTRIES(manifest, MANIFEST)["sha256"]
     if set(hashes) != set(members):
         raise ProofError(f"members must be those of the manifest, got other {sorted(set(hashes) ^ set(members))}")
     for name, data in members.items():
@@ -340,7 +339,7 @@ def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
 
 def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
     """Parameters of the telescope; modal data are members."""
-    content = json.loads((folder / TELESCOPE).read_bytes())
+    content = parsed((folder / TELESCOPE).read_bytes(), TELESCOPE)
     require_plain({k: v for k, v in content.items() if k != SOURCES}, "texts of the telescope")
 
     def file(body: str, name: str) -> str:
@@ -440,12 +439,25 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
         box = dict(zip((p.name for p in loop.system.parameters), box_of(loop)))  # every proof holds it
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
-    requirements = tuple(str(entry["text"]) for entry in bundle.parameters["requirement"])
+    requirements = requirements_of(parameters, found, tuple(noise))
     sums = {
         s: error_sums(parameters, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
         for s in loops
     }
     return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums, frames)
+
+
+def requirements_of(parameters: Parameters, figures: Iterable[ProvenFigure], noise: Iterable[str]) -> tuple[str, ...]:
+    """Texts of the requirements that the limits of proven figures, and of stages with a bound of noise, are made of.
+
+    Others of the telescope, of another stage for instance, are no part of what a bundle says.
+    """
+    limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST, *PARTS)}
+    limits |= {"ape_limit" for f in figures if f.figure == "APE"}
+    limits |= {name for stage in noise for name in ("ape_limit", window_limit(stage))}
+    made = design_limits(telescope_requirements(parameters))[1]
+    places = sorted({place for name in limits for place in made[name]})
+    return tuple(str(parameters["requirement"][place]["text"]) for place in places)
 
 
 def checked_noise(

@@ -8,9 +8,9 @@ Names are those of proofs and of their files.
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 
+from pointing_analysis.rounding import at_most
 from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.parameters import Parameters
@@ -65,9 +65,9 @@ class ErrorSum:
         Examples
         --------
         >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec").text
-        'APE, tone and noise: 9.332 of 12 arcsec'
+        'APE, tone and noise: 9.3312 of 12 arcsec'
         >>> ErrorSum("APE, tone and noise", 9.3312, 12.0, "arcsec", 0.997).text
-        'APE, tone and noise: 9.332 of 12 arcsec with probability 0.997'
+        'APE, tone and noise: 9.3312 of 12 arcsec with probability 0.997'
         """
         how_often = "" if self.probability is None else f" {probability_text(self.probability)}"
         return f"{self.name}: {self._of_limit}{how_often}{'' if self.kept else f', {ABOVE}'}"
@@ -85,7 +85,7 @@ class ErrorSum:
 
     @property
     def _of_limit(self) -> str:
-        return f"{math.ceil(self.value * 1e3) / 1e3:g} of {self.limit:g} {self.unit}"
+        return f"{at_most(self.value, 5)} of {self.limit:g} {self.unit}"
 
 
 def probability_text(part: float) -> str:
@@ -97,6 +97,17 @@ def probability_text(part: float) -> str:
     ('with probability 0.997', 'with probability 0.99999999')
     """
     return f"with probability {part!r}"
+
+
+def window_limit(stage: str) -> str:
+    """Name of the limit of the relative error of a stage with fine control.
+
+    Examples
+    --------
+    >>> window_limit("fsm"), window_limit("fsm+pma")
+    ('rpe_limit', 'rpe_limit_fine')
+    """
+    return "rpe_limit_fine" if stage in FORCE_STAGES else "rpe_limit"
 
 
 def required_probabilities(parameters: Parameters, stage: str) -> tuple[float, float]:
@@ -113,6 +124,5 @@ def required_probabilities(parameters: Parameters, stage: str) -> tuple[float, f
     """
     rules = telescope_requirements(parameters)
     made = design_limits(rules)[1]
-    windows = "rpe_limit_fine" if stage in FORCE_STAGES else "rpe_limit"
-    instants, of_windows = (float(rules[made[name][0]].probability) for name in ("ape_limit", windows))
+    instants, of_windows = (float(rules[made[name][0]].probability) for name in ("ape_limit", window_limit(stage)))
     return instants, of_windows

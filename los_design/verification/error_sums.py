@@ -6,6 +6,10 @@ of them give a bound. The part of the noise that can be on the axis of the tone 
 counts with the least angle that it turns in a window: that of the lower end of the part of the band that its bound is
 of.
 
+Two things hold only for a required part of :data:`LEAST_PART` or more: a tone along one axis is worse than one whose
+line of sight goes round an ellipse, and more noise is worse than less. For a smaller part the level that this part
+keeps is the bound.
+
 Slow and fast tones at once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``,
 and random phases (:func:`titop_plant.telescope.budget.two_tone_level`). The largest level over the shares is the sum.
 
@@ -25,10 +29,12 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound
 from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE, ErrorSum, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.budget import LEAST_ON_AXIS, combined_level, two_tone_level
+from titop_plant.telescope.budget import combined_level, two_tone_level
 from titop_plant.telescope.layout import channels
 from titop_plant.telescope.parameters import Parameters
 
+LEAST_PART = 0.9
+"""Of the instants or windows: the least one for which sums are computed."""
 SHARES = 17
 """Shares of slow and fast tones between which the largest sum is searched."""
 
@@ -93,23 +99,24 @@ def fast_pieces(parameters: Parameters, tones: Mapping[str, float]) -> list[tupl
 
 
 def _scaled(bound: NoiseBound, unit: float) -> NoiseBound:
-    return NoiseBound(bound.rms / unit, bound.along / unit)
+    """In another unit; along each of both axes the power is at most that along any."""
+    return NoiseBound(min(bound.rms, math.sqrt(2.0) * bound.along) / unit, bound.along / unit)
 
 
 def _level(tone: float, noise: NoiseBound, part: float, turn: float = 0.0) -> float:
     if math.isnan(tone + part):
         return math.nan
-    return combined_level(tone, noise.rms, part, max(noise.on_axis, LEAST_ON_AXIS), turn)
+    return combined_level(tone, noise.rms, max(part, LEAST_PART), noise.on_axis, turn)
 
 
 def _both(slow: float, fast: float, noise: NoiseBound, part: float, turn: float) -> float:
     """Largest level over the shares of both tones."""
     if math.isnan(slow + part):
         return math.nan
-    on_axis = max(noise.on_axis, LEAST_ON_AXIS)
+    part = max(part, LEAST_PART)
 
     def level(angle: float) -> float:
-        return two_tone_level(math.cos(angle) * slow, math.sin(angle) * fast, noise.rms, part, on_axis, turn)
+        return two_tone_level(math.cos(angle) * slow, math.sin(angle) * fast, noise.rms, part, noise.on_axis, turn)
 
     angles = np.linspace(0.0, 0.5 * math.pi, SHARES)
     values = [level(float(angle)) for angle in angles]

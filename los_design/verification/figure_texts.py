@@ -9,6 +9,7 @@ from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES
 from los_loop.spec import LINE_OF_SIGHT
+from pointing_analysis.rounding import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import COMMANDED
 
@@ -21,17 +22,17 @@ def bound_text(figure: str, level: float, limit: float) -> str:
     Examples
     --------
     >>> bound_text("slow", 0.4991, 1.4544410e-7)
-    'slow 14.97 of 30 mas'
+    'slow 14.98 of 30 mas'
     >>> bound_text("APE", 0.9958, 2.4240684e-5), bound_text("force", 0.2097, 0.1)
     ('APE 4.979 of 5 arcsec', 'force 0.02097 of 0.1 N')
     >>> bound_text("fast, 85 to 126", 0.5, 1.4544410e-7)
     'fast, 85 to 126 rad/s: 15 of 30 mas'
     """
     if figure in FRAME_LIMITS:
-        return f"{figure} {level * limit:.3g} of {limit:.3g}"
+        return f"{figure} {at_most(level * limit, 3)} of {limit:g}"
     kind = figure.split(", ")[0]
     if kind in RETURNED or kind == SENSITIVITY:
-        return f"{figure} {level * limit:.4g} of {limit:.4g} ({margin_text(kind, level * limit)})"
+        return f"{figure} {at_most(level * limit)} of {limit:g} ({margin_text(kind, level * limit)})"
     names = (figure, kind)  # of a part of a band the second one
     row = next(row for name in names for row in FIGURES if row.name == name)
     unit, name = RAD_PER_ARCSEC, "arcsec" if row.output == LINE_OF_SIGHT else "arcsec of the mirror"
@@ -40,7 +41,7 @@ def bound_text(figure: str, level: float, limit: float) -> str:
     elif row.relative:
         unit, name = RAD_PER_MAS, "mas"
     name_of = f"{figure} rad/s:" if figure in PARTS else figure
-    return f"{name_of} {level * limit / unit:.4g} of {limit / unit:.4g} {name}"
+    return f"{name_of} {at_most(level * limit / unit)} of {limit / unit:g} {name}"
 
 
 def margin_text(kind: str, peak: float) -> str:
@@ -60,16 +61,8 @@ def margin_text(kind: str, peak: float) -> str:
     if kind == LATER:
         return "kept" if peak <= 1.0 else "not shown"
     alpha = 1.0 / peak
-    phase = f"phase {_down(math.degrees(2.0 * math.asin(min(1.0, 0.5 * alpha))), 1):g} deg"
+    phase = f"phase {at_least(math.degrees(2.0 * math.asin(min(1.0, 0.5 * alpha))), 3)} deg"
     if kind != SENSITIVITY:
-        return f"gains x{max(0.0, _up(1.0 - alpha, 3)):g} to x{_down(1.0 + alpha, 3):g}, {phase}"
-    high = f"x{_down(1.0 / (1.0 - alpha), 3):g}" if alpha < 1.0 else "any"
-    return f"disk margin {_down(alpha, 3):g}: gains x{_up(1.0 / (1.0 + alpha), 3):g} to {high}, {phase}"
-
-
-def _down(value: float, digits: int) -> float:
-    return math.floor(value * 10.0**digits * (1.0 + 1e-12)) / 10.0**digits
-
-
-def _up(value: float, digits: int) -> float:
-    return math.ceil(value * 10.0**digits * (1.0 - 1e-12)) / 10.0**digits
+        return f"gains x{at_most(max(0.0, 1.0 - alpha), 3)} to x{at_least(1.0 + alpha, 4)}, {phase}"
+    high = f"x{at_least(1.0 / (1.0 - alpha), 4)}" if alpha < 1.0 else "any"
+    return f"disk margin {at_least(alpha, 3)}: gains x{at_most(1.0 / (1.0 + alpha), 3)} to {high}, {phase}"

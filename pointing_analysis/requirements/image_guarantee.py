@@ -19,6 +19,7 @@ from typing import Any
 
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.requirements.image_summary import ImageSummary
+from pointing_analysis.rounding import at_least, at_most
 from pointing_analysis.units import RAD_PER_MAS
 
 METADATA = "proof_rpe"
@@ -61,10 +62,11 @@ def proven_text(found: Any, optics: Optics | None, measured: ImageSummary | None
     rms, exposure = numbers
     half, full = (least_transfer(rms, part * optics.nyquist) for part in (0.5, 1.0))
     end = 0.25 / rms / optics.nyquist
-    at_full = f"{full:.3g} at Nyquist" if full else f"no bound above {end:.3g} Nyquist"
+    at_full = f"{at_least(full, 3)} at Nyquist" if full else f"no bound above {at_least(end, 3)} Nyquist"
+    bound = at_most(rms / RAD_PER_MAS)
     text = (
         f"MTF of the motion, {1e3 * exposure:g} ms, proven for every telescope of the family and one tone of "
-        f"norm 1, without noise: at least {half:.3g} at 0.5 Nyquist, {at_full} (RPE {rms / RAD_PER_MAS:.4g} mas)"
+        f"norm 1, without noise: at least {at_least(half, 3)} at 0.5 Nyquist, {at_full} (RPE {bound} mas)"
     )
     if measured is None or measured.exposure != exposure:
         return text

@@ -76,7 +76,9 @@ MAX_SENSITIVITY, TUNED_SENSITIVITY, TUNED_FORCE_SENSITIVITY = 2.0, 1.95, 1.9
 sampled loop has a little more than the design model, at the forces near half of the sampling rate."""
 
 NEGLIGIBLE = 2e-3
-"""Noise below this part of a tone is left out: it adds at most 0.3 %, and the distribution is not computable there."""
+"""Noise below this part of a tone counts as this part of it: the distribution is not computable below, and a level is
+never less than what is kept.
+"""
 
 SLOW_TURN = 1e-2
 """Half of a turn in a window below which a tone is a ramp there; the difference is of its square."""
@@ -136,7 +138,10 @@ def combined_level(
         raise ValueError(f"on_axis must be from {LEAST_ON_AXIS:g} to 1, got {on_axis}")
     if noise <= NEGLIGIBLE * tone:
         modulation, _ = _in_window(turn)
-        return max(least, float(tone * np.sqrt(0.5 * (1.0 - abs(modulation) * np.cos(np.pi * probability)))))
+        least = max(least, float(tone * np.sqrt(0.5 * (1.0 - abs(modulation) * np.cos(np.pi * probability)))))
+        if not noise:
+            return least
+    noise = max(noise, NEGLIGIBLE * tone)
     window = partial(_outside, tone=tone, noise=noise, on_axis=on_axis, turn=turn)
     if least > 0.0 and window(least) <= 1.0 - probability:
         return least
@@ -155,7 +160,7 @@ def two_tone_level(
     slow, fast : float
         Amplitudes of the weighted relative error.
     noise, probability, on_axis
-        As for :func:`combined_level`; the noise must not be negligible beside the tones.
+        As for :func:`combined_level`.
     turn : float
         Angle that the fast tone turns in a window [rad].
 
@@ -166,8 +171,9 @@ def two_tone_level(
     >>> round(two_tone_level(12.0, 12.0, 11.0, 0.997), 1)  # of norm 17 in all, with independent phases
     41.9
     """
-    if not (slow >= 0.0 and fast >= 0.0 and noise > NEGLIGIBLE * max(slow, fast) and turn >= 0.0):
-        raise ValueError(f"tones must not be negative, noise not negligible, got {slow}, {fast}, {noise} and {turn}")
+    if not (slow >= 0.0 and fast >= 0.0 and noise >= 0.0 and turn >= 0.0):
+        raise ValueError(f"tones, noise and turn must not be negative, got {slow}, {fast}, {noise} and {turn}")
+    noise = max(noise, NEGLIGIBLE * max(slow, fast))
     outside = partial(_outside, tone=fast, noise=noise, on_axis=on_axis, turn=turn, slow=slow)
     return _root(lambda level: outside(level) - (1.0 - probability), 1.5 * (slow + fast) + 5.0 * noise)
 

@@ -181,7 +181,12 @@ def _parsed(text: str) -> bytes:
 
 
 def parameters_hash(parameters: Parameters) -> str:
-    """Twelve hexadecimal digits that name these parameter values; of a modal data file the content counts.
+    """Twelve hexadecimal digits that name these parameter values: the first ones of :func:`parameters_digest`."""
+    return parameters_digest(parameters)[:12]
+
+
+def parameters_digest(parameters: Parameters) -> str:
+    """128 bits, as hexadecimal digits, that name these parameter values; of a modal data file the content counts.
 
     Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
     that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
@@ -203,7 +208,7 @@ def parameters_hash(parameters: Parameters) -> str:
         if isinstance(content.get(name), list):
             content[name] = [_with_digest(table) for table in content[name]]
     text = json.dumps(content, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _with_digest(table: Mapping[str, Any]) -> Mapping[str, Any]:

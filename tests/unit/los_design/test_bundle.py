@@ -46,7 +46,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.guide_camera import without_images
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.parameters import load_parameters, parameters_digest
 
 STAGE, FIGURE = "fsm+pma", "slow"
 Mutation = Callable[[dict[str, bytes]], None]
@@ -91,7 +91,7 @@ def changed(source: Path, target: Path, mutation: Mutation) -> Path:
 
 def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: ImplementedLoop) -> None:
     with open_bundle(written) as bundle:
-        assert bundle.subject == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
+        assert bundle.subject == Subject.of(*load_designs("implemented"), parameters_digest(load_parameters()))
         assert bundle.figures == ((STAGE, FIGURE),) and bundle.proof(STAGE, FIGURE).level == 0.9
         assert dict(bundle.parameters) == without_images(loop.parameters)
         kept = bundle.folder
@@ -137,10 +137,10 @@ def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, t
     with open_bundle(written) as bundle:
         proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
-    name = parameters_hash(own)
+    name = parameters_digest(own)
     (tmp_path / "mine.csv").unlink()
     with open_bundle(tmp_path / BUNDLE) as bundle:
-        assert parameters_hash(bundle.parameters) == name
+        assert parameters_digest(bundle.parameters) == name
         assert Path(bundle.parameters["body"]["modal_data"]).read_text() == "any content\n"
 
 
@@ -158,11 +158,11 @@ def test_modal_data_of_mounted_bodies_go_with_it(
     with open_bundle(written) as bundle:
         proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
-    digest = parameters_hash(own)
+    digest = parameters_digest(own)
     for number in range(2):
         (tmp_path / f"mine_{number}.csv").unlink()
     with open_bundle(tmp_path / BUNDLE) as bundle:
-        assert parameters_hash(bundle.parameters) == digest
+        assert parameters_digest(bundle.parameters) == digest
         assert str(tmp_path) not in (bundle.folder / TELESCOPE).read_text()
         found = [Path(table["modal_data"]).read_text() for table in bundle.parameters[name][1:]]
         assert found == ["content 0\n", "content 1\n"] and "modal_data" not in bundle.parameters[name][0]
@@ -397,7 +397,7 @@ def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: 
 def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
     """Of the shipped pair what the shipped statements say; of others what the bundle beside them says, or nothing."""
     k_fsm, k_pma = loop.pair
-    telescope_name = parameters_hash(loop.parameters)
+    telescope_name = parameters_digest(loop.parameters)
     shipped = statement_of(Subject.of(k_fsm, k_pma, telescope_name), STAGE, None)
     assert shipped is not None and shipped.checked and shipped.text.startswith("proven for every telescope")
     assert shipped.noise_text.startswith("with noise, proven: APE ") and "noise" not in shipped.text
@@ -419,7 +419,8 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
 
 def test_shipped_statements_are_of_the_shipped_pair() -> None:
     content = json.loads(statements.SHIPPED.read_text("utf-8"))
-    assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), parameters_hash(load_parameters()))
+    telescope = parameters_digest(load_parameters())
+    assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), telescope)
     for row in content["figures"]:
         limit = provable(load_parameters(), row["stage"])[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)

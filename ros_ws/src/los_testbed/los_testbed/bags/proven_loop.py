@@ -19,7 +19,7 @@ from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.units import ANGLES
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.telescope.parameters import design_basis, parameters_hash
+from titop_plant.telescope.parameters import design_basis, parameters_digest
 
 if TYPE_CHECKING:
     from los_design.verification.statements import Statement
@@ -87,7 +87,7 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
         return {"proof": f"no proof of this run: {'; '.join([*late, *against])}"}
     folders = {path.parent for path in parts.files.values()}
     folder = folders.pop() if len(folders) == 1 else None
-    subject = Subject.of(**parts.models, telescope=parameters_hash(parts.parameters))
+    subject = Subject.of(**parts.models, telescope=parameters_digest(parts.parameters))
     found = statement_of(subject, config.loop, folder, parts.parameters)
     if found is None:
         return {"proof": NO_PROOF}

@@ -16,6 +16,7 @@ from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
 from los_testbed.run.summary.screen import printable
+from pointing_analysis.rounding import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 
@@ -88,6 +89,11 @@ def _one_line(text: str) -> str:
     return printable(text).replace("\n", "\\n")
 
 
+def _interval(low: float, high: float) -> str:
+    """Ends of an interval for all of which something is proven, rounded inwards."""
+    return f"[{at_most(low, 6)}, {at_least(high, 6)}]"
+
+
 def _check_system(file: Path, json_: bool) -> None:
     """Check a proof of a gain or of the stability of an uncertain system."""
     from lftkit.proofs import CheckedProof, ProofError
@@ -104,14 +110,17 @@ def _check_system(file: Path, json_: bool) -> None:
     if json_:
         print_json({**vars(checked), "band": band, "margin": min(checked.margin, 1e300)})
         return
-    box = ", ".join(f"{_one_line(name)} in [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
-    frequencies = f"from {checked.band[0]:g} rad/s " + ("on" if band[1] is None else f"to {band[1]:g} rad/s")
+    box = ", ".join(f"{_one_line(name)} in {_interval(*ends)}" for name, ends in checked.box.items())
+    upper = "on" if band[1] is None else f"to {at_least(checked.band[1], 6)} rad/s"
+    frequencies = f"from {at_most(checked.band[0], 6)} rad/s {upper}"
     if checked.kind == "gain":
-        sys.stdout.write(f"proven: gain below {checked.level:.6g} at all frequencies {frequencies}\n")
+        sys.stdout.write(f"proven: gain below {at_most(checked.level or 0.0, 6)} at all frequencies {frequencies}\n")
     if checked.stable:
         sys.stdout.write("proven: stable\n")
     sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
-    sys.stdout.write(f"{checked.cells} parts; smallest margin {checked.margin:.3g} times the bound of all rounding\n")
+    sys.stdout.write(
+        f"{checked.cells} parts; smallest margin {at_least(checked.margin, 3)} times the bound of all rounding\n"
+    )
 
 
 def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
@@ -146,11 +155,12 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
         sys.stdout.write(f"of {whose}: their loop was made anew, and the scalings of the file prove this of it\n")
     else:
         sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
-    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in zip(checked.names, checked.box))
+    box = ", ".join(f"{name} {_interval(*ends)}" for name, ends in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     box, about = _one_line(box), _one_line(about)
-    sys.stdout.write(f"proven: {about}: below {checked.level:.6g} of the limit\n")
-    sys.stdout.write(f"at all frequencies from {checked.band[0]:g} to {checked.band[1]:.6g} rad/s\n")
+    sys.stdout.write(f"proven: {about}: below {at_most(checked.level, 6)} of the limit\n")
+    low, high = at_most(checked.band[0], 6), at_least(checked.band[1], 6)
+    sys.stdout.write(f"at all frequencies from {low} to {high} rad/s\n")
     sys.stdout.write(f"{_stability(checked.stable_below)}\n")
     sys.stdout.write(f"for all deviations from the nominal values {box} (of an angle [rad])\n")
     sys.stdout.write(f"{checked.strips} strips, {checked.windows} windows of frequency\n")
@@ -186,7 +196,7 @@ def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
 def _sentences(checked: CheckedBundle) -> list[str]:
     """What a bundle proves."""
     subject = checked.subject
-    box = ", ".join(f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in checked.box.items())
+    box = ", ".join(f"{name} {_interval(*ends)}" for name, ends in checked.box.items())
     lines = [
         f"bundle {checked.name}: K_FSM {subject.k_fsm}, K_PMA {subject.k_pma}, telescope {subject.telescope}",
         *(f"requirement: {text}" for text in checked.requirements),
@@ -194,16 +204,19 @@ def _sentences(checked: CheckedBundle) -> list[str]:
         "and every tone whose amplitudes over all weighted channels of disturbance have norm 1 together:",
     ]
     for figure in checked.figures:
-        low, high = figure.band
+        low, high = at_most(figure.band[0], 6), at_least(figure.band[1], 6)
         lines.append(
-            f"proven: {figure.stage}, {figure.text}, {figure.level:.4g} of the limit, from {low:g} to {high:.6g} rad/s"
+            f"proven: {figure.stage}, {figure.text}, {at_most(figure.level)} of the limit, from {low} to {high} rad/s"
         )
     lines += [f"{stage}: {_stability(below, checked.frames.get(stage))}" for stage, below in checked.stable.items()]
     for stage, (absolute, relative) in checked.noise.items():
+        both, along = (
+            (at_most(wide / RAD_PER_ARCSEC), at_most(fine / RAD_PER_MAS))
+            for wide, fine in ((absolute.rms, relative.rms), (absolute.along, relative.along))
+        )
         lines.append(
-            f"proven: {stage}, noise of the sensors, rms of both axes: {absolute.rms / RAD_PER_ARCSEC:.4g} arcsec, "
-            f"relative error {relative.rms / RAD_PER_MAS:.4g} mas; along any axis "
-            f"{absolute.along / RAD_PER_ARCSEC:.4g} arcsec and {relative.along / RAD_PER_MAS:.4g} mas"
+            f"proven: {stage}, noise of the sensors, rms of both axes: {both[0]} arcsec, relative error {both[1]} mas; "
+            f"along any axis {along[0]} arcsec and {along[1]} mas"
         )
     lines += [f"from these bounds: {stage}, {row.text}" for stage, rows in checked.sums.items() for row in rows]
     missing = [stage for stage in checked.stable if stage not in checked.noise]
@@ -223,14 +236,14 @@ def _stability(below: float, frames: float | None = None) -> str:
     if math.isinf(below) and frames is not None and frames < 1.0:
         return (
             "proven: stable with the camera's frames, of whose samples images bring back less than "
-            f"{frames:.2g} (the nominal loop with frames by its eigenvalues), as a loop without the images that held "
-            "commands get by uncertain parameters above half of the tick rate"
+            f"{at_most(frames, 2)} (the nominal loop with frames by its eigenvalues), as a loop without the images "
+            "that held commands get by uncertain parameters above half of the tick rate"
         )
     if math.isinf(below):
         return "proven: stable, as a loop without the sidebands that sampling makes of uncertain parameters and frames"
     if below:
         return (
-            f"proven: stable nominal loop, and no pole crosses the axis up to {below:.6g} rad/s; "
+            f"proven: stable nominal loop, and no pole crosses the axis up to {at_least(below, 6)} rad/s; "
             "not proven: stable, as poles may cross above"
         )
     return "not proven: stable; the level is that of the frequency response"

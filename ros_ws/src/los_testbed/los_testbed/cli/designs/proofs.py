@@ -23,6 +23,7 @@ from los_testbed.run.summary.screen import Screen, numbers
 from los_testbed.variants import WORST_POINTS
 from pointing_analysis.files.atomic_output import atomic_file, check_output
 from pointing_analysis.files.structured_text import load_json, read_text
+from pointing_analysis.rounding import at_least, at_most
 from titop_plant.interface import (
     DT,
     K_FSM_INPUTS,
@@ -352,15 +353,15 @@ def show_bounds(found: Sequence[FigureBounds]) -> None:
     )
     table = Table("stage", "figure", *heads, title="Bounds over the whole box (1 is the limit)")
     for b in found:
-        upper, stable = (f"{b.upper:.4g}" if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
+        upper, stable = (at_most(b.upper) if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
         work = (f"{b.strips}", f"{b.seconds:.0f}")
-        table.add_row(b.stage, b.figure, f"{b.lower:.4g}", upper, f"{b.frequency:.5g}", b.status, stable, *work)
+        table.add_row(b.stage, b.figure, at_least(b.lower), upper, f"{b.frequency:.5g}", b.status, stable, *work)
     Screen().print(table)
     for b in found:
         if b.status == "violated":
             values = ", ".join(f"{name} {value:.5g}" for name, value in b.point.items())
             sys.stderr.write(
-                f"{b.stage}, {b.figure}: {b.lower:.4g} of the limit at {b.frequency:.6g} rad/s, {values}\n"
+                f"{b.stage}, {b.figure}: {at_least(b.lower)} of the limit at {b.frequency:.6g} rad/s, {values}\n"
             )
         elif b.status == "unstable":
             sys.stderr.write(f"{b.stage}, {b.figure}: the nominal loop was not proven stable\n")
