@@ -268,7 +268,11 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
     return np.asarray(drift[~np.isnan(drift).any(axis=1)])
 
 
-def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = 1000) -> FloatArray:
+PAIRED = 1000
+"""Most windows of an observation that are compared with those of another."""
+
+
+def pre(first: ArrayLike, second: ArrayLike, dt: float, window: float, max_windows: int = PAIRED) -> FloatArray:
     """Reproducibility: differences of the window means of two observations.
 
     Parameters

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from pointing_analysis.image.motion_blur import exposure_parts
 from pointing_analysis.image.optics import NONE_KNOWN, Optics, optics_of
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.indices.exceedances import IndependentSamples, block_factor, pooled_number
 from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
@@ -108,15 +110,19 @@ class IndexSamples:
     Attributes
     ----------
     values : those that are there [rad]
-    effective : independent samples they weigh as much as
+    effective : independent samples that their exceedances of a requirement's limit weigh as much as
     seconds : length of the data [s]
     missing : samples missing; infinite where the recording was cut off and nothing says how many
     """
 
     values: FloatArray
-    effective: float
+    effective: Callable[[Requirement], float]
     seconds: float
     missing: float
+
+    def decided(self, requirement: Requirement, runs: int = 1) -> Verdict:
+        """Verdict on this run, or pair of runs, one of so many; see `decide`."""
+        return decide(requirement, self.values, self.effective(requirement), self.seconds, self.missing, runs)
 
 
 def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
@@ -136,8 +142,8 @@ def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | 
     values, cap, missing = index_samples(series, requirement, optics)
     if not values.size:
         raise ValueError(f"no complete window of {requirement.quantity}")
-    effective = min(cap, confidence.effective_number(finite(values) if requirement.of_image else values))
-    return IndexSamples(values, effective, series.duration, missing)
+    independent = IndependentSamples.of(finite(values) if requirement.of_image else values, cap)
+    return IndexSamples(values, lambda r: independent.above(r.limit, r.lower), series.duration, missing)
 
 
 def refusal(requirement: Requirement, rows: int, dt: float, optics: Optics | None = None) -> str:
@@ -216,12 +222,34 @@ def _reproducibility(
             samples = metrics.pre(first.values, second.values, first.dt, window)
             values = _norm(samples, requirement)
             means = [metrics.mpe(s.values, s.dt, window) for s in (first, second)]
-            weight = min(confidence.effective_number(metrics.radial(m)) for m in means)
+            most = min(IndependentSamples.of(metrics.radial(m)).most for m in means)
             pairs = math.prod(int(len(s.values) * s.dt / window + ROUNDING) for s in (first, second))
             cut = first.open_end or second.open_end
             missing = math.inf if cut else float(max(pairs - len(values), 0))
-            found.append(IndexSamples(values, weight, first.duration + second.duration, missing))
+            effective = partial(_of_pairs, values, min(len(means[0]), metrics.PAIRED), most)
+            found.append(IndexSamples(values, effective, first.duration + second.duration, missing))
     return found
+
+
+def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requirement) -> float:
+    """Independent samples that the exceedances of pairs of windows weigh as much as.
+
+    The share that one window of a run exceeds is a sample of that run: the variances over both runs add.
+
+    Parameters
+    ----------
+    values : (rows * columns,) of each window of the first run with each of the second
+    rows : windows of the first run
+    most : no more than this many
+    """
+    beyond = beyond_limit(values, requirement).reshape(rows, -1)
+    share = float(beyond.mean())
+    variance = share * (1.0 - share)
+    parts_of_one = 0.0
+    for axis in (0, 1):
+        own = beyond.mean(axis=axis) - share
+        parts_of_one += block_factor(lambda part, own=own: own[part], len(own), variance, 0.0) / len(own)
+    return max(min(most, 1.0 / parts_of_one if parts_of_one else most), 1.0)
 
 
 def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
@@ -237,31 +265,30 @@ def _not_judged(requirement: Requirement, why: str) -> Verdict:
 
 
 def decide(
-    requirement: Requirement, values: FloatArray, effective: float, seconds: float, missing: float = 0.0
+    requirement: Requirement,
+    values: FloatArray,
+    effective: float,
+    seconds: float,
+    missing: float = 0.0,
+    runs: int = 1,
 ) -> Verdict:
     """Judge samples of the index that weigh as much as `effective` independent ones and took `seconds` to record.
+
+    Of several `runs` that are judged alone, one that is not compliant is the verdict on all of them: each is refuted at
+    so much more confidence that all of them together are falsely refuted no more often than one (Bonferroni).
 
     Missing samples count against either verdict: for ``compliant`` each of them as one above the limit, for ``not
     compliant`` as one below it. Where both fail, and where an unknown number is missing and the rest complies, there is
     not enough data.
     """
-    n = max(int(effective), 1)
-    above = sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
+    above = _count_beyond(values, requirement)
     rate = above / len(values)
     p, c = requirement.probability, requirement.confidence
     unknown = math.isinf(missing)
     total = len(values) + (0.0 if unknown else missing)
-    worst, best = (1.0 if unknown else (above + missing) / total), above / total
-    # Exceedances are scaled to the effective number, each bound rounded to its own safe side.
-    upper = confidence.exceedance_upper(math.ceil(worst * n - ROUNDING), n, c)
-    lower = confidence.exceedance_lower(math.floor(best * n + ROUNDING), n, c)
-    status: Status = "not enough data"
-    needed = seconds
-    if upper <= 1 - p:
-        status = "compliant"
-    elif lower > 1 - p:
-        status = "not compliant"
-    else:
+    worst = 1.0 if unknown else (above + missing) / total
+    status, needed = status_of(requirement, worst, above / total, effective, runs), seconds
+    if status == "not enough data":
         needed = confidence.samples_to_decide(p, c, rate if unknown else worst) * seconds / effective
     note = _missing_note(missing, total)
     bounds = confidence.quantile(-values if requirement.lower else values, p, c, effective)
@@ -272,9 +299,25 @@ def decide(
     return Verdict(requirement, status, rate, bounds, len(values), effective, seconds, needed, note, missing)
 
 
+def status_of(requirement: Requirement, worst: float, best: float, effective: float, runs: int = 1) -> Status:
+    """Status of a share beyond the limit that is at most `worst` and at least `best`, of `effective` samples.
+
+    Exceedances are scaled to the effective number, each bound rounded to its own safe side.
+    """
+    n, c, allowed = max(int(effective), 1), requirement.confidence, 1 - requirement.probability
+    upper = confidence.exceedance_upper(math.ceil(worst * n - ROUNDING), n, c)
+    refuting = 1 - (1 - c) / runs if runs > 1 else c
+    lower = confidence.exceedance_lower(math.floor(best * n + ROUNDING), n, refuting)
+    return "compliant" if upper <= allowed else "not compliant" if lower > allowed else "not enough data"
+
+
 def beyond_limit(values: FloatArray, requirement: Requirement) -> BoolArray:
     """Which samples do not keep the limit."""
     return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
+
+
+def _count_beyond(values: FloatArray, requirement: Requirement) -> int:
+    return sum(int(np.count_nonzero(beyond_limit(values[part], requirement))) for part in parts(len(values)))
 
 
 def _missing_note(missing: float, total: float) -> str:
@@ -288,7 +331,8 @@ def _missing_note(missing: float, total: float) -> str:
 def judge(requirement: Requirement, runs: Sequence[Recording], transient: float | None = None) -> Verdict:
     """Judge runs against one requirement.
 
-    With the temporal interpretation every run must comply and the worst verdict counts; the ensemble one takes the
+    With the temporal interpretation every run must comply and the worst verdict counts (of m runs each is refuted at a
+    confidence of 1 - (1 - c) / m); the ensemble one takes the
     worst instant of each run as one independent sample, those of runs with missing samples as missing; the mixed one
     puts the samples of all runs together. Recordings that contradict their own digests are not judged.
     """
@@ -313,11 +357,18 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     if requirement.interpretation == "mixed":
         values = np.concatenate([one.values for one in collected])
         missing = sum(one.missing for one in collected)
-        return decide(requirement, values, sum(one.effective for one in collected), seconds, missing)
-    verdicts = [decide(requirement, one.values, one.effective, one.seconds, one.missing) for one in collected]
+        return decide(requirement, values, _of_all(requirement, collected), seconds, missing)
+    verdicts = [one.decided(requirement, len(collected)) for one in collected]
     order = {"not compliant": 0, "not enough data": 1, "compliant": 2}
     sign = 1.0 if requirement.lower else -1.0
     return min(verdicts, key=lambda v: (order[v.status], -v.exceeding, sign * v.quantile.value))
+
+
+def _of_all(requirement: Requirement, runs: Sequence[IndexSamples]) -> float:
+    """Independent samples that those of all runs together weigh as much as."""
+    sizes = [float(len(one.values)) for one in runs]
+    shares = [_count_beyond(one.values, requirement) / size for one, size in zip(runs, sizes)]
+    return pooled_number(shares, [one.effective(requirement) for one in runs], sizes)
 
 
 def _worst(values: FloatArray, requirement: Requirement) -> float:

@@ -12,6 +12,7 @@ from scipy.stats import binom
 
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries
+from pointing_analysis.indices.exceedances import IndependentSamples
 from pointing_analysis.read.series import Series, make_series, series
 from pointing_analysis.requirements.verdict import Requirement, Verdict, decide, index_samples, judge, parse
 
@@ -240,14 +241,36 @@ def test_ensemble_runs_with_missing_samples_are_missing_unless_above() -> None:
 
 def test_mixed_takes_all_samples_together() -> None:
     requirement, rng = replace(LOOSE, interpretation="mixed"), np.random.default_rng(2)
-    values = [rng.uniform(0.0, 0.4, 300), rng.uniform(0.2, 0.7, 700)]
+    values = [rng.uniform(0.0, 0.7, 300), rng.uniform(0.0, 0.7, 700)]
     runs = [run(values[0]), run(values[1], missing=(5, 6))]
     found = judge(requirement, runs, 0.0)
     there = np.concatenate([values[0], np.delete(values[1], [5, 6])])
     assert (found.samples, found.missing, found.seconds) == (998, 2.0, 1.0)
     assert found.exceeding == np.mean(there >= LIMIT)
     each = [index_samples(ErrorSeries(r["truth/los"].values[:, :2], 1e-3, 0.0, 2), requirement)[0] for r in runs]
-    assert found.effective == pytest.approx(sum(map(confidence.effective_number, each)))
+    sizes = [IndependentSamples.of(one).above(LIMIT) for one in each]
+    assert found.effective == pytest.approx(998**2 / sum(len(one) ** 2 / n for one, n in zip(each, sizes)))
+    assert 700 < found.effective <= sum(sizes)
+
+
+def test_runs_that_are_unlike_do_not_make_each_other_certain() -> None:
+    """Ten runs of which one exceeds all the time: ten samples, however long each of them is."""
+    requirement, rng = replace(LOOSE, interpretation="mixed"), np.random.default_rng(4)
+    good, bad = [run(rng.uniform(0.0, 0.4, 400)) for _ in range(9)], run(rng.uniform(0.6, 0.9, 400))
+    found = judge(requirement, [*good, bad], 0.0)
+    assert found.exceeding == 0.1 and found.effective < 10.0 and found.status == "not enough data"
+    assert judge(requirement, good, 0.0).effective > 2000.0
+
+
+def test_many_runs_are_refuted_by_chance_no_more_often_than_one() -> None:
+    """Forty runs at exactly the allowed share: each alone is refuted in 5 %, which must not become one of them."""
+    requirement = parse("prob(|APE| < 0.5 rad) >= 0.75 at 95 % confidence")
+    refuted = 0
+    for seed in range(30):
+        rng = np.random.default_rng([9, seed])
+        runs = [run(np.where(rng.random(100) < 0.25, 0.6, 0.1)) for _ in range(20)]
+        refuted += judge(requirement, runs, 0.0).status == "not compliant"
+    assert refuted <= binom.isf(1e-3, 30, 0.05)
 
 
 @pytest.mark.parametrize("interpretation", ["ensemble", "mixed"])
@@ -317,7 +340,7 @@ def test_reproducibility_is_of_each_pair_of_runs() -> None:
     found = judge(requirement, [run(a), run(b)], 0.0)
     assert (found.samples, found.missing) == (20 * 15, 0.0) and found.seconds == pytest.approx(0.7)
     means = [metrics.radial(metrics.mpe(e, 1e-3, 0.02)) for e in (a, b)]
-    assert found.effective == min(map(confidence.effective_number, means))
+    assert found.effective == min(IndependentSamples.of(mean).most for mean in means)
     difference = metrics.pre(a, b, 1e-3, 0.02)
     assert found.quantile.value == confidence.quantile(np.hypot(*difference.T), 0.9, 0.9, 1.0).value
     worst = judge(requirement, [run(a), run(b), run(far)], 0.0)
