@@ -28,7 +28,7 @@ def columns(count: int, largest: float = 30.0, share: float = 0.0) -> dict[str, 
     """Metrics of members that keep 40 mas, but for the last ones."""
     found = {name: np.ones(count) for name in TIME_METRICS}
     found |= {name: np.zeros(count) for name in TIME_METRICS if "above" in name}
-    found |= {name: np.full(count, 400.0) for name in TIME_METRICS if "effective" in name}
+    found |= {name: np.full(count, 4000.0) for name in TIME_METRICS if "effective" in name}
     found["rpe_window_max_mas"] = np.full(count, largest)
     found["rpe_window_above_40_mas"] = np.full(count, share)
     return found
@@ -42,8 +42,8 @@ def test_a_thousand_members_below_the_limit_are_compliant_and_a_hundred_do_not_s
     many, few = (by_name(verdicts(columns(n), ["ok"] * n, "fsm+pma", REQUIREMENTS), "RPE, finest") for n in (1000, 100))
     assert many["ensemble"].status == "compliant" and many["ensemble"].upper < 0.003
     assert few["ensemble"].status == "not enough data" and few["ensemble"].needed == 998
-    assert few["mixed"].status == "compliant" and few["mixed"].samples == 40000
-    assert few["temporal"].status == "compliant"
+    assert few["mixed"].status == "compliant" and few["mixed"].samples == 400000
+    assert many["temporal"].status == "compliant" and few["temporal"].status == "not enough data"
 
 
 def test_interpretations_differ_as_ecss_says() -> None:

@@ -22,8 +22,6 @@ MEANINGS = {
     "force_max_n": "largest force command [N]",
     "rpe_window_max_mas": "relative error, rms of the worst window [mas]",
     "rpe_window_p997_mas": "relative error, rms of a window, 99.7 % of the windows [mas]",
-    "ape_effective": "independent samples of the absolute error",
-    "rpe_window_effective": "independent windows",
     "ape_gain": "largest absolute error of a tone of unit norm over its limit",
     "slow_tone_mas": "relative error of the worst slow tone of unit norm [mas]",
     "fast_tone_mas": "relative error of the worst fast tone of unit norm [mas]",
@@ -92,8 +90,8 @@ _NUMBER = r"\d[\d.]*(?:e[+-]?\d+)?"
 _COLUMN = re.compile(
     rf"(?P<index>{'|'.join(QUANTITIES)})(?P<rms>_window)?(?P<times>(?:_{_NUMBER}m?s)*)"
     rf"(?:_(?P<frequency>(?:{_NUMBER})?nyquist|{_NUMBER}cycles_per_[a-z]+))?(?:_(?P<axis>[xy]))?"
-    rf"_(?P<what>max|min|effective|p(?P<part>\d[\d.e+-]*)|(?P<side>above|below)_(?P<limit>{_NUMBER}))"
-    r"(?:_(?P<unit>mas|arcsec))?"
+    rf"_(?P<what>max|min|p(?P<part>\d[\d.e+-]*)|(?P<side>above|below)_(?P<limit>{_NUMBER}))"
+    r"(?:_(?P<unit>mas|arcsec))?(?P<effective>_effective)?"
 )
 
 _SOURCE = re.compile(r"source_(?P<name>\w+)_(?P<metric>ape_p997_arcsec|rpe_rms_mas)")
@@ -112,7 +110,7 @@ class RequirementColumns:
     share : str
         Share of the samples that do not keep the limit; missing ones are among them.
     effective : str
-        Independent samples that they weigh as much as.
+        Independent samples that those beyond the limit weigh as much as.
     scale : float
         Radians per unit of the columns; 1 for numbers.
     unit : str
@@ -147,11 +145,12 @@ class RequirementColumns:
         end = f"_{unit}" if unit else ""
         part = _digits(round(1.0 - requirement.probability, 14) if lower else requirement.probability, 10, 1e-15)
         limit = _digits(requirement.limit / scale, 6, math.inf if stem in ("ape", "rpe_window") else 1e-9)
+        share = f"{stem}_{'below' if lower else 'above'}_{limit}{end}"
         return cls(
             worst=f"{stem}_{'min' if lower else 'max'}{end}",
             quantile=f"{stem}_p{part.removeprefix('0.')}{end}",
-            share=f"{stem}_{'below' if lower else 'above'}_{limit}{end}",
-            effective=f"{stem}_effective",
+            share=share,
+            effective=f"{share}_effective",
             scale=scale,
             unit=unit,
             lower=lower,
@@ -207,20 +206,19 @@ def meaning(column: str) -> str:
     found = _COLUMN.fullmatch(column)
     if column in MEANINGS or not found:
         return MEANINGS.get(column, column.replace("_", " "))
-    index, what, unit = found["index"], found["what"], f" [{found['unit']}]" if found["unit"] else ""
+    index, unit = found["index"], f" [{found['unit']}]" if found["unit"] else ""
     samples = "windows" if found["rms"] else SAMPLES.get(index, "instants")
     quantity = QUANTITIES[index] + _conditions(found)
     if found["limit"]:
         limit = f"{found['limit']} {found['unit'] or ''}".strip()
-        return f"{quantity}: share of the {samples} {found['side']} {limit}"
+        what = f"independent {samples} for the share" if found["effective"] else f"share of the {samples}"
+        return f"{quantity}: {what} {found['side']} {limit}"
     if found["part"]:
         part = float(found["part"] if "e" in found["part"] else f"0.{found['part']}")
         if index in ("mtf", "strehl"):
             return f"{quantity}, {100 - 100 * part:.10g} % of the {samples} are above"
         return f"{quantity}, {100 * part:.10g} % of the {samples}{unit}"
-    if what == "effective":
-        return f"{quantity}: independent {samples}"
-    return f"{quantity}, {'largest' if what == 'max' else 'smallest'} of the {samples}{unit}"
+    return f"{quantity}, {'largest' if found['what'] == 'max' else 'smallest'} of the {samples}{unit}"
 
 
 def _conditions(found: re.Match[str]) -> str:

@@ -57,11 +57,9 @@ COMMON_METRICS = (
     "force_max_n",
     "rpe_window_max_mas",
     "rpe_window_p997_mas",
-    "ape_effective",
-    "rpe_window_effective",
 )
 """Metrics of the bag of the run, whatever is required; of the root mean squares in windows of 20 ms the largest and the
-99.7 % quantile; independent samples that instants and windows weigh."""
+99.7 % quantile."""
 
 INSTANTS, WINDOWS = (
     parse(f"prob({quantity} < 1 arcsec) >= 99.7 % at 95 % confidence")
@@ -358,7 +356,7 @@ class _Samples:
             named.share: float(beyond / (len(samples.values) + samples.missing)),
             named.quantile: sign * ordered.quantile(requirement.probability),
             named.worst: sign * float(ordered.at(ordered.size - 1)[0]),
-            named.effective: samples.effective,
+            named.effective: samples.effective(requirement),
         }
 
 

@@ -79,12 +79,12 @@ def _not_judged(campaign: Campaign) -> dict[Requirement, str]:
 
 
 def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
+    status, random = table.column("status").to_pylist(), campaign.sampling in RANDOM
     if campaign.depth == "model":
         total = table.column(RANKED["model"]).to_numpy()
-        return model_verdicts(total, table.column("status").to_pylist(), campaign.base.loop, campaign.requirements)
+        return model_verdicts(total, status, campaign.base.loop, campaign.requirements, random)
     columns = {name: table.column(name).to_numpy() for name in campaign.metrics}
-    found = verdicts(columns, table.column("status").to_pylist(), campaign.base.loop, campaign.judged)
-    return [v for v in found if campaign.sampling in RANDOM or v.interpretation == "temporal"]
+    return verdicts(columns, status, campaign.base.loop, campaign.judged, random)
 
 
 def _points(table: Any) -> FloatArray:
@@ -115,8 +115,10 @@ def verdict_table(summary: dict[str, Any]) -> Table:
     for v in summary["verdicts"]:
         value = "unbounded" if v["value"] is None else with_unit(f"{v['value']:.4g}", v["unit"])
         limit = f"{'above ' if v['lower_limit'] else ''}{v['limit']:.4g}"
-        beyond = f"{100 * v['exceeding']:.3g} % ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
-        table.add_row(v["requirement"], v["interpretation"], v["status"], value, limit, beyond, str(v["samples"]))
+        bounds = "" if v["upper"] is None else f" ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
+        beyond = f"{100 * v['exceeding']:.3g} %{bounds}"
+        samples = f"{v['samples']}" + (f", {v['undecided']} undecided" if v["undecided"] else "")
+        table.add_row(v["requirement"], v["interpretation"], v["status"], value, limit, beyond, samples)
     return table
 
 

@@ -2,7 +2,7 @@
 
 =============  =====================================================================================================
 ensemble       the worst instant of each member is one sample: so many members keep the limit at all times
-temporal       each member keeps the limit for the share of its time; the worst member counts
+temporal       each member keeps the limit for the share of its time; one that is proven not to is the verdict
 mixed          all instants of all members together
 =============  =====================================================================================================
 
@@ -10,8 +10,12 @@ The worst instant, the quantile and the share above a limit are columns of the d
 (:class:`los_testbed.campaign.meanings.RequirementColumns`); an index with one value for each window or exposure has
 those in place of instants. Under a lower limit the worst is the smallest, and what is below the limit counts.
 
-Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`). The instants of
-a member weigh as many as its autocorrelation leaves. A member that diverged is beyond every limit, and so is one whose
+**Confidence.** Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`).
+The instants of a member weigh as many as its exceedances leave (:mod:`pointing_analysis.indices.exceedances`), and all
+of them together as many as their scatter from member to member. A temporal verdict has two steps, each at the
+confidence of the requirement: on each member from its run, and on all telescopes from the members. A member counts as
+kept only where its own run proves it. Members that are no random draws speak for themselves alone: there are no bounds
+then, and all of them must be proven. A member that diverged is beyond every limit, and so is one whose
 metric is not known; one that failed for another reason is left out and counted.
 """
 
@@ -19,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,10 +32,11 @@ from lftkit.arrays import FloatArray
 from los_testbed.campaign.meanings import RequirementColumns
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
+from pointing_analysis.indices.exceedances import pooled_number
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
-from pointing_analysis.requirements.verdict import refusal
+from pointing_analysis.requirements.verdict import refusal, status_of
 from titop_plant.interface import DT
 from titop_plant.telescope.requirements import window_probability
 
@@ -57,9 +62,11 @@ class CampaignVerdict:
     exceeding : float
         Share of the samples above the limit, or below a lower one.
     lower, upper : float
-        Bounds of the probability to exceed, each with the confidence of the requirement.
+        Bounds of the probability to exceed, each with the confidence of the requirement; NaN where there are none.
     samples, needed : int
         Independent samples, and those that would show compliance with the exceedances seen.
+    undecided : int
+        Members whose own runs are too short for a verdict on them.
     text : str
         Requirement in full.
     lower_limit : bool
@@ -79,6 +86,7 @@ class CampaignVerdict:
     needed: int
     text: str = ""
     lower_limit: bool = False
+    undecided: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; what is not finite is None."""
@@ -149,7 +157,11 @@ def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requireme
 
 
 def verdicts(
-    columns: dict[str, FloatArray], status: Sequence[str], loop: str, requirements: Sequence[Requirement]
+    columns: dict[str, FloatArray],
+    status: Sequence[str],
+    loop: str,
+    requirements: Sequence[Requirement],
+    random: bool = True,
 ) -> list[CampaignVerdict]:
     """Verdicts of a campaign of simulated runs.
 
@@ -162,6 +174,8 @@ def verdicts(
         Stage, for the requirements that apply to it.
     requirements : sequence of Requirement
         Of the telescope.
+    random : bool
+        Whether the members are random draws. Of others there is the temporal verdict only.
     """
     lost = np.array([s in LOST for s in status])
     keep = lost | np.array([s == "ok" for s in status])
@@ -178,19 +192,31 @@ def verdicts(
 
         worst, own, share = column(named.worst, beyond), column(named.quantile, beyond), column(named.share, 1.0)
         effective = np.maximum(column(named.effective, 1.0), 1.0)
-        pooled = float(np.average(share, weights=effective))
-        total = int(effective.sum())
-        above = min(math.ceil(pooled * effective.sum() - 1e-6), total)
+        own_status = [
+            "not compliant" if gone else status_of(requirement, s, s, n, len(share))
+            for gone, s, n in zip(lost[keep].tolist(), share.tolist(), effective.tolist())
+        ]
+        temporal = _temporal(requirement, own, own_status, random)
+        if not random:
+            found.append(temporal)
+            continue
+        together = pooled_number(share.tolist(), effective.tolist())
+        total = int(together + 1e-6)
+        above = min(math.ceil(float(np.average(share, weights=effective)) * together - 1e-6), total)
         found += [
             _decided("ensemble", requirement, _above(worst, requirement), len(worst), _quantile(worst, requirement)),
-            _temporal(requirement, own),
+            temporal,
             _decided("mixed", requirement, above, total, float(np.mean(own))),
         ]
     return found
 
 
 def model_verdicts(
-    total: FloatArray, status: Sequence[str], loop: str, requirements: Sequence[Requirement]
+    total: FloatArray,
+    status: Sequence[str],
+    loop: str,
+    requirements: Sequence[Requirement],
+    random: bool = True,
 ) -> list[CampaignVerdict]:
     """Verdicts of a campaign at depth model: each member keeps the limit with its worst tone and its noise.
 
@@ -198,7 +224,7 @@ def model_verdicts(
     ----------
     total : ndarray, shape (members,)
         What the required part of the windows keeps [mas].
-    status, loop, requirements
+    status, loop, requirements, random
         As in :func:`verdicts`.
     """
     lost = np.array([s in LOST for s in status])
@@ -206,7 +232,12 @@ def model_verdicts(
     if not keep.any():
         return []
     own = np.where(lost, np.inf, total)[keep]
-    return [_temporal(r, own) for r in _of_model(requirements, loop)]
+    return [_temporal(r, own, _known(own, r), random) for r in _of_model(requirements, loop)]
+
+
+def _known(own: FloatArray, requirement: Requirement) -> list[str]:
+    """Statuses of members whose quantiles are computed, not estimated."""
+    return ["not compliant" if _above(own[k : k + 1], requirement) else "compliant" for k in range(len(own))]
 
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
@@ -230,11 +261,24 @@ def _decided(interpretation: str, requirement: Requirement, above: int, samples:
     return _verdict(requirement, interpretation, status, value, above, samples, needed)
 
 
-def _temporal(requirement: Requirement, own: FloatArray) -> CampaignVerdict:
-    """Every member keeps the limit for its share of the time; bounds are those of the share of members that do not."""
-    above, samples = _above(own, requirement), len(own)
+def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], random: bool) -> CampaignVerdict:
+    """Every member keeps the limit for its share of the time; `status` is the one of each member alone.
+
+    Bounds are those of the share of telescopes that do not keep it. A member that breaks the limit passes for one that
+    keeps it no more often than 1 - c: of those that break it a part c at least is not proven.
+    """
+    above, samples, c = _above(own, requirement), len(own), requirement.confidence
     worst = float(np.min(own) if requirement.lower else np.max(own))
-    return _verdict(requirement, "temporal", "not compliant" if above else "compliant", worst, above, samples, samples)
+    unproven, refuted = sum(s != "compliant" for s in status), sum(s == "not compliant" for s in status)
+    undecided = unproven - refuted
+    allowed = 1.0 - requirement.probability
+    upper = exceedance_upper(unproven, samples, c) if random else math.nan
+    lower = exceedance_lower(refuted, samples, c) if random else math.nan
+    proven = upper <= allowed if random else not unproven
+    decided = "not compliant" if refuted else "compliant" if proven else "not enough data"
+    needed = samples_needed(requirement.probability, c, refuted) if random else samples
+    found = _verdict(requirement, "temporal", decided, worst, above, samples, needed)
+    return replace(found, lower=lower, upper=upper, undecided=undecided)
 
 
 def _verdict(
