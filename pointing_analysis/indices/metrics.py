@@ -29,6 +29,10 @@ the norm and smears the picture all the same. Two estimators of the RPE exist an
     lie below the rms.
 
 Missing samples are NaN in the input. A window that holds one is left out and counted; nothing is interpolated.
+
+A window may be any number N of samples, two or more. Where N is no whole number each sample stands for its period, and
+samples at the edges of a window count by their fraction (`pointing_analysis.indices.window_rows`); an instant belongs
+to the window that holds the middle of its period.
 """
 
 from __future__ import annotations
@@ -41,6 +45,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
+from pointing_analysis.indices.window_rows import ROUNDING, sliding_means, windows_of
 from pointing_analysis.read.mapped_arrays import PART, GrowingArray, by_parts, empty, release
 from pointing_analysis.read.topic import read_only
 
@@ -63,8 +68,33 @@ def rms(values: ArrayLike) -> FloatArray:
     return np.asarray(np.sqrt(np.nanmean(np.square(_series(values)), axis=0)))
 
 
+def samples_in(window: float, dt: float) -> float:
+    """Number of samples N in a window, whole or not.
+
+    Raises
+    ------
+    ValueError
+        Less than two.
+    """
+    if is_whole(window, dt):
+        return round(window / dt)
+    if not holds(window, dt):
+        raise ValueError(f"window must last for two samples of {1e3 * dt:g} ms or more, got {1e3 * window:g} ms")
+    return window / dt
+
+
+def holds(window: float, dt: float) -> bool:
+    """Whether a window [s] has two or more samples of `dt` [s]."""
+    return is_whole(window, dt) or (dt > 0 and 2.0 <= window / dt < np.inf)
+
+
+def samples_or_one(window: float, dt: float) -> float:
+    """Number of samples N in a window, at least one: of a shorter window the sample is its own mean."""
+    return samples_in(window, dt) if holds(window, dt) else 1
+
+
 def window_samples(window: float, dt: float) -> int:
-    """Number of samples N in a window.
+    """Number of samples N in a window, where a whole number is needed, as of the exposures of an image.
 
     Raises
     ------
@@ -101,9 +131,9 @@ def _series(error: ArrayLike) -> FloatArray:
     return e
 
 
-def _fits(e: FloatArray, window: float, dt: float) -> int:
-    n = window_samples(window, dt)
-    if n > len(e):
+def _fits(e: FloatArray, window: float, dt: float) -> float:
+    n = samples_in(window, dt)
+    if n > len(e) + ROUNDED:
         raise ValueError(f"the run must be at least as long as the window of {window:g} s, got {len(e) * dt:g} s")
     return n
 
@@ -117,14 +147,14 @@ class Windows:
     mean : (m, 2) mean error of each complete window (the samples of the MPE)
     variance : (m, 2) mean square about that mean, division by N
     start : (m,) index of the first sample of each window
-    samples : N, samples per window
+    samples : N, samples per window; a whole number, or not
     skipped : windows left out because a sample is missing
     """
 
     mean: FloatArray
     variance: FloatArray
     start: IntArray
-    samples: int
+    samples: float
     skipped: int
 
     @property
@@ -145,7 +175,7 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     Raises
     ------
     ValueError
-        The window is longer than the run or no whole number of samples.
+        The window is longer than the run or shorter than two samples.
 
     Examples
     --------
@@ -160,25 +190,42 @@ def windows(error: ArrayLike, dt: float, window: float) -> Windows:
     """
     e = _series(error)
     n = _fits(e, window, dt)
-    m = len(e) // n
+    m, first = _count(e, n), 0
     means, variances, starts = GrowingArray(2), GrowingArray(2), GrowingArray(None, np.int64)
-    for first, blocks in _blocks(e, n):
-        mean = blocks.mean(axis=1)
+    for mean, variance in _disjoint(e, n):
         kept = ~np.isnan(mean).any(axis=1)
         means.append(mean[kept])
-        # About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without cancellation.
-        variances.append(np.square(blocks[kept] - mean[kept, None, :]).mean(axis=1))
-        starts.append((first + np.flatnonzero(kept)) * n)
+        variances.append(variance[kept])
+        starts.append(np.floor((first + np.flatnonzero(kept)) * n + ROUNDING).astype(np.int64))
+        first += len(mean)
     mean, variance, start = (read_only(found.array()) for found in (means, variances, starts))
     return Windows(mean, variance, start, n, m - len(start))
 
 
-def _blocks(e: FloatArray, n: int) -> Iterator[tuple[int, FloatArray]]:
-    """Disjoint windows of n samples (m, n, 2), some at a time, with the number of the first."""
+def _count(e: FloatArray, n: float) -> int:
+    """Disjoint windows of n samples in a record."""
+    return int(len(e) / n + ROUNDING)
+
+
+def _disjoint(e: FloatArray, n: float) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Mean (m, 2) and mean square about it (m, 2) of disjoint windows, some at a time; NaN where a sample is missing.
+
+    About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without cancellation.
+    """
+    if n != round(n):
+        yield from windows_of(e, n * np.arange(_count(e, n)), n)
+        return
+    for blocks in _blocks(e, round(n)):
+        mean = blocks.mean(axis=1)
+        yield mean, np.square(blocks - mean[:, None, :]).mean(axis=1)
+
+
+def _blocks(e: FloatArray, n: int) -> Iterator[FloatArray]:
+    """Disjoint windows of n samples (m, n, 2), some at a time."""
     m = len(e) // n
     for first in range(0, m, max(PART // n, 1)):
         last = min(first + max(PART // n, 1), m)
-        yield first, e[first * n : last * n].reshape(last - first, n, 2)
+        yield e[first * n : last * n].reshape(last - first, n, 2)
         release()
 
 
@@ -200,7 +247,8 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     error : (n, 2), NaN where a sample is missing
     dt, window : sampling period and window length [s]
     position : where t stands in its window of N samples: ``all`` (every sample of disjoint windows), or in a sliding
-        window ``centred`` (sample N // 2) or ``end`` (the last sample); see the notes of this module
+        window ``centred`` (sample N // 2; in the middle where N is no whole number) or ``end`` (the last sample); see
+        the notes of this module
 
     Returns
     -------
@@ -217,14 +265,18 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     """
     e = _series(error)
     n = _fits(e, window, dt)
-    if position == "all":
-        found = empty((len(e) // n * n, 2))
-        for first, blocks in _blocks(e, n):
-            rest = (blocks - blocks.mean(axis=1, keepdims=True)).reshape(-1, 2)
-            found[first * n : first * n + len(rest)] = rest
-        return found
-    if position not in ("centred", "end"):
+    if position not in ("all", "centred", "end"):
         raise ValueError(f"position must be 'all', 'centred' or 'end', got {position!r}")
+    if n != round(n):
+        return _fractional_instant(e, n, position)
+    n = round(n)
+    if position == "all":
+        found, first = empty((len(e) // n * n, 2)), 0
+        for blocks in _blocks(e, n):
+            rest = (blocks - blocks.mean(axis=1, keepdims=True)).reshape(-1, 2)
+            found[first : first + len(rest)] = rest
+            first += len(rest)
+        return found
     at = n // 2 if position == "centred" else n - 1
     missing: BoolArray = np.asarray(np.isnan(e).any(axis=1))
     # The constant is taken out before summing so that a large offset does not eat the digits of the jitter.
@@ -242,13 +294,38 @@ def rpe_instant(error: ArrayLike, dt: float, window: float, position: Position =
     return np.asarray(result)
 
 
+def _fractional_instant(e: FloatArray, n: float, position: Position) -> FloatArray:
+    """`rpe_instant` with windows that are no whole number of samples."""
+    if position == "all":
+        found = empty((int(np.ceil(_count(e, n) * n - 0.5)), 2))
+        at = first = 0
+        for mean, _ in _disjoint(e, n):
+            first += len(mean)
+            stop = min(int(np.ceil(first * n - 0.5)), len(found))  # samples whose middle is in these windows
+            own = ((np.arange(at, stop) + 0.5) / n).astype(np.int64) - (first - len(mean))
+            found[at:stop] = e[at:stop] - mean[own]
+            at = stop
+        return found
+    ahead = 0.5 * (n - 1) if position == "centred" else n - 1  # from the begin of a window to that of its sample
+    k = np.arange(int(np.ceil(ahead)), len(e) if position == "end" else int(len(e) - ahead))
+    missing = np.isnan(e).any(axis=1)
+    offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
+    filled = np.where(missing[:, None], 0.0, e - offset)
+    result = filled[k] - sliding_means(filled, k - ahead, n)
+    if missing.any():
+        holes = np.cumsum(np.append(0, missing))
+        first, last = np.floor(k - ahead + ROUNDING), np.ceil(k - ahead + n - ROUNDING)
+        result[(holes[last.astype(np.int64)] - holes[first.astype(np.int64)]) > 0] = np.nan
+    return result
+
+
 def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatArray:
     """Drift: difference of the means of two windows `separation` apart (start to start), in one observation.
 
     Parameters
     ----------
     error : (n, 2), NaN where a sample is missing
-    dt, window, separation : [s]; the separation is a whole number of samples
+    dt, window, separation : [s]
 
     Returns
     -------
@@ -256,14 +333,19 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
     """
     e = _series(error)
     n = _fits(e, window, dt)
-    lag = window_samples(separation, dt)
-    if n + lag > len(e):
+    lag = samples_in(separation, dt)
+    if n + lag > len(e) + ROUNDED:
         raise ValueError(
             f"the run must last for window + separation = {window + separation:g} s or more, got {len(e) * dt:g} s"
         )
-    starts = np.arange(0, len(e) - n - lag + 1, n)
-    first = e[starts[:, None] + np.arange(n)].mean(axis=1)
-    second = e[starts[:, None] + lag + np.arange(n)].mean(axis=1)
+    if n == round(n) and lag == round(lag):
+        n, lag = round(n), round(lag)
+        starts = np.arange(0, len(e) - n - lag + 1, n)
+        first = e[starts[:, None] + np.arange(n)].mean(axis=1)
+        second = e[starts[:, None] + lag + np.arange(n)].mean(axis=1)
+    else:
+        begin = n * np.arange(int((len(e) - n - lag) / n + ROUNDING) + 1)
+        first, second = (np.concatenate([mean for mean, _ in windows_of(e, at, n)]) for at in (begin, begin + lag))
     drift = second - first
     return np.asarray(drift[~np.isnan(drift).any(axis=1)])
 

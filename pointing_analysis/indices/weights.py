@@ -12,7 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import ComplexArray, FloatArray
+
+PLACES = 100
+"""Windows over which the weight of one that is no whole number of samples is averaged."""
 
 
 def rpe_exact(omega: ArrayLike, window: float) -> FloatArray:
@@ -34,17 +37,35 @@ def rpe_exact(omega: ArrayLike, window: float) -> FloatArray:
     return np.asarray(np.sqrt(np.where(small, series, np.maximum(1 - np.sinc(y / (2 * np.pi)) ** 2, 0))))
 
 
-def rpe_discrete(omega: ArrayLike, samples: int, dt: float) -> FloatArray:
+def rpe_discrete(omega: ArrayLike, samples: float, dt: float) -> FloatArray:
     r"""RPE weight of the window estimator on samples: :math:`\sqrt{1-[\sin(N\omega T/2)/(N\sin(\omega T/2))]^2}`.
 
     Parameters
     ----------
     omega : [rad/s], below the Nyquist frequency for a meaningful answer
-    samples : N, samples per window
+    samples : N, samples per window; of windows that are no whole number of samples the mean square over the places
+        that the edges of disjoint windows have in their samples
     dt : sampling period T [s]
     """
+    if samples != round(samples):
+        return _rpe_fractional(np.asarray(omega, dtype=float) * dt, samples)
     half = np.asarray(omega, dtype=float) * dt / 2
     bottom = samples * np.sin(half)
     flat = np.abs(bottom) < 1e-9
     kernel = np.where(flat, 1.0, np.sin(samples * half) / np.where(flat, 1.0, bottom))
     return np.asarray(np.sqrt(np.maximum(1 - kernel**2, 0)))
+
+
+def _rpe_fractional(angle: FloatArray, n: float) -> FloatArray:
+    """RPE weight of windows of n samples, no whole number; `angle` is the phase of the tone from sample to sample."""
+    turn = np.exp(1j * angle)
+    flat = np.abs(turn - 1) < 1e-9
+
+    def integral(at: float) -> ComplexArray:
+        whole = int(at)
+        return np.asarray((turn**whole - 1) / np.where(flat, 1.0, turn - 1) + (at - whole) * turn**whole)
+
+    power = np.zeros(angle.shape)
+    for begin in (n * np.arange(PLACES)) % 1.0:
+        power += np.abs(integral(begin + n) - integral(begin)) ** 2
+    return np.asarray(np.where(flat, 0.0, np.sqrt(np.maximum(1 - power / (PLACES * n**2), 0))))

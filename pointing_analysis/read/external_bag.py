@@ -20,7 +20,7 @@ from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
 from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
-from pointing_analysis.read.series import Series, make_series
+from pointing_analysis.read.series import ORIGIN, Series, make_series
 
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
@@ -178,6 +178,15 @@ def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
     raise BagError(f"{path}: los must be one of {listed}{more}, got {los!r}")
 
 
+def _is_start(stamps: IntArray) -> bool:
+    """Whether the stamp 0 is that of the first sample: the next one comes one step of the others later."""
+    others = np.sort(stamps[stamps != 0])
+    if stamps[0] != 0 or others.size < 2 or others[0] < 0:
+        return False
+    step = float(np.median(np.diff(others)))
+    return bool(abs(float(others[0]) - step) <= 0.5 * step)
+
+
 def read_external(
     path: Path,
     los: str,
@@ -221,6 +230,10 @@ def read_external(
         reason = "" if time == "log" else ": the samples have no stamp"
         problems.append(f"{chosen.topic}: times are those of recording, with its jitter{reason}")
     stamps = header if by_header else logged
+    if (zero := int((stamps[fitting] == 0).sum())) == 1 and _is_start(stamps[fitting]):
+        stamps = stamps + ORIGIN  # the clock of the samples began at zero, as one of a simulation does
+    elif zero:
+        problems.append(f"{chosen.topic}: {zero} messages without a stamp are left out")
     about = {
         "line_of_sight": chosen.name,
         "message_type": chosen.schema,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, regular
+from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, on_whole_ns, regular
 from pointing_analysis.read.topic import NANO, Topic, make_topic
 from pointing_analysis.units import ANGLES
 
@@ -142,7 +142,6 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     """
     if stamps.size < 2:
         return stamps, np.ones(stamps.size, bool), ()
-    period = round(NANO / rate)
     found = (stamps.size - 1) / max(int(stamps.max() - stamps.min()), 1) * NANO
     typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
     if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
@@ -159,7 +158,7 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     notes = [f"{moved} stamps moved to the grid of {rate:g} Hz by more than 2 % of the period"] if moved else []
     if not first.all():
         notes.append(f"{int((~first).sum())} samples left out: another one is on the same tick of {rate:g} Hz")
-    return int(stamps[0]) + place * period, first, tuple(notes)
+    return int(stamps[0]) + on_whole_ns(place, 1 / rate), first, tuple(notes)
 
 
 def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
@@ -174,7 +173,7 @@ def stamps_of(t: ArrayLike | None, n: int, rate: float | None) -> IntArray:
     if t is None:
         if rate is None:
             raise ValueError("rate must be given where the samples have no times, got none")
-        return np.asarray(ORIGIN + np.arange(n, dtype=np.int64) * round(NANO / rate))
+        return np.asarray(ORIGIN + on_whole_ns(np.arange(n, dtype=np.int64), 1 / rate))
     times = np.asarray(t)
     if times.dtype.kind == "M":
         times = (times - times.min()) / np.timedelta64(1, "s") if times.size else times
@@ -225,15 +224,18 @@ def make_series(
         raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
     timing: TimeGrid | None = None
+    period: float | None = None
     if sampling_rate(rate) is not None:
         assert rate is not None
         stamps, kept, moved = gridded(stamps, rate)
         stamps, values, notes = stamps[kept], values[kept], (*notes, *moved)
         published = None if published is None else published[kept]
+        period = 1 / rate
     else:
         stamps, timing = regular(stamps)
+        period = timing.period if timing is not None and timing.fits else None
     sent = (stamps if published is None else published).copy()
-    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent)
+    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent, period)
     about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
     about[SAMPLING] = str(timing) if timing is not None else f"{rate:g} Hz, given" if rate else "unknown"
     return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes), kind=kind, label=label)

@@ -149,5 +149,22 @@ def regular(stamps: IntArray) -> tuple[IntArray, TimeGrid | None]:
     if grid is None or not grid.fits:
         return stamps, grid
     placed = np.zeros_like(stamps)
-    placed[real] = first + grid.place * round(NANO * grid.period)
+    placed[real] = first + on_whole_ns(grid.place, grid.period)
     return placed, grid
+
+
+def on_whole_ns(place: IntArray, period: float) -> IntArray:
+    """Times [ns] of places on a grid, each rounded by itself: a period of 39 062.5 ns does not add up its half.
+
+    Examples
+    --------
+    >>> on_whole_ns(np.array([1, 2, 3, 25_600]), 1 / 25_600)
+    array([     39062,      78125,     117188, 1000000000])
+    """
+    return np.asarray(np.rint(place * whole_period(period)).astype(np.int64))
+
+
+def whole_period(period: float) -> float:
+    """A period [s] in ns: the whole number that it is but for rounding, else with its fraction."""
+    ns = NANO * period
+    return float(round(ns)) if abs(ns - round(ns)) <= 1e-3 else ns

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, empty, parts
 from pointing_analysis.read.mcap.records import BagError, ShortRunError
+from pointing_analysis.read.time_grid import whole_period
 
 NANO = 1_000_000_000
 MANY_STEPS = 100_000  # different intervals of stamps that are counted one by one
@@ -138,7 +139,7 @@ def _period_ns(stamp: IntArray) -> int:
 class _OtherRate:
     """Intervals in stretches of 20 and more equal intervals that are not the period (two rates in one run)."""
 
-    def __init__(self, period: int) -> None:
+    def __init__(self, period: float) -> None:
         self.period, self.total, self.count = period, 0, 0
         self._last, self._length = 1, 0
 
@@ -174,7 +175,7 @@ def _repeated(stamp: IntArray, values: FloatArray, kept: BoolArray) -> int:
     return int((differs & ~np.isnan(values[again]).any(axis=1)).sum())
 
 
-def _inspect(stamp: IntArray, period: int, found: Mapping[str, int]) -> Integrity:
+def _inspect(stamp: IntArray, period: float, found: Mapping[str, int]) -> Integrity:
     """Look at unique stamps; `found` are the counts of what was sorted out before."""
     other, missing, irregular = _OtherRate(period), 0, 0
     gaps: list[tuple[float, int]] = []
@@ -213,8 +214,12 @@ def make_topic(
     stamp: IntArray,
     values: FloatArray,
     published: IntArray,
+    period: float | None = None,
 ) -> Topic:
-    """Sort by stamp, keep the first of each stamp, and note all that was not in order."""
+    """Sort by stamp, keep the first of each stamp, and note all that was not in order.
+
+    `period` is that of the grid on which the stamps are [s], where it is known: it need not be a whole number of ns.
+    """
     messages = int(stamp.size)
     real = by_parts(lambda part: part != 0, stamp, dtype=bool)
     if not real.all():
@@ -227,8 +232,8 @@ def make_topic(
     found |= {"duplicates": int((~kept).sum()), "conflicts": _repeated(stamp, values, kept), "nan": nan}
     if not kept.all():
         stamp, values, published = _chosen(kept, stamp, values, published)
-    period = _period_ns(stamp)
-    integrity = _inspect(stamp, period, found)
+    step = _period_ns(stamp) if period is None or len(stamp) < 2 else whole_period(period)
+    integrity = _inspect(stamp, step, found)
     return Topic(
         name,
         schema,
@@ -237,7 +242,7 @@ def make_topic(
         read_only(stamp),
         read_only(values),
         read_only(published),
-        period / NANO if period else float("nan"),
+        step / NANO if step else float("nan"),
         integrity,
     )
 

@@ -20,7 +20,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
-from pointing_analysis.indices.metrics import is_whole
+from pointing_analysis.indices.metrics import holds
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
@@ -225,7 +225,7 @@ def _limits(requirements: Sequence[Requirement], index: str) -> list[float]:
 
 
 def _has_windows(v: RunView) -> bool:
-    return v.series.duration > WINDOW and is_whole(WINDOW, v.series.dt)
+    return v.series.duration > WINDOW and holds(WINDOW, v.series.dt)
 
 
 def _ratio(tone: ToneComparison) -> str:

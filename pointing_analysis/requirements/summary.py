@@ -96,7 +96,7 @@ class Performance:
         nan = float("nan")
         rms: FloatArray = np.full(2, nan)
         p997, of_windows, cut, skipped = nan, nan, 0, 0
-        if metrics.is_whole(WINDOW, dt) and dt * len(error) >= WINDOW:
+        if metrics.holds(WINDOW, dt) and dt * len(error) >= WINDOW:
             w = metrics.windows(error, dt, WINDOW)
             rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
             instant = metrics.rpe_instant(error, dt, WINDOW)
@@ -444,21 +444,21 @@ def summarise(
             raise RefutedBagError(f"{refusal}; the bag contradicts its own digests: {run.contradictions[0]}") from None
         raise
     error, budget = Performance.of(series.values, series.dt), None
-    whole = metrics.is_whole(WINDOW, series.dt)
+    judged = metrics.holds(WINDOW, series.dt)
     found: tuple[FoundLine, ...] = ()
-    if whole and series.duration >= WINDOW and motion_of(run) is None:
+    if judged and series.duration >= WINDOW and motion_of(run) is None:
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
         if requirements is not None and tuple(requirements) != (_recorded(run)[0] or ()):
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
-    elif not whole and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
+    elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
     lost, problems, dropped = _integrity(run)
     problems += [damaged] if damaged else []
-    star, unusable = _star(run, series) if whole else (None, "")
+    star, unusable = _star(run, series) if metrics.is_whole(WINDOW, series.dt) else (None, "")
     problems += [unusable] if unusable else []
-    if not whole:
-        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: not a whole number of samples of {1e3 * series.dt:.6g} ms")
+    if not judged:
+        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: shorter than two samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
         problems.append(
             f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "

@@ -213,7 +213,7 @@ def exceeds(error: ArrayLike, rest: ArrayLike, powers: Sequence[float], dt: floa
     >>> exceeds(noise, noise, [0.01], 1e-3, 0.02), exceeds(noise, noise, [1.0], 1e-3, 0.02)
     (False, True)
     """
-    if not metrics.is_whole(window, dt) or len(np.asarray(error)) < FEWEST * round(window / dt):
+    if not metrics.holds(window, dt) or dt * len(np.asarray(error)) < FEWEST * window:
         return False
     whole, left = (float(np.square(metrics.rpe_rms(one, dt, window)).sum()) for one in (error, rest))
     return left + sum(powers) > LEAK**2 * whole
@@ -260,7 +260,7 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     m = len(centre)
     amplitude = np.hypot(solution[1 : m + 1], solution[m + 1 :])
     rms = np.hypot(amplitude[:, 0], amplitude[:, 1]) / np.sqrt(2)
-    rpe = rms * weights.rpe_discrete(centre, max(round(window / dt), 1), dt)
+    rpe = rms * weights.rpe_discrete(centre, metrics.samples_or_one(window, dt), dt)
     order = np.argsort(-rpe, kind="stable")
     return tuple(
         Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
@@ -285,7 +285,7 @@ def found_lines(
     new = [line for line in found if all(abs(line.omega - other.omega) >= apart for other in known)]
     if not new:
         return ()
-    weight = weights.rpe_discrete(np.array([line.omega for line in new]), max(round(window / dt), 1), dt)
+    weight = weights.rpe_discrete(np.array([line.omega for line in new]), metrics.samples_or_one(window, dt), dt)
     rms = [float(np.sqrt(line.power)) for line in new]
     return tuple(
         Line(line.omega, read_only(line.amplitude), r, float(r * w), found=line) for line, r, w in zip(new, rms, weight)

@@ -118,7 +118,7 @@ def tone_budget(run: Recording, series: ErrorSeries, window: float, total: float
     for taper in (False, True):
         named = spectra.lines(series.values, series.dt, omegas, window, taper)
         found, rest = unnamed_lines(series.values, series.dt, omegas, taper)
-        samples = max(round(window / series.dt), 1)
+        samples = metrics.samples_or_one(window, series.dt)
         factor = weights.rpe_discrete(np.array([line.omega for line in found]), samples, series.dt) if found else ()
         powers = [(line.omega, line.rpe**2) for line in named]
         powers += [(line.omega, line.power * float(weight) ** 2) for line, weight in zip(found, factor)]

@@ -237,6 +237,22 @@ def test_a_bag_of_ros_1_is_refused_by_name(tmp_path: Path, capsys: pytest.Captur
     )
 
 
+@pytest.mark.parametrize(("first", "unset", "read"), [(0, 0, N), (10**9, 1, N - 1), (10**9, 3, N - 3)])
+def test_a_stamp_of_zero_is_a_time_where_the_clock_began_there(
+    tmp_path: Path, first: int, unset: int, read: int
+) -> None:
+    """A clock of a simulation begins at zero: its first sample was dropped without a word."""
+
+    def stamped(stamp: int, az: float, el: float) -> bytes:
+        tick = (stamp - START) // STEP
+        return little(0 if tick < unset else first + tick * STEP, az, el)
+
+    run = open_los(write(tmp_path / "bag", stamped), los="/los", unit="arcsec", time="header")
+    assert len(run["truth/los"]) == read
+    told = [text for text in run.problems if "without a stamp" in text]
+    assert [text.split(": ")[1].split()[0] for text in told] == ([str(unset)] if unset else [])
+
+
 # -- damage ---------------------------------------------------------------------------------------------------------
 
 

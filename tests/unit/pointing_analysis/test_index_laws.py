@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pointing_analysis.indices import metrics
-from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.indices import metrics, window_rows
+from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.weights import rpe_discrete, rpe_exact
 from pointing_analysis.read.series import series as recorded
+from pointing_analysis.requirements.summary import summarise
 
 DT = 1e-3
 
@@ -146,6 +148,73 @@ def test_windows_of_records_at_rates_without_whole_nanoseconds_are_judged(rate: 
     values = np.random.default_rng(1).standard_normal((n, 2))
     error = performance_error(recorded(np.arange(n) / rate, values, unit="mas"), 0.0)
     assert metrics.windows(error.values, error.dt, window).samples == window * rate
+
+
+TIMES = 25
+"""Windows of 20 ms at 512 Hz have 256 samples of a record in which each sample stands 25 times."""
+
+
+@pytest.fixture(params=[metrics.PART, 60])
+def both(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A record at 512 Hz with two missing samples, the same with each sample 25 times, and their periods."""
+    monkeypatch.setattr(window_rows, "PART", request.param)
+    e = np.random.default_rng(4).standard_normal((300, 2)) + 1e3
+    e[[45, 190]] = np.nan
+    return e, np.repeat(e, TIMES, axis=0), 1 / 512, 1 / 512 / TIMES
+
+
+def test_windows_that_are_no_whole_number_of_samples(both: Any) -> None:
+    """Each sample stands for its period: the same as of a record with 25 samples in each period."""
+    e, fine, dt, fine_dt = both
+    found, expected = metrics.windows(e, dt, 0.02), metrics.windows(fine, fine_dt, 0.02)
+    assert found.samples == pytest.approx(10.24, abs=1e-12) and expected.samples == 256
+    assert found.skipped == expected.skipped == 2 and len(found.mean) == 27
+    assert np.allclose(found.mean, expected.mean, rtol=1e-14) and np.allclose(found.variance, expected.variance)
+    assert found.start.tolist() == (expected.start // TIMES).tolist()
+    assert np.allclose(metrics.pde(e, dt, 0.02, 0.05), metrics.pde(fine, fine_dt, 0.02, 0.05), atol=1e-10)
+    assert np.array_equal(metrics.mpe(e, dt, 0.02), found.mean)
+
+
+def test_instants_of_windows_that_are_no_whole_number_of_samples(both: Any) -> None:
+    """A sample belongs to the window that holds the middle of its period; sliding windows are by the definition."""
+    e, fine, dt, fine_dt = both
+    found, middle = metrics.rpe_instant(e, dt, 0.02), metrics.rpe_instant(fine, fine_dt, 0.02)[TIMES // 2 :: TIMES]
+    assert len(found) == len(middle) == 297  # 29 windows of 10.24 samples
+    assert np.allclose(found, middle, atol=1e-10, equal_nan=True)
+    end = metrics.rpe_instant(e, dt, 0.02, "end")
+    expected = [e[k] - fine[TIMES * (k + 1) - 256 : TIMES * (k + 1)].mean(axis=0) for k in range(10, 300)]
+    assert np.allclose(end, expected, atol=1e-9, equal_nan=True)
+    finer = np.repeat(fine, 2, axis=0)
+    centred = metrics.rpe_instant(e, dt, 0.02, "centred")
+    around = [(2 * TIMES * k + TIMES - 256, 2 * TIMES * k + TIMES + 256) for k in range(300)]
+    expected = [e[k] - finer[a:b].mean(axis=0) for k, (a, b) in enumerate(around) if a >= 0 and b <= len(finer)]
+    assert len(centred) == len(expected) and np.allclose(centred, expected, atol=1e-9, equal_nan=True)
+
+
+@pytest.mark.parametrize("rate", [512, 1024, 2048, 3000, 25_600, 48_000, 51_200, 777.7])
+def test_a_rate_alone_gives_sample_numbers_and_an_rpe(rate: float) -> None:
+    """Stamps of a rounded period were moved to the grid of the rate, and samples left out, without a loss told."""
+    n, hertz = round(6 * rate), 33.3
+    t = np.arange(n) / rate
+    run = recorded(None, 1e-6 * np.c_[np.sin(2 * np.pi * hertz * t), np.zeros(n)], unit="rad", rate=rate)
+    assert not run.problems and len(run.topic) == n and run.topic.integrity.irregular == 0
+    assert run.topic.period * rate == pytest.approx(1, abs=1e-12)
+    error = performance_error(run, 0.0)
+    assert len(error.values) == n and not error.missing
+    found = summarise(run, transient=0.0)
+    weight = rpe_discrete(2 * np.pi * hertz, metrics.samples_in(0.02, 1 / rate), 1 / rate)
+    amplitude = 1e-6 * weight / np.sqrt(2) / RAD_PER_MAS
+    assert found.rpe_rms == pytest.approx(amplitude, rel=2e-3) and not found.problems
+    assert weight == pytest.approx(rpe_exact(2 * np.pi * hertz, 0.02), rel=2e-3)
+
+
+@pytest.mark.parametrize("rate", [3000, 25_600, 48_000])
+def test_times_at_such_rates_are_not_moved(rate: int) -> None:
+    t = np.round(np.arange(5 * rate) / rate, 9)
+    for given in (None, float(rate)):
+        run = recorded(t, np.ones((t.size, 2)), unit="mas", rate=given)
+        assert not run.problems and len(run.topic) == t.size and not run.topic.integrity.missing
+        assert 1 / run.topic.period == pytest.approx(rate, rel=1e-12)
 
 
 def test_messages_of_windows_have_milliseconds() -> None:

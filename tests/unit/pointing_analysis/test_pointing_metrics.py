@@ -154,9 +154,9 @@ def test_reproducibility_of_two_observations() -> None:
     ("call", "message"),
     [
         (lambda e: metrics.windows(e, DT, 2.0), "at least as long as the window"),
-        (lambda e: metrics.windows(e, DT, 0.0205), "whole number"),
-        (lambda e: metrics.windows(e, DT, 0.0), "whole number"),
-        (lambda e: metrics.windows(e, 0.0, 0.02), "whole number"),
+        (lambda e: metrics.windows(e, DT, 0.0019), "two samples"),
+        (lambda e: metrics.windows(e, DT, 0.0), "two samples"),
+        (lambda e: metrics.windows(e, 0.0, 0.02), "two samples"),
         (lambda e: metrics.windows(e[:, 0], DT, 0.02), r"shape \(n, 2\)"),
         (lambda e: metrics.rpe_instant(e, DT, 0.02, "start"), "position"),
         (lambda e: metrics.pde(e, DT, 0.02, 2.0), r"window \+ separation"),
