@@ -79,13 +79,15 @@ class _Topic:
         middle = float(np.median(steps)) if steps.size else 0.0
         rate = 1e9 / middle if middle > 0 else float("nan")
         name, schema = self.channel.topic, self.channel.schema
-        return [Candidate(name, schema, v.path, v.components, v.stamped, logged.size, rate) for v in self.vectors]
+        angles = [v for v in self.vectors if not v.quantity]
+        return [Candidate(name, schema, v.path, v.components, v.stamped, logged.size, rate) for v in angles]
 
     def names(self, los: str) -> list[ros_definitions.Vector]:
-        """Fields that an option ``--los`` means."""
+        """Fields that an option ``--los`` means; angles, where one of them can be one."""
         topic = self.channel.topic
         exact = [v for v in self.vectors if los == (f"{topic}.{v.path}" if v.path else topic)]
-        return exact or (list(self.vectors) if los == topic else [])
+        found = exact or (list(self.vectors) if los == topic else [])
+        return [v for v in found if not v.quantity] or found
 
     def decode(self, block: Block, rows: IntArray, vector: ros_definitions.Vector) -> Samples:
         """Numbers (n, 2) and header stamps (n,) of messages, and which of them could be read."""
@@ -167,6 +169,13 @@ def _choose(path: Path, los: str, topics: dict[str, _Topic]) -> Candidate:
     for name, topic in topics.items():
         if topic.refusal and (los == name or los.startswith(f"{name}.")):
             raise BagError(f"{path}: {name}: {topic.refusal}")
+        for vector in topic.names(los):
+            if vector.quantity:
+                field_, schema = f"{name}.{vector.path}" if vector.path else name, topic.channel.schema
+                raise BagError(
+                    f"{path}: los must be an angle, got {field_}, {vector.quantity} of {schema}: record the line of "
+                    "sight as geometry_msgs/msg/Vector3Stamped, or in a type of its own"
+                )
     everything = [c for name in sorted(topics) for c in topics[name].candidates()]
     named = [c for c in everything if c.name == los] or [c for c in everything if c.topic == los]
     if len(named) == 1:

@@ -217,12 +217,13 @@ def make_series(
     Raises
     ------
     ValueError
-        Unknown unit, another rate, or samples that are not two components each.
+        Unknown unit, another rate, samples that are not two components each, or that jump by a full turn.
     """
     values = np.asarray(xy, dtype=float)
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
         raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
+    _check_wrap(values, label)
     timing: TimeGrid | None = None
     period: float | None = None
     if sampling_rate(rate) is not None:
@@ -251,6 +252,18 @@ def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     return np.where(odd[:, None], np.nan, values), (note,)
 
 
+def _check_wrap(values: FloatArray, label: str) -> None:
+    """Refuse samples [rad] (n, 2) that jump by a full turn: a direction from 0 to 360 degrees is no error."""
+    with np.errstate(invalid="ignore"):
+        turns = np.abs(np.abs(np.diff(values, axis=0)) - 2.0 * np.pi) < 0.01 * 2.0 * np.pi
+    rows = np.flatnonzero(turns.any(axis=1))
+    if rows.size:
+        raise ValueError(
+            f"{label} must be the error of the line of sight, actual minus target, without a wrap, got a step of a "
+            f"full turn behind sample {int(rows[0]) + 1}: write angles from -180 to 180 deg"
+        )
+
+
 def series(
     t: ArrayLike | None,
     xy: ArrayLike,
@@ -265,7 +278,7 @@ def series(
     ----------
     t : (n,) times [s] or ``datetime64``, or None with a `rate`
     xy : (n, 2 or 3) error of the line of sight, NaN where a sample is missing; **actual minus target**
-    unit : rad, mrad, urad, nrad, arcsec or mas
+    unit : rad, mrad, urad, nrad, deg, arcmin, arcsec or mas
     rate : sampling rate [Hz]; times with jitter are moved to its grid
     name : shown in tables and report
 

@@ -30,6 +30,8 @@ def _message(kind: str, stamp: int, a: float, b: float, i: int) -> Any:
         return types[kind](header=header, point=point(x=a, y=b, z=0.5))
     if kind == "geometry_msgs/msg/Vector3":
         return types[kind](x=a, y=b, z=0.0)
+    if kind == "geometry_msgs/msg/Vector3Stamped":
+        return types[kind](header=header, vector=vector(x=a, y=b, z=0.0))
     if kind == "geometry_msgs/msg/TwistStamped":
         twist = types["geometry_msgs/msg/Twist"](linear=vector(x=9.0, y=9.0, z=9.0), angular=vector(x=a, y=b, z=0.0))
         return types[kind](header=header, twist=twist)

@@ -11,6 +11,7 @@ import re
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,34 @@ SIZES = {
 FLOATS = {"float32": "f4", "float64": "f8"}
 STAMP = "builtin_interfaces/Time"
 HEADER = "std_msgs/Header"
+QUANTITIES: Mapping[tuple[str, str], str] = MappingProxyType(
+    {
+        ("geometry_msgs/Accel", "angular"): "an angular acceleration [rad/s2]",
+        ("geometry_msgs/Accel", "linear"): "an acceleration [m/s2]",
+        ("geometry_msgs/Inertia", "com"): "a position [m]",
+        ("geometry_msgs/Pose", "position"): "a position [m]",
+        ("geometry_msgs/Pose2D", ""): "a position [m] and a heading",
+        ("geometry_msgs/Transform", "translation"): "a position [m]",
+        ("geometry_msgs/Twist", "angular"): "an angular velocity [rad/s]",
+        ("geometry_msgs/Twist", "linear"): "a velocity [m/s]",
+        ("geometry_msgs/Wrench", "force"): "a force [N]",
+        ("geometry_msgs/Wrench", "torque"): "a torque [Nm]",
+        ("sensor_msgs/FluidPressure", ""): "a pressure [Pa] and its variance",
+        ("sensor_msgs/Illuminance", ""): "an illuminance [lx] and its variance",
+        ("sensor_msgs/Imu", "angular_velocity"): "an angular velocity [rad/s]",
+        ("sensor_msgs/Imu", "linear_acceleration"): "an acceleration [m/s2]",
+        ("sensor_msgs/JointState", "effort"): "forces or torques",
+        ("sensor_msgs/JointState", "velocity"): "velocities",
+        ("sensor_msgs/MagneticField", "magnetic_field"): "a magnetic field [T]",
+        ("sensor_msgs/NavSatFix", ""): "a place on the Earth",
+        ("sensor_msgs/RelativeHumidity", ""): "a humidity and its variance",
+        ("sensor_msgs/Temperature", ""): "a temperature [K] and its variance",
+    }
+)
+"""What fields of the types of ROS are that hold no angles; an empty name: the message itself.
+
+A vector, a point or an array may hold anything: there the unit that is given counts.
+"""
 _FIELD = re.compile(
     r"^(?P<type>[\w/]+(?:<=\d+)?)(?P<array>\[(?P<size>[<=\d]*)\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
@@ -64,11 +93,13 @@ class Vector:
     path : field that holds them; empty if the message itself
     components : names of the numbers
     stamped : whether the message begins with a header
+    quantity : what they are where that is no angle, with its article and unit; else empty
     """
 
     path: str
     components: tuple[str, ...]
     stamped: bool
+    quantity: str = ""
 
 
 def short_name(schema: str) -> str:
@@ -137,32 +168,36 @@ def vectors(schema: str, types: Definitions) -> tuple[Vector, ...]:
         return ()
     fields = types[root]
     stamped = bool(fields) and fields[0].type == HEADER
-    found: list[tuple[str, tuple[str, ...]]] = []
+    found: list[tuple[str, tuple[str, ...], str]] = []
     # some hundred bytes of definitions can stand for any number of paths
     for number, group in enumerate(_groups(root, types, "", 0)):
         if number > MESSAGE_FIELDS:
             raise BagError(f"message type must have at most {MESSAGE_FIELDS} fields, got more in {root}")
         if group is not None:
             found.append(group)
-    return tuple(Vector(path, names, stamped) for path, names in sorted(found, key=lambda f: f[0].count(".")))
+    found.sort(key=lambda group: group[0].count("."))
+    return tuple(Vector(path, names, stamped, quantity) for path, names, quantity in found)
 
 
-def _groups(kind: str, types: Definitions, path: str, depth: int) -> Iterator[tuple[str, tuple[str, ...]] | None]:
-    """Groups, and None for each other field that is passed."""
+def _groups(
+    kind: str, types: Definitions, path: str, depth: int, quantity: str = ""
+) -> Iterator[tuple[str, tuple[str, ...], str] | None]:
+    """Path, names and quantity of each group, which holds for all that is inside; None for each other field."""
     fields = types.get(kind, ())
     names = tuple(f.name for f in fields if f.type in FLOATS and f.count is None)
     if 2 <= len(names) <= 3:
-        yield path, names
+        yield path, names, quantity or QUANTITIES.get((kind, ""), "")
     for f in fields:
         inner = f"{path}.{f.name}" if path else f.name
+        what = quantity or QUANTITIES.get((kind, f.name), "")
         if f.type in FLOATS and f.count in (2, 3):
-            yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count)))
+            yield inner, tuple(f"{f.name}[{i}]" for i in range(int(f.count))), what
         elif f.type in FLOATS and f.count == 0:
-            yield inner, (f"{f.name}[0]", f"{f.name}[1]")
+            yield inner, (f"{f.name}[0]", f"{f.name}[1]"), what
         else:
             yield None
         if f.count is None and f.type in types and f.type != HEADER and depth < MESSAGE_DEPTH:
-            yield from _groups(f.type, types, inner, depth + 1)
+            yield from _groups(f.type, types, inner, depth + 1, what)
 
 
 @dataclass

@@ -19,10 +19,11 @@ from pointing_analysis.read.series import Series, make_series, scale_of, stamps_
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
-from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit
+from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit, unit_name
 from pointing_analysis.read.tables.text import read_text
+from pointing_analysis.read.tables.times import UNITS as TIME_UNITS
 from pointing_analysis.read.tables.times import column_stamps, time_column
-from pointing_analysis.units import ANGLES
+from pointing_analysis.units import ANGLES, NAMES
 
 READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
     {
@@ -79,7 +80,7 @@ def read_los_table(
         Unknown unit, another one than that of the file, or neither times nor a rate.
     """
     table = read_table(path)
-    x, y, when = _chosen(table, los, time)
+    (x, y, when), unit_of_time = _chosen(table, los, time)
     columns = table.of_length(len(table.columns[x]))
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
@@ -91,7 +92,7 @@ def read_los_table(
             stamps = stamps_of(None, len(xy), rate)
         else:
             said = table.unit(when)  # of a whole group the unit is that of the angles
-            stamps = column_stamps(when, columns[when], rate, "" if said in ANGLES else said)
+            stamps = column_stamps(when, columns[when], rate, unit_of_time if said in ("", *ANGLES) else said)
     except ValueError as error:
         raise TableError(f"{path}: {error}{unused}") from None
     problems = list(table.left_out)
@@ -119,7 +120,11 @@ def _others(columns: Mapping[str, Column], x: str, y: str) -> str:
 def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: str | None) -> tuple[FloatArray, str]:
     """Samples in one unit, and that unit: the given one, or that of the file."""
     said = [table.unit(name) for name in names]
+    for name, unit in zip(names, said):
+        if unit and unit not in ANGLES:
+            raise TableError(f"{table.path}: unit of {name} must be an angle, {NAMES}, got {unit!r} in the file")
     if given is not None:
+        given = unit_name(given)
         for name, unit in zip(names, said):
             if unit and unit != given:
                 raise TableError(f"{table.path}: unit must be {unit}, which the file says of {name}, got {given!r}")
@@ -128,21 +133,32 @@ def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: st
     if not all(said):
         name = names[0] if not said[0] else names[1]
         missing = f"which the file does not say of {name}, got none"
-        raise TableError(f"{table.path}: unit must be given (--unit mas, arcsec, nrad, urad, mrad or rad), {missing}")
-    try:
-        scales = [scale_of(unit) for unit in said]
-    except ValueError as error:
-        raise TableError(f"{table.path}: {error} in {', '.join(names)}") from None
+        raise TableError(f"{table.path}: unit must be given (--unit {NAMES}), {missing}")
+    scales = [scale_of(unit) for unit in said]
     return (xy, said[0]) if said[0] == said[1] else (xy * np.array(scales), "rad")
 
 
-def _chosen(table: Table, los: str | None, time: str | None) -> tuple[str, str, str | None]:
+def _chosen(table: Table, los: str | None, time: str | None) -> tuple[tuple[str, str, str | None], str]:
+    """Names of the columns of the line of sight and of the time, and the unit that the option gives the time."""
+    asked, unit = (None, "") if time is None else _asked_time(table, time)
+    return _columns(table, los, asked), unit
+
+
+def _asked_time(table: Table, time: str) -> tuple[str, str]:
+    """Column that an option ``--time`` means; a unit at its end, as in ``time_ms``, is that of a column without one."""
+    base, unit = split_unit(time)
+    asked = table.find(time)
+    if asked is None and unit in TIME_UNITS and (asked := table.find(base)) is not None:
+        if (said := table.unit(asked)) not in ("", *ANGLES, unit):
+            raise TableError(f"{table.path}: time must be in {said}, which the file says of {asked}, got {time!r}")
+        return asked, unit
+    if asked is None:
+        raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
+    return asked, ""
+
+
+def _columns(table: Table, los: str | None, asked: str | None) -> tuple[str, str, str | None]:
     """Names of the columns of the line of sight and of the time."""
-    asked: str | None = None
-    if time is not None:
-        asked = table.find(time)
-        if asked is None:
-            raise TableError(f"{table.path}: time must be one of {table.listed()}, got {time!r}")
     if los is not None:
         x, y = _named(table, los)
         columns = table.of_length(len(table.columns[x]))

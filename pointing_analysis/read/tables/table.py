@@ -41,6 +41,17 @@ _SPELLINGS = {
     "milliarcsecond": "mas",
     "milliarcseconds": "mas",
     "marcsec": "mas",
+    "arcminute": "arcmin",
+    "arcminutes": "arcmin",
+    "degree": "deg",
+    "degrees": "deg",
+    "\N{DEGREE SIGN}": "deg",
+    "pixel": "px",
+    "pixels": "px",
+    "pix": "px",
+    "rad_s": "rad/s",
+    "deg_s": "deg/s",
+    "dps": "deg/s",
     "µs": "us",
     "μs": "us",
     "sec": "s",
@@ -56,7 +67,10 @@ _SPELLINGS = {
     "mn": "mN",
 }
 _IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
-_AT_THE_END = re.compile(r"^(.+?)_((?i:mas|arcsec|nrad|urad|mrad|rad|s|ms|us|ns)|mNm|mN|Nm|N)$")
+_ANGLES_AT_THE_END = "mas|arcsec|arcmin|deg|degrees?|nrad|urad|mrad|rad"
+_OTHERS_AT_THE_END = "rad[_/]s|deg[_/]s|dps|px|pix|pixels?|mm|um"  # never taken for an angle
+_AT_THE_END = re.compile(rf"^(.+?)_((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END}|s|ms|us|ns)|mNm|mN|Nm|N)$")
+_TIME_AT_THE_END = re.compile(r"^((?:.*\.)?(?:t|time|timestamp|stamp))_(min|h|d)$", re.IGNORECASE)
 
 
 class TableError(ValueError):
@@ -84,8 +98,10 @@ def split_unit(name: str) -> tuple[str, str]:
     --------
     >>> split_unit("LOS_X (urad)"), split_unit("los_x [mas]"), split_unit("time_ms"), split_unit("roll_rate")
     (('LOS_X', 'urad'), ('los_x', 'mas'), ('time', 'ms'), ('roll_rate', ''))
+    >>> split_unit("x_deg"), split_unit("x_rad_s"), split_unit("x_min"), split_unit("time_min")
+    (('x', 'deg'), ('x', 'rad/s'), ('x_min', ''), ('time', 'min'))
     """
-    found = _IN_BRACKETS.match(name.strip()) or _AT_THE_END.match(name.strip())
+    found = next((m for kind in (_IN_BRACKETS, _AT_THE_END, _TIME_AT_THE_END) if (m := kind.match(name.strip()))), None)
     return (found[1], unit_name(found[2])) if found else (name.strip(), "")
 
 

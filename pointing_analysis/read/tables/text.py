@@ -13,16 +13,22 @@ import numpy as np
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.read.tables.formats import text_encoding
-from pointing_analysis.read.tables.table import Column, Table, TableError
+from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit, unit_name
 from pointing_analysis.read.tables.times import dates
+from pointing_analysis.units import ANGLES
 
 DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+COMMENT = ("#", "%")
+UNIT_IN_COMMENT = re.compile(r"units?\s*[:=]\s*(.+)", re.IGNORECASE)
 SHOWN = 60
 """Characters of a row in a message."""
 
 
 def read_text(path: Path) -> Table:
-    """Numeric columns; an empty cell is a missing sample. Lines that begin with # or % are left out.
+    """Numeric columns; an empty cell is a missing sample.
+
+    Lines that begin with # or % are comments. One in front of rows without a header is the header if it has as many
+    names as they have cells, as ``numpy.savetxt(header=...)`` writes it; ``# unit: mas`` is the unit of the angles.
 
     Raises
     ------
@@ -34,20 +40,39 @@ def read_text(path: Path) -> Table:
         text = content.decode(text_encoding(content[:4]))
     except (OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: table must be UTF-8 text, got {error}") from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%"))]
+    every = [line for line in text.splitlines() if line.strip()]
+    lines = [line for line in every if not line.lstrip().startswith(COMMENT)]
     if not lines:
         raise TableError(f"{path}: table must have rows, got none")
-    names, rows = _names_and_rows(path, lines)
+    comments = [line.lstrip().lstrip("".join(COMMENT)).strip() for line in every[: every.index(lines[0])]]
+    names, rows = _names_and_rows(path, lines, comments)
     empty = [not any(cell.strip() for cell in row) for row in rows]
     kept = [row for row, bare in zip(rows, empty) if not bare]
     columns = {name: _column(name, [row[i] for row in kept]) for i, name in enumerate(names)}
     notes = [f"{sum(empty)} rows without any value left out"] if any(empty) else []
     if texts := [name for name, column in columns.items() if column is None]:
         notes.append(f"columns of text left out: {', '.join(texts)}")
-    return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, left_out=tuple(notes))
+    units = {name: unit for unit in _unit_in(comments) for name in names if not split_unit(name)[1]}
+    return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, units, left_out=tuple(notes))
 
 
-def _names_and_rows(path: Path, lines: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+def _unit_in(comments: Sequence[str]) -> list[str]:
+    """Unit of angle that a comment names; empty without one."""
+    found = [match for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
+    return [unit for match in found[-1:] if (unit := unit_name(match[1])) in ANGLES]
+
+
+def _names_in(comments: Sequence[str], separator: str | None, count: int) -> list[str] | None:
+    """Names of the columns in the last comment that has as many; None without one."""
+    for line in reversed([comment for comment in comments if not UNIT_IN_COMMENT.fullmatch(comment)]):
+        for mark in (separator, ",", ";", "\t", None):
+            cells = [cell.strip() for cell in (line.split() if mark is None else line.split(mark))]
+            if len(cells) == len(set(cells)) == count and all(any(map(str.isalpha, cell)) for cell in cells):
+                return cells
+    return None
+
+
+def _names_and_rows(path: Path, lines: Sequence[str], comments: Sequence[str]) -> tuple[list[str], list[list[str]]]:
     separator = _separator(lines[0])
     try:
         rows = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
@@ -56,7 +81,8 @@ def _names_and_rows(path: Path, lines: Sequence[str]) -> tuple[list[str], list[l
     if separator != ",":
         rows = [_with_points(row) if "," in "".join(row) else row for row in rows]
     if _are_values(rows[0]):
-        names = [f"column_{i + 1}" for i in range(len(rows[0]))]
+        count = len(rows[0])
+        names = _names_in(comments, separator, count) or [f"column_{i + 1}" for i in range(count)]
     else:
         names = [cell.strip() for cell in rows.pop(0)]
         if not any(letter.isalpha() for name in names for letter in name):

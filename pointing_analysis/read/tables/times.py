@@ -1,8 +1,8 @@
 """Times of a table: which column has them, and what its numbers mean.
 
 A column of dates (Parquet timestamps, ``datetime64``, ISO 8601 text in CSV) is read as ``datetime64[ns]``, UTC where
-it has an offset. A column of numbers is in seconds unless its name ends in another unit (``time_ms``, ``t [us]``) or an
-attribute of it says one.
+it has an offset. The unit of a column of numbers is at the end of its name (``time_ms``, ``t [us]``) or in an attribute
+of it. Without one, times that are close to each other are in seconds; others may be milliseconds, and are refused.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pointing_analysis.arrays import IntArray
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
 from pointing_analysis.read.tables.table import Column, split_unit
 
 NAMES = ("t", "time", "timestamp", "stamp", "seconds")
 """Names of time columns, without a unit at their end, in any case."""
-UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+FARTHEST = 0.05
+"""Usual step of numbers without a unit from which on they may be other than seconds: of 20 kHz in milliseconds."""
 _DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)\s*(Z|[+-]\d\d:?\d\d)?\s*")
 
 
@@ -82,12 +84,12 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
     name : of the column, for messages
     column : (n,) numbers or dates
     rate : sampling rate [Hz], if it is known
-    unit : of the numbers; by default s
+    unit : of the numbers; by default s, where they can be nothing else
 
     Raises
     ------
     ValueError
-        A time that is missing or not finite, or another unit.
+        A time that is missing or not finite, another unit, or none where it must be known.
     """
     missing = int(np.isnat(column).sum()) if column.dtype.kind == "M" else int((~np.isfinite(column)).sum())
     if missing:
@@ -99,5 +101,17 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
     elif unit == "ns":
         whole = column.astype(np.int64) if column.dtype.kind in "iu" else np.rint(column.astype(float)).astype(np.int64)
     else:
+        if not unit and rate is None and split_unit(name)[0].rpartition(".")[2].lower() != "seconds":
+            _check_seconds(name, column.astype(float))
         return stamps_of(column.astype(float) * UNITS[unit], len(column), rate)
     return np.asarray((whole - whole.min() if whole.size else whole) + ORIGIN)
+
+
+def _check_seconds(name: str, times: FloatArray) -> None:
+    """Refuse numbers without a unit that may be milliseconds as well."""
+    step = float(np.median(np.diff(np.sort(times)))) if times.size > 1 else 0.0
+    if step >= FARTHEST * (1 - 1e-9):
+        raise ValueError(
+            f"unit of the times must be known where they are {step:g} apart: {name} (s), {name} (ms) or the like as "
+            f"the name of the column, or --time {name}_s, --time {name}_ms; got {name!r} without one"
+        )

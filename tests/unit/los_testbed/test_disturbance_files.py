@@ -160,16 +160,34 @@ def test_units_of_harmonics(tmp_path: Path, header: str, factor: float) -> None:
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("frequency (Hz),Tz (Nm/rtHz)", r"Tz \(Nm/rtHz\) must be N\^2/Hz, .*, got 'nm/rthz'"),
-        ("frequency (Hz),Tz (Nm)", "must be N.2/Hz, .*, got 'Nm'"),
+        ("frequency (Hz),Tz (Nm/rtHz)", r"Tz \(Nm/rtHz\) must be Nm\^2/Hz or .*, got 'nm/rthz'"),
+        ("frequency (Hz),Tz (Nm)", "must be Nm.2/Hz or .*, got 'Nm'"),
         ("frequency (MHz),Tz", "frequency .* must be Hz, kHz or rad/s, got 'mhz'"),
-        ("order,Fx (N)", r"must be N s\^2/rad\^2, .* \(squared = false takes N and Nm\), got 'N'"),
-        ("time (ticks),Fx", "unit of the time must be one of s, ms, us, ns, min, h, got 'ticks'"),
+        ("order,Fx (N)", r"must be N s\^2/rad\^2 or .* \(squared = false takes N\), got 'N'"),
+        ("time (ticks),Fx", "unit of the time must be one of s, ms, us, ns, min, h, d, got 'ticks'"),
+        ("time (s),Fx (Nm)", r"unit of Fx \(Nm\) must be N or mN, got 'Nm'"),
+        ("time (s),Mz (N)", r"unit of Mz \(N\) must be Nm or mNm, got 'N'"),
+        ("frequency (Hz),Fx (Nm^2/Hz)", r"must be N\^2/Hz or mN\^2/Hz, got"),
+        ("order,Mx (N s^2)", r"must be Nm s\^2/rad\^2 or"),
+        ("order (Hz),Fx", r"unit of order \(Hz\) must be none"),
+        ("time,Fx (N)", r"unit of the times must be known where they are 1 apart"),
     ],
 )
 def test_units_of_another_quantity_are_refused(tmp_path: Path, header: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         of_table(tmp_path, header, [[1.0, 1e-6], [2.0, 1e-6]])
+
+
+def test_an_array_of_six_columns_may_have_both_units(tmp_path: Path) -> None:
+    """One unit of all six is that of another quantity for three of them."""
+    for unit, factor in (("N, Nm", [1.0, 1.0]), ("mN; mNm", [1e-3, 1e-3])):
+        np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit=unit)
+        (found,) = make_sources(entries_of([str(tmp_path / "a.npz")]), load_parameters(), RUN)
+        signal: Any = found.signal
+        assert np.allclose(signal.values, WRENCH * np.repeat(factor, 3))
+    np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit="N")
+    with pytest.raises(ValueError, match=r"unit of wrench\.\w must be Nm or mNm, got 'N'"):
+        make_sources(entries_of([str(tmp_path / "a.npz")]), load_parameters(), RUN)
 
 
 def test_a_series_may_have_dates(tmp_path: Path) -> None:

@@ -16,7 +16,9 @@ from los_testbed.cli.app import main
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC
 from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
+from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.report.report import render
@@ -158,8 +160,7 @@ def test_listing_of_what_could_be_used(folder: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("kind", "los", "time"),
     [
-        ("geometry_msgs/msg/TwistStamped", "/a.twist.angular", "header"),
-        ("sensor_msgs/msg/Imu", "/a.angular_velocity", "header"),
+        ("geometry_msgs/msg/Vector3Stamped", "/a.vector", "header"),
         ("geometry_msgs/msg/Vector3", "/a", "log"),
         ("std_msgs/msg/Float64MultiArray", "/a", "log"),
         ("my_msgs/msg/LosError", "/a", "header"),
@@ -175,6 +176,42 @@ def test_any_message_with_two_numbers(tmp_path: Path, kind: str, los: str, time:
     assert run["truth/los"].values.tolist() == (expected * mas).tolist()
     assert run.parameters["time"] == time
     assert run["truth/los"].period == pytest.approx(1 / RATE, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "los", "quantity"),
+    [
+        (
+            "geometry_msgs/msg/TwistStamped",
+            "/a.twist.angular",
+            r"an angular velocity \[rad/s\] of geometry_msgs/msg/Twist",
+        ),
+        ("sensor_msgs/msg/Imu", "/a.angular_velocity", r"an angular velocity \[rad/s\] of sensor_msgs/msg/Imu"),
+        ("sensor_msgs/msg/Imu", "/a.linear_acceleration", r"an acceleration \[m/s2\]"),
+        ("sensor_msgs/msg/Imu", "/a", "must be an angle, got /a.angular_velocity"),
+    ],
+)
+def test_what_is_no_angle_is_refused(tmp_path: Path, kind: str, los: str, quantity: str) -> None:
+    """Angular velocities, accelerations and positions were taken as radians."""
+    bag = external_bags.write_external(tmp_path / "bag", {"/a": (kind, samples(40))}, RATE)
+    with pytest.raises(ValueError, match=quantity) as caught:
+        open_los(bag, los=los, unit="rad")
+    assert "Vector3Stamped" in str(caught.value) and "\n" not in str(caught.value)
+    assert not candidates(bag)
+
+
+def test_a_position_in_a_type_of_others_is_no_angle() -> None:
+    text = "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 tilt\nfloat64[2] error\n" + "".join(
+        f"{'=' * 20}\nMSG: geometry_msgs/{name}\n{fields}\n"
+        for name, fields in (
+            ("Pose", "Point position\nQuaternion orientation"),
+            ("Point", "float64 x\nfloat64 y\nfloat64 z"),
+            ("Vector3", "float64 x\nfloat64 y\nfloat64 z"),
+            ("Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
+        )
+    )
+    found = {v.path: v.quantity for v in vectors("my/msg/Status", parse_definition("my/msg/Status", text))}
+    assert found == {"pose.position": "a position [m]", "tilt": "", "error": ""}
 
 
 def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> None:
@@ -211,7 +248,7 @@ def test_a_bag_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
         ),
         ("theirs", {"los": "/text"}, "los must be one of /my/los.point"),
         ("theirs", {"los": "/my/los", "unit": None}, "unit must be one of mas, arcsec, .* got None"),
-        ("theirs", {"los": "/my/los", "unit": "deg"}, "unit must be one of .* got 'deg'"),
+        ("theirs", {"los": "/my/los", "unit": "gon"}, "unit must be one of .* got 'gon'"),
         ("theirs", {"los": "/my/los", "rate": -1.0}, "rate must be positive"),
         ("theirs", {"los": "/my/los", "time": "clock"}, "time must be one of auto, header, log, got 'clock'"),
         ("ours", {}, "los must be given with unit, rate or time"),

@@ -18,7 +18,7 @@ from pointing_analysis.read.time_grid import time_grid
 from pointing_analysis.report.report import render
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.verdict import parse
-from pointing_analysis.units import RAD_PER_MAS
+from pointing_analysis.units import ANGLES, RAD_PER_MAS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -273,3 +273,81 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_file_is_read(
         main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "none" / "a.html")])
     assert stop.value.code == 2
     assert capsys.readouterr().err == f"los-testbed: the folder of the report must exist, got {tmp_path / 'none'}\n"
+
+
+# -- quantities -------------------------------------------------------------------------------------------------------
+
+
+def table(path: Path, text: str, rows: int = 400, step: float = 0.001, scale: float = 1.0) -> Path:
+    """A text file of times and two columns below a first line."""
+    noise = scale * np.random.default_rng(1).standard_normal((rows, 2))
+    np.savetxt(path, np.c_[step * np.arange(rows), noise], delimiter=",", header=text, comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("# time,los_x_mas,los_y_mas", "mas"),
+        ("# a comment\n# t (s), x (urad), y (urad)", "urad"),
+        ("# t x_deg y_deg", "deg"),
+        ("% time [s];los_x [arcmin];los_y [arcmin]", "arcmin"),
+        ("# error of the night\n# unit: mas", "mas"),
+        ("#Units = degrees\ntime,x,y", "deg"),
+    ],
+)
+def test_units_behind_a_comment_mark_count(tmp_path: Path, header: str, unit: str) -> None:
+    """`np.savetxt(header=...)` writes names behind ``#``: with another unit all values were 206 times too large."""
+    file = table(tmp_path / "a.csv", header)
+    run = open_los(file)
+    assert run.parameters["unit_of_the_samples"] == unit
+    assert run["truth/los"].values.std() == pytest.approx(ANGLES[unit], rel=0.1)
+    other = "rad" if unit != "rad" else "mas"
+    with pytest.raises(ValueError, match=f"unit must be {unit}, which the file says of .*, got '{other}'"):
+        open_los(file, unit=other)
+    assert open_los(file, unit=unit)["truth/los"].values.tolist() == run["truth/los"].values.tolist()
+
+
+@pytest.mark.parametrize("name", ["x_px", "x (px)", "x_rad_s", "x [rad/s]", "x_mm", "x (V)", "x [pixels]", "x_dps"])
+def test_columns_of_another_quantity_are_no_angles(tmp_path: Path, name: str) -> None:
+    file = table(tmp_path / "a.csv", f"time,{name},{name.replace('x', 'y', 1)}")
+    for unit in (None, "rad"):
+        with pytest.raises(ValueError, match=r"unit of x.* must be an angle, mas, .* got .* in the file"):
+            open_los(file, unit=unit)
+
+
+def test_times_that_may_be_milliseconds_need_their_unit(tmp_path: Path) -> None:
+    """0, 1, 2, ... under ``time`` were seconds, whatever the rate of the instrument."""
+    file = table(tmp_path / "a.csv", "time,x_mas,y_mas", step=1.0)
+    with pytest.raises(
+        ValueError, match=r"unit of the times must be known where they are 1 apart: time \(s\)"
+    ) as caught:
+        open_los(file)
+    assert "--time time_ms" in str(caught.value)
+    for option, rate in (("time_ms", 1000.0), ("time_s", 1.0), ("time_us", 1e6)):
+        assert 1 / open_los(file, time=option)["truth/los"].period == pytest.approx(rate)
+    assert 1 / open_los(file, rate=1.0)["truth/los"].period == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="rate must be that of the samples"):
+        open_los(file, rate=1000.0)
+    named = table(tmp_path / "b.csv", "time_ms,x_mas,y_mas", step=1.0)
+    assert 1 / open_los(named)["truth/los"].period == pytest.approx(1000.0)
+    with pytest.raises(ValueError, match="time must be in ms, which the file says of time_ms, got 'time_s'"):
+        open_los(named, time="time_s")
+    for header, seconds in (("time_min", 60.0), ("t (h)", 3600.0), ("time_d", 86_400.0), ("seconds", 1.0)):
+        slow = table(tmp_path / "c.csv", f"{header},x_mas,y_mas", step=1.0, rows=100)
+        assert open_los(slow)["truth/los"].period == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("deg", 360.0), ("rad", 2 * np.pi), ("arcsec", 1_296_000.0)])
+def test_a_wrap_at_a_full_turn_is_refused(tmp_path: Path, unit: str, turn: float) -> None:
+    """A direction about zero from 0 to 360 degrees has an RPE of half a turn."""
+    noise = 1e-5 * turn * np.random.default_rng(1).standard_normal((400, 2))
+    for wrapped in (noise % turn, (noise + turn / 2) % turn - turn / 2):
+        np.savetxt(
+            tmp_path / "a.csv", np.c_[0.001 * np.arange(400), wrapped], delimiter=",", header="t,x,y", comments=""
+        )
+        if np.ptp(wrapped) > turn / 2:
+            with pytest.raises(ValueError, match=r"without a wrap, got a step of a full turn behind sample \d+: write"):
+                open_los(tmp_path / "a.csv", unit=unit)
+        else:
+            assert len(open_los(tmp_path / "a.csv", unit=unit)["truth/los"]) == 400

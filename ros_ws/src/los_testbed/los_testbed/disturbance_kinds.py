@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from los_testbed.disturbance_units import DENSITY, FORCE, FREQUENCY, PER_SPEED_SQUARED, Units
+from los_testbed.disturbance_units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit
@@ -122,8 +122,8 @@ def _rng(entry: Entry, run: Run) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(98, key)))
 
 
-def _axes(entry: Entry, table: Table, n: int, units: Units = FORCE) -> FloatArray:
-    """Values (n, 6) of a table, in SI units."""
+def _axes(entry: Entry, table: Table, n: int, units: WrenchUnits = FORCE) -> FloatArray:
+    """Values (n, 6) of a table, in SI units; of an array of six columns the unit may be two, ``N, Nm``."""
     values = np.zeros((n, 6))
     bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
     whole = [f"wrench.{i + 1}" for i in range(6)]
@@ -132,7 +132,9 @@ def _axes(entry: Entry, table: Table, n: int, units: Units = FORCE) -> FloatArra
         for base in (*names, whole[axis]):
             column = next((bases[key] for key in bases if key == base or key.endswith(f".{base}")), None)
             if column is not None:
-                values[:, axis] = _scaled(entry, table, column, units)
+                both = table.unit(column).replace(";", ",").split(",")
+                unit = both[axis // 3] if len(both) == 2 else table.unit(column)
+                values[:, axis] = _scaled(entry, table, column, units.of_axis(axis), unit)
                 found += 1
                 break
     if not found:
@@ -144,9 +146,8 @@ def _axes(entry: Entry, table: Table, n: int, units: Units = FORCE) -> FloatArra
     return values
 
 
-def _scaled(entry: Entry, table: Table, column: str, units: Units) -> FloatArray:
+def _scaled(entry: Entry, table: Table, column: str, units: Units, unit: str) -> FloatArray:
     """Values of a column in SI units."""
-    unit = table.unit(column)
     scale = units.scale(unit)
     if scale is None:
         raise entry.error(f"unit of {column} must be {units.expected}, got {unit!r}")
@@ -157,7 +158,7 @@ def _column(entry: Entry, table: Table, *names: str, units: Units | None = None)
     for name in table.columns:
         if split_unit(name)[0].lower() in names:
             if units is not None:
-                return _scaled(entry, table, name, units)
+                return _scaled(entry, table, name, units, table.unit(name))
             return np.asarray(entry.column(table, name), dtype=float)
     raise entry.error(f"{table.path} must have a column {names[0]}, got {table.listed()}")
 
@@ -196,7 +197,7 @@ def _rate(entry: Entry, table: Table, n: int) -> float:
     """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
     given = entry.number("rate", None, 0.0) if "rate" in entry.table else None
     when = time_column(table.of_length(n), [])
-    own = _rate_by_times(entry, table, when) if when is not None else table.rate
+    own = _rate_by_times(entry, table, when, given) if when is not None else table.rate
     if own is None:
         return entry.number("rate", None, 0.0)
     if given is not None and abs(given - own) > SAME_RATE * own:
@@ -205,11 +206,11 @@ def _rate(entry: Entry, table: Table, n: int) -> float:
     return own
 
 
-def _rate_by_times(entry: Entry, table: Table, when: str) -> float:
-    """Sampling rate [Hz] by a column of times."""
+def _rate_by_times(entry: Entry, table: Table, when: str, given: float | None) -> float:
+    """Sampling rate [Hz] by a column of times; a rate that is `given` tells that they are in seconds."""
     unit = table.unit(when)
     try:
-        stamps = column_stamps(when, entry.column(table, when), None, "" if FORCE.scale(unit) else unit)
+        stamps = column_stamps(when, entry.column(table, when), given, "" if FORCE.knows(unit) else unit)
     except ValueError as error:
         raise entry.error(f"{table.path}: {error}") from None
     seconds = (stamps - stamps.min()) / NANO
@@ -226,14 +227,14 @@ def _listed(values: FloatArray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def _harmonics(entry: Entry, units: Units = FORCE) -> list[tuple[float, FloatArray]]:
+def _harmonics(entry: Entry, units: WrenchUnits = FORCE) -> list[tuple[float, FloatArray]]:
     """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
     tables = entry.table.get("harmonics")
     if tables is not None and "file" in entry.table:
         raise entry.error(f"harmonics must be in a file or in the table, got both: {entry.table['file']!r} and a list")
     if tables is None:
         table = entry.file()
-        order = _column(entry, table, "order", "harmonic")
+        order = _column(entry, table, "order", "harmonic", units=ORDER)
         rows = list(zip(order.tolist(), _axes(entry, table, len(order), units)))
     elif isinstance(tables, list) and tables and all(isinstance(one, dict) and "order" in one for one in tables):
         unknown = sorted({key for one in tables for key in one} - {"order", "force", "torque"})

@@ -26,7 +26,9 @@ Los = Annotated[
 ]
 Unit = Annotated[
     str | None,
-    typer.Option(help="Its unit: rad, mrad, urad, nrad, arcsec or mas; default: that of header or attribute."),
+    typer.Option(
+        help="Its unit: rad, mrad, urad, nrad, deg, arcmin, arcsec or mas; default: that of header or attribute."
+    ),
 ]
 Rate = Annotated[float | None, typer.Option(help="Its sampling rate [Hz]; default: from the times.")]
 Requirements = Annotated[
