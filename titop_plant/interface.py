@@ -74,6 +74,9 @@ SCENARIOS = ("worst_case", "unit_norm", "design", "imbalance", "ramp")
 of the telescope on its isolator; imbalance of the wheels and micro-steps of the drives; the same while wheel speeds and
 array angle follow a profile."""
 
+NO_SCENARIO = "none"
+"""In the place of a scenario: no tones of one, only the sources of files, of code and of the telescope's tables."""
+
 MEASURED_PORTS = tuple(entry.port for entry in MEASURED_SENSORS)
 """Ports of the measurement vector: the inputs of K_FSM."""
 

@@ -6,7 +6,7 @@ import math
 
 from pydantic.dataclasses import dataclass
 
-from titop_plant.interface import CAMERA_RATE, RATE, SCENARIOS, frame_ticks
+from titop_plant.interface import CAMERA_RATE, NO_SCENARIO, RATE, SCENARIOS, frame_ticks
 from titop_plant.settings import ANY, STRICT, Settings, setting, settings_class
 
 
@@ -31,7 +31,12 @@ class PhysicalSettings(Settings):
     ValueError: omega_1 must be between 0 and 1000 rad/s, got -1
     """
 
-    scenario: str = setting(SCENARIOS[0], "disturbance scenario", choices=SCENARIOS)
+    scenario: str | None = setting(
+        None,
+        "disturbance scenario",
+        absent="worst_case, none beside sources of your own",
+        choices=(*SCENARIOS, NO_SCENARIO),
+    )
     seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
     noise: bool = setting(True, "sensor noise on")
     disturbance: bool = setting(True, "wheel and drive disturbances on")

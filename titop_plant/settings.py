@@ -202,7 +202,7 @@ class Settings:
     @classmethod
     def _check(cls, value: Any, info: ValidationInfo) -> Any:
         own = cls.SETTINGS[str(info.field_name)]
-        if own.choices and value not in own.choices:
+        if own.choices and value is not None and value not in own.choices:
             raise ValueError(own.mistake("", value))
         if own.length and value is not None and own.low is not None and own.high is not None:
             for outside in (number for number in value if not own.low <= number <= own.high):

@@ -104,6 +104,7 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "status": status,
         "css": css_class(status),
         "scenario": s.scenario,
+        "conditions": s.conditions.lines,
         "mode": s.mode,
         "figures": [(figure.name, figure.text) for figure in s.figures],
         "knowledge": s.knowledge

@@ -31,6 +31,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run_end import early_end
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import unsent
+from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
 from pointing_analysis.requirements.guarantee import NO_PROOF, proven_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import (
@@ -164,6 +165,7 @@ class Summary:
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
     beside : of each verdict what else is known of it
+    conditions : what acted, and on which telescope
     """
 
     path: Path
@@ -198,6 +200,7 @@ class Summary:
     kind: str = "bag"
     sampling: str = ""
     beside: tuple[Beside, ...] = ()
+    conditions: Conditions = UNKNOWN_CONDITIONS
 
     @property
     def rows(self) -> tuple[RequirementRow, ...]:
@@ -250,6 +253,8 @@ class Summary:
             "mode": self.mode,
             "loop": self.loop,
             "scenario": self.scenario,
+            **({"acting": list(self.conditions.acting)} if self.conditions.acting else {}),
+            **({"member": self.conditions.member} if self.conditions.member else {}),
             "ticks": self.ticks,
             "transient_s": self.transient,
             "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
@@ -495,6 +500,7 @@ def summarise(
         star=star,
         kind=run.kind,
         sampling=str(run.parameters.get(SAMPLING, "")),
+        conditions=conditions_of(run),
     )
 
 
@@ -510,8 +516,10 @@ def _star(run: Recording, series: ErrorSeries) -> tuple[StarExposures | None, st
 
 
 def scenario_of(run: Recording) -> str:
-    """Scenario of a run; where it had a disturbance or a plant of the user, that one's name."""
-    sources = run.parameters.get("disturbances")
+    """Names of all that acted in a run; of its plant where that is another one than the telescope."""
+    if names := conditions_of(run).names:
+        return ", ".join(names)
+    sources = run.parameters.get("disturbances")  # of bags from before they said what acts
     if isinstance(sources, list) and sources:
         return ", ".join(str(source.get("name")) for source in sources if isinstance(source, dict))
     given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))

@@ -255,7 +255,7 @@ def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, flo
     if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
         return MovingTones(motion(config, parameters), unit).start()
     speeds = np.array([values[name] for name in speed_names(wheel_count(parameters))])
-    return TONES[config.scenario](_circumstances(config, parameters, values, speeds))
+    return TONES[str(config.scenario)](_circumstances(config, parameters, values, speeds))
 
 
 def _circumstances(
@@ -292,7 +292,7 @@ def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
     """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
     if not config.disturbance or config.scenario not in FOLLOWING:
         return None
-    return TONES[config.scenario](_circumstances(config, parameters, {}, np.ones(wheel_count(parameters))))
+    return TONES[str(config.scenario)](_circumstances(config, parameters, {}, np.ones(wheel_count(parameters))))
 
 
 def _steady_state(data: System, tones: Tones) -> FloatArray:

@@ -34,6 +34,8 @@ class PlantConfig(PhysicalSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.disturbance and self.scenario is None:
+            raise ValueError("scenario must be given with a disturbance, got none")
         if self.disturbance and (self.scenario == "worst_case") != bool(self.tones):
             needed = "given" if self.scenario == "worst_case" else "empty"
             raise ValueError(f"tones must be {needed} in the scenario {self.scenario}, got {len(self.tones)}")

@@ -6,6 +6,7 @@
 ``design``      the same tones with norm 1 each, all at once: more than a design for norm 1 allows, a stress case
 ``imbalance``   imbalance of the wheels and micro-steps of the drives
 ``ramp``        the same while wheel speeds and array angle follow a profile
+``none``        no tones: the sources of the user alone
 ==============  ========================================================================================
 """
 
@@ -18,6 +19,7 @@ from types import MappingProxyType
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from titop_plant.interface import NO_SCENARIO
 from titop_plant.simulation import disturbances
 from titop_plant.simulation.disturbances import Tones, joined
 from titop_plant.telescope.layout import channels
@@ -80,6 +82,11 @@ def imbalance(now: Circumstances) -> Tones:
     return joined([wheels, disturbances.sadm_tones(now.parameters, now.rng)])
 
 
+def no_scenario(now: Circumstances) -> Tones:
+    """None."""
+    return disturbances.no_tones(channels(now.parameters))
+
+
 TONES: Mapping[str, Scenario] = MappingProxyType(
     {
         "worst_case": worst_case,
@@ -87,9 +94,10 @@ TONES: Mapping[str, Scenario] = MappingProxyType(
         "design": design,
         "imbalance": imbalance,
         "ramp": imbalance,
+        NO_SCENARIO: no_scenario,
     }
 )
-"""Tones of each name of :data:`titop_plant.interface.SCENARIOS`."""
+"""Tones of each name of :data:`titop_plant.interface.SCENARIOS`, and of none."""
 
 FOLLOWING = ("imbalance", "ramp")
 """Scenarios with tones that follow the wheels while their speeds change."""

@@ -21,6 +21,7 @@ from titop_plant.simulation.plant_config import PlantConfig
 
 REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
 FORMER = {
+    "scenario": "",
     "theta": 0.0,
     "tau": 0.0,
     "wheel_speed": [],
@@ -222,5 +223,6 @@ def test_the_installed_parameter_file_and_no_options_mean_the_defaults(tmp_path)
     file = Path(__file__).parents[3] / "ros_ws/src/los_testbed/config/run.yaml"
     assert replace(RunConfig.from_file(file), wait_for_recorder=False) == RunConfig()
     chosen = configure(None, [], {"output": str(tmp_path / "bag")})
-    member = dict.fromkeys(("tau", "wheel_speed", "omega_1", "omega_2"))
+    assert chosen.scenario == "worst_case"
+    member = dict.fromkeys(("scenario", "tau", "wheel_speed", "omega_1", "omega_2"))
     assert replace(chosen, output=None, **member) == RunConfig()

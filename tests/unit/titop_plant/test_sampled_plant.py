@@ -229,7 +229,10 @@ def test_sampling_without_tones_is_the_matrix_exponential() -> None:
     [
         ({"camera_rate": 300.0}, r"camera_rate must divide 1000 Hz \(50, 40, 25, \.\.\.\), got 300 Hz"),
         ({"camera_rate": 0.0}, "camera_rate must be between 1 and 1000 Hz, got 0"),
-        ({"scenario": "quiet"}, "scenario must be one of worst_case, unit_norm, design, imbalance, ramp, got 'quiet'"),
+        (
+            {"scenario": "quiet"},
+            "scenario must be one of worst_case, unit_norm, design, imbalance, ramp, none, got 'quiet'",
+        ),
         ({"camera_dropout": 1.5}, "camera_dropout must be between 0 and 1, got 1.5"),
         ({"seed": -1}, "seed must be between 0 and .*, got -1"),
         ({"ramp_duration": -1.0}, "ramp_duration must be between 0 and 86400 s, got -1"),

@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass
 from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
-from titop_plant.interface import RATE, STAGES
+from titop_plant.interface import NO_SCENARIO, RATE, STAGES
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class, unknown
 
@@ -40,9 +40,6 @@ STARTS = ("steady", "rest")
 
 OLD_FRAMES = ("correct", "use", "drop")
 """What is done with an old frame: moved by what the mirror has done since, used as it is, not used."""
-
-BESIDE_SCENARIO = "scenario"
-"""Among the files of disturbances: the tones of the scenario act, too."""
 
 WORST_OF = ("RPE", "APE", "slow", "fast")
 """Index that the tone of the scenario worst_case is worst for, see :mod:`los_loop.worst_tone`."""
@@ -91,9 +88,7 @@ class RunConfig(PhysicalSettings):
     disturbance_source: str | None = setting(
         None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"
     )
-    disturbance_files: str | None = setting(
-        None, "files of disturbances, apart by ;, with `scenario` among them beside it", absent="none"
-    )
+    disturbance_files: str | None = setting(None, "files of disturbances, apart by ;", absent="none")
     k_fsm: str | None = setting(None, "observer: file, MODULE:NAME or entry point", absent="the stored design")
     k_pma: str | None = setting(
         None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design"
@@ -151,21 +146,18 @@ class RunConfig(PhysicalSettings):
     @property
     def files_of_disturbance(self) -> tuple[str, ...]:
         """Files of disturbances, each ``FILE`` or ``FILE@PLACE``."""
-        return tuple(name for name in _parts(self.disturbance_files) if name != BESIDE_SCENARIO)
+        return tuple(part.strip() for part in (self.disturbance_files or "").split(";") if part.strip())
 
     @property
     def scenario_acts(self) -> bool:
-        """Whether the tones of the scenario are on: those of the user stand in their place unless both are asked for.
+        """Whether the tones of a scenario are on; of a configuration that says its scenario.
 
         Examples
         --------
-        >>> [RunConfig(disturbance_files=text).scenario_acts for text in (None, "a.csv", "scenario;a.csv")]
-        [True, False, True]
+        >>> [RunConfig(scenario=name).scenario_acts for name in ("imbalance", "none")]
+        [True, False]
         """
-        own = self.disturbance_source or (
-            self.disturbance_files and BESIDE_SCENARIO not in _parts(self.disturbance_files)
-        )
-        return self.disturbance and not own
+        return self.disturbance and self.scenario != NO_SCENARIO
 
     @property
     def code_of_user(self) -> list[str]:
@@ -203,10 +195,6 @@ class RunConfig(PhysicalSettings):
     def from_file(cls, path: Path) -> RunConfig:
         """Read a YAML file of names and values; the form of a ROS parameter file is accepted too."""
         return cls.from_mapping(read_yaml(path))
-
-
-def _parts(text: str | None) -> list[str]:
-    return [part.strip() for part in (text or "").split(";") if part.strip()]
 
 
 CHANGED = ("plant", "device", "nonlinear", "disturbance_source", "disturbance_files")

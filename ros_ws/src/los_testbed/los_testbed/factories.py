@@ -24,13 +24,14 @@ from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
 from los_testbed.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
-from los_testbed.variants import check_ranges
+from los_testbed.variants import check_ranges, with_scenario
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
 
 if TYPE_CHECKING:
     from los_loop.sampled_loop import Delays
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
+    from los_loop.worst_tone import WorstTone
     from los_testbed.disturbance_kinds import Entry
     from los_testbed.image_camera import Telescope
     from pointing_analysis.image.optics import Optics
@@ -56,6 +57,7 @@ class RunParts:
     Parameters
     ----------
     config : RunConfig
+        Afterwards with the scenario that acts.
     recorded : mapping, optional
         ``k_fsm`` and ``k_pma`` of a record; default: those that the configuration names.
     recorded_start : RunStart, optional
@@ -68,6 +70,11 @@ class RunParts:
     recorded: Mapping[str, SampledSystem] | None = None
     recorded_start: RunStart | None = None
     known_family: PlantFamily | None = None
+
+    def __post_init__(self) -> None:
+        if self.config.scenario is None:
+            known = None if self.known_family is None else self.known_family.parameters
+            object.__setattr__(self, "config", with_scenario(self.config, known))
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -222,8 +229,12 @@ class RunParts:
         laws = self.linear
         if laws is None:
             return self._start_without_model()
+        return self.find_start(laws)
+
+    def find_start(self, laws: Mapping[str, SampledSystem], tone: WorstTone | None = None) -> RunStart:
+        """Tone and states of the loop with these controllers, see :func:`los_testbed.run_start.find_run_start`."""
         family, actuators = self._loop_with(laws)
-        return find_run_start(config, family, self.settings, laws, self.basis.authority, actuators)
+        return find_run_start(self.config, family, self.settings, laws, self.basis.authority, actuators, tone)
 
     def _start_without_model(self) -> RunStart:
         """The tone that is worst without the controllers, and the telescope's steady state without them."""

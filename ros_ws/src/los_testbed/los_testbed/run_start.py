@@ -153,6 +153,7 @@ def find_run_start(
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
     actuators: Sequence[PlacedActuator] = (),
+    tone: WorstTone | None = None,
 ) -> RunStart:
     """Tone and states of a run; what was computed last is kept.
 
@@ -173,7 +174,12 @@ def find_run_start(
         Largest commands of the run: mirror [rad], actuators [N].
     actuators : sequence of PlacedActuator
         Of the telescope's file, that K_PMA commands; the family is that with its sensors where a controller has them.
+    tone : WorstTone, optional
+        In the place of the one that is worst, of a run whose disturbance is such a tone.
     """
+    if tone is not None and needs_tone(config):
+        with one_thread():
+            return _computed(config, family, settings, controllers, authority, actuators, tone)
     chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
     key = f"{chosen} {family.name(settings)} {_digest(controllers)} {actuators}"
     if key not in _found:
@@ -206,6 +212,7 @@ def _computed(
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
     actuators: Sequence[PlacedActuator],
+    tone: WorstTone | None = None,
 ) -> RunStart:
     from los_loop.steady_state import steady_start
     from los_loop.tone_model import ToneModel
@@ -213,7 +220,8 @@ def _computed(
     notes: list[str] = []
     model = partial(ToneModel.of, family, controllers=controllers, authority=authority, actuators=actuators)
     loop = cache(partial(model, settings))
-    tone = _tone(config, family, loop, notes) if needs_tone(config) else None
+    if tone is None and needs_tone(config):
+        tone = _tone(config, family, loop, notes)
     states = None
     if config.start == "steady":
         closed = loop(loop=config.loop)

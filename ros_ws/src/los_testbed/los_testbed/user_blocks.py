@@ -136,6 +136,11 @@ class UserBlock:
         return found if isinstance(found, SampledSystem) else self._told
 
     @property
+    def is_linear(self) -> bool:
+        """Whether it is a linear system itself, and no class that says to be one."""
+        return self.linear is not None and self._told is None
+
+    @property
     def order(self) -> int:
         """Of a linear system; 0 of code without a model, which has no state that is known."""
         return 0 if self.linear is None else self.linear.order

@@ -10,12 +10,14 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_testbed.config import RunConfig, read_yaml
+from titop_plant.interface import NO_SCENARIO, SCENARIOS
 from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
@@ -253,10 +255,10 @@ def of_designs(designs: str) -> dict[str, Any]:
 
 
 def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
-    """Member of the family that a scenario asks for where the settings name none.
+    """The scenario where the settings name none, and the member of the family that it asks for where they name none.
 
     The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
-    at structural modes. A disturbance of the user: none.
+    at structural modes. Sources of the user without a scenario: none.
 
     Parameters
     ----------
@@ -265,16 +267,50 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     designs : str
         Folder of designs; empty for the stored ones.
     """
-    config = RunConfig.from_mapping({**settings})
-    if config.disturbance_source or (config.disturbance_files and not config.scenario_acts):
-        return {}
+    given = RunConfig.from_mapping({**settings})
+    config = with_scenario(given)
+    found: dict[str, Any] = {} if given.scenario else {"scenario": config.scenario}
     if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
-        return worst_member(config.loop, config.worst_of, config.parameters, designs)
+        found |= worst_member(config.loop, config.worst_of, config.parameters, designs)
     if config.scenario == "imbalance" and "wheel_speed" not in settings:
         from titop_plant.simulation.build import resonant_speeds
 
-        return {"wheel_speed": list(resonant_speeds(config.parameters))}
-    return {}
+        found["wheel_speed"] = list(resonant_speeds(config.parameters))
+    return found
+
+
+def with_scenario(config: RunConfig, parameters: Parameters | None = None, usual: str = SCENARIOS[0]) -> RunConfig:
+    """The configuration with the scenario that acts where it says none: the usual one, or none beside other sources.
+
+    Parameters
+    ----------
+    config : RunConfig
+    parameters : mapping, optional
+        Of the telescope; default: read from its file, if the configuration names one.
+    usual : str
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read.
+    """
+    if config.scenario is not None:
+        return config
+    alone = config.disturbance and not config.other_plant and _has_sources(config, parameters)
+    return replace(config, scenario=NO_SCENARIO if alone else usual)
+
+
+def _has_sources(config: RunConfig, parameters: Parameters | None) -> bool:
+    """Whether files, code or the telescope's tables make disturbances."""
+    if config.disturbance_source or config.files_of_disturbance:
+        return True
+    if not config.parameters:
+        return False
+    from titop_plant.telescope.layout import source_tables
+    from titop_plant.telescope.parameters import load_parameters
+
+    known = load_parameters(config.parameters) if parameters is None else parameters
+    return bool(known.get("disturbance")) or bool(source_tables(known))
 
 
 def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:

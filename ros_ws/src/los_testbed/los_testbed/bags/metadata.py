@@ -12,6 +12,7 @@ import yaml
 
 from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
+from los_testbed.bags.conditions import conditions
 from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
 from los_testbed.config import is_code, physical_hash
 from los_testbed.factories import RunParts
@@ -44,6 +45,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
     ``optics`` are those of its images, ``camera`` the table of a guide camera that takes images; ``sensors`` are topic,
     unit, rate and noise of each sensor.
+    ``acting`` names all that acts, ``member`` the parameter values (:mod:`los_testbed.bags.conditions`).
     ``proof`` says what is proven of the loop, with fine control (:mod:`los_testbed.bags.proven_loop`).
     ``plant_source_sha256`` and the like, for `disturbance_source`, `k_fsm` and `k_pma`, are of the source files of code
     of the user, or of a flight library, whose tables have ``k_fsm_tables_sha256`` and the like.
@@ -60,6 +62,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         "rate_hz": str(RATE),
         **({"transient_s": "0"} if start.steady and not parts.sources else {}),
         **_sources(parts),
+        **conditions(parts, start),
         **({"start_note": start.note} if start.note else {}),
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **({"idle_devices": parts.idle_devices} if parts.idle_devices else {}),
@@ -151,9 +154,12 @@ def final_metadata(
 
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
-    """Files of the controllers, as JSON, the configuration as YAML, tone and states of the start."""
+    """Controllers that are files or linear systems, as JSON; configuration as YAML; tone and states of the start."""
     files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)} | parts.files
     content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in files.items()}
+    for name, law in parts.controllers.items() if parts.code else ():
+        if f"{name}.json" not in content and isinstance(law, UserBlock) and law.is_linear and law.linear is not None:
+            content[f"{name}.json"] = ("application/json", law.linear.to_json().encode())
     text = yaml.safe_dump(parts.config.to_plain(), sort_keys=False)
     content["run.yaml"] = ("application/yaml", text.encode())
     content[START_FILE] = ("application/json", start.to_bytes())

@@ -27,6 +27,7 @@ from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unforme
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
+from los_testbed.variants import with_scenario
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.summary import WINDOW
 from pointing_analysis.requirements.text import Requirement
@@ -68,6 +69,9 @@ class Campaign:
     points_hash: str
     identity: Mapping[str, str]
     points: FloatArray = field(compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "base", with_scenario(self.base))
 
     @classmethod
     def of(
@@ -169,7 +173,7 @@ def check_depth(base: RunConfig, depth: str) -> None:
     if depth not in DEPTHS:
         raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
     if base.scenario == "ramp":
-        raise ValueError("scenario must be unit_norm, design, imbalance or worst_case in a campaign, got ramp")
+        raise ValueError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "model" and base.frame_ticks != FRAME_TICKS:
         raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
     if depth == "time" and base.duration < WINDOW:

@@ -45,6 +45,7 @@ SCENARIOS = {
     "design": "several tones act at once, each of norm 1: more than the controllers are designed for",
     "imbalance": "the harmonics of the wheels act, as measured on wheels, at the speeds of the member",
     "worst_case": "one tone of norm 1 acts, the worst one of the member",
+    "none": "no tones of a scenario act",
 }
 """What disturbs the members of a simulated campaign."""
 
@@ -60,7 +61,7 @@ def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str
     if depth == "model":
         return "Each member has its worst tone of norm 1 and the noise of its sensors. Both come from its matrices."
     text = f"In each member {SCENARIOS.get(scenario, scenario)}. Sensor noise is on."
-    return f"{text} Sources of the parameter file act, too: {', '.join(sources)}." if sources else text
+    return f"{text} Sources of the parameter file act: {', '.join(sources)}." if sources else text
 
 
 ABSOLUTE = ("APE", "MPE", "AKE", "MKE")

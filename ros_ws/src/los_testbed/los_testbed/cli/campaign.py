@@ -72,7 +72,12 @@ def campaign(
         str, typer.Option(help="uniform, lhs, corners, adversarial, or a CSV file of members.")
     ] = "uniform",
     depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
-    scenario: Annotated[str, typer.Option(help="unit_norm, design, imbalance or worst_case.")] = "unit_norm",
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            help="unit_norm (default), design, imbalance, worst_case, none (default beside sources of the file)."
+        ),
+    ] = None,
     loop: Annotated[str | None, option("loop")] = None,
     duration: Annotated[float | None, option("duration")] = None,
     k_fsm: ObserverFile = None,
@@ -101,6 +106,7 @@ def campaign(
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.factories import RunParts
+    from los_testbed.variants import with_scenario
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)
@@ -110,7 +116,9 @@ def campaign(
         raise ValueError("--output must be given with --resume, got none")
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     given = {"mode": "inprocess", "scenario": scenario, "loop": loop, "duration": duration, **settings}
-    base = RunConfig.from_mapping({name: value for name, value in given.items() if value is not None})
+    base = with_scenario(
+        RunConfig.from_mapping({name: value for name, value in given.items() if value is not None}), usual="unit_norm"
+    )
     if member is not None:
         refuse_beside_member({"--scheduler": scheduler, "--keep": keep, "--resume": resume, "--output": output})
         show_member(base, member, seed, depth, json_)

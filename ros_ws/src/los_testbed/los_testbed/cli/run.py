@@ -22,7 +22,7 @@ from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
 from los_testbed.cli.output import print_json, warn
-from los_testbed.config import AUTO, BESIDE_SCENARIO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.config import AUTO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
 from los_testbed.factories import RunParts
 from los_testbed.run.modes import first_choice, in_lockstep, late_answers
@@ -352,7 +352,7 @@ def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
         raise ValueError(f"one of --disturbance and --no-disturbance must be given, got both ({', '.join(given)})")
     if not given:
         return {"disturbance": False} if none else {}
-    classes = [name for name in given if name != BESIDE_SCENARIO and name != DISTURBANCE_ON and is_code(name)]
+    classes = [name for name in given if name != DISTURBANCE_ON and is_code(name)]
     files = [name for name in given if name not in classes and name != DISTURBANCE_ON]
     if len(classes) > 1:
         raise ValueError(f"--disturbance must name one class at most, got {', '.join(classes)}")
@@ -361,8 +361,8 @@ def _disturbance(given: list[str] | None, none: bool) -> dict[str, Any]:
     found: dict[str, Any] = {"disturbance": True}
     if classes:
         found["disturbance_source"] = classes[0]
-    if [name for name in files if name != BESIDE_SCENARIO]:
-        found["disturbance_files"] = ";".join([*files, *([BESIDE_SCENARIO] if DISTURBANCE_ON in given else [])])
+    if files:
+        found["disturbance_files"] = ";".join(files)
     return found
 
 

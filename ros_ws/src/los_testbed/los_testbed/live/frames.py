@@ -14,6 +14,7 @@ from los_testbed.bags.diagnostics import Status
 from los_testbed.config import RunConfig
 from los_testbed.live.history import URAD, History, indices
 from los_testbed.topics import IMAGE_NAME, image_topic
+from los_testbed.variants import with_scenario
 from pointing_analysis.requirements.text import Requirement
 
 COMPUTED_S = 0.5
@@ -65,7 +66,7 @@ class Frames:
         self._fixed = {
             "namespace": config.namespace,
             "mode": config.mode,
-            "scenario": config.scenario,
+            "scenario": with_scenario(config).scenario,
             "duration": config.duration,
             "authority": {"fsm": authority[0] / URAD, "pma": authority[1]},
         }

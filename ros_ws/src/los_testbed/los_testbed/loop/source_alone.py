@@ -1,24 +1,71 @@
-"""The loop of a run under one of its sources of disturbance alone: without sensor noise and without the others.
+"""The loop of a run under a part of its disturbances alone: its tones, one source, code of the user, sensor noise.
 
-The loop is the one of the run as implemented; it is linear while no command is limited. So the squares of the relative
-errors of independent sources add up to that of the run.
+The loop is the one of the run as implemented; it is linear while no command is limited. So the lines of sight of all
+parts add up to that of the run, tick by tick: tones and sensor bias start in their steady states, which add up to the
+one that the run starts in, the other parts at rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
+from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.factories import RunParts
 from los_testbed.law_devices import NONE
 from los_testbed.loop.simulate import SampleBlock, simulate
+from los_testbed.run_start import RunStart
 from pointing_analysis.indices.errors import default_transient
-from titop_plant.interface import DT
-from titop_plant.simulation.driven_plant import DrivenPlant
+from titop_plant.interface import DT, MIRROR_STAGES
+from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
+from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.simulation.sources.drive import Sources, source_matrix
+
+NOISE = "sensor noise"
+"""Name of the part that noise and bias of the sensors are."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of what acts in a run.
+
+    Parameters
+    ----------
+    name, kind, place : str
+    los : callable
+        Line of sight [rad] under it alone from tick 0 on, shape (ticks, 2), by the number of ticks.
+    """
+
+    name: str
+    kind: str
+    place: str
+    los: Callable[[int], FloatArray]
+
+
+def parts_of(parts: RunParts) -> list[Part]:
+    """All that acts in a run: tones of the scenario, disturbance of the user, sources, noise of the sensors.
+
+    Parameters
+    ----------
+    parts : RunParts
+        Of the run, with the start that is recorded.
+    """
+    config, found = parts.config, []
+    if config.scenario_acts:
+        found.append(Part(str(config.scenario), "scenario", "wheels, drives", lambda n: _started(parts, False, n)))
+    if config.disturbance and config.disturbance_source:
+        found.append(Part(config.disturbance_source, "code", "wheels, drives, bus", lambda n: _of_code(parts, n)))
+    found += [
+        Part(source.name, source.kind, source.place, lambda n, i=i: _of_source(parts, i, n))  # type: ignore[misc]
+        for i, source in enumerate(parts.sources)
+    ]
+    if config.noise and config.loop in MIRROR_STAGES:
+        found.append(Part(NOISE, "noise", "sensors", lambda n: _started(parts, True, n)))
+    return found
 
 
 def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
@@ -38,16 +85,62 @@ def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
     ndarray, shape (n, 2)
         [rad].
     """
-    quiet = replace(parts.config, start="rest", noise=False, disturbance=False)
-    laws = None if parts.code else {name: replace(law) for name, law in parts.models.items()}  # states of their own
-    alone = RunParts(quiet, laws, known_family=parts.family)
-    source = parts.sources[index : index + 1]
+    return _of_source(parts, index, ticks)[round(default_transient(ticks * DT) / DT) :]
+
+
+def _of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
+    alone, source = _quiet(parts), parts.sources[index : index + 1]
     with one_thread():
-        family = alone.sensed_family if parts.code else alone.family  # code may read further sensors
-        telescope = family.build(alone.settings, np.zeros(family.control_loop.order))
+        family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
         matrix = source_matrix(family, alone.settings, source, telescope.dt)
-    driven = DrivenPlant(telescope, matrix, Sources(source, telescope.dt), source[0].name)
-    plant = alone.with_devices(driven) if parts.code else driven
+    return _simulated(
+        alone, DrivenPlant(telescope, matrix, Sources(source, telescope.dt), source[0].name), parts, ticks
+    )
+
+
+def _of_code(parts: RunParts, ticks: int) -> FloatArray:
+    alone, disturbance = _quiet(parts), parts.disturbance()
+    disturbance.reset()
+    with one_thread():
+        family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
+        held = held_disturbance(family, alone.settings, telescope.dt)
+    return _simulated(alone, DrivenPlant(telescope, held, disturbance, disturbance.name), parts, ticks)
+
+
+def _started(parts: RunParts, noise: bool, ticks: int) -> FloatArray:
+    """Under the noise and the bias of the sensors alone, or the scenario's tones alone, from their own steady state."""
+    config = replace(parts.config, noise=noise, disturbance=not noise, disturbance_source=None, disturbance_files=None)
+    alone = RunParts(config, _laws(parts), known_family=parts.family)
+    start = RunStart(None if noise else parts.start.tone)
+    if parts.start.steady and (laws := alone.linear) is not None:
+        start = alone.find_start(laws, start.tone)
+    alone = RunParts(config, _laws(parts), start, parts.family)
+    with one_thread():
+        family = alone.sensed_family if parts.code else alone.family
+        state = np.zeros(family.control_loop.order) if start.states is None else start.states.plant
+        telescope = family.build(alone.physical, state)
+    return _simulated(alone, telescope, parts, ticks)
+
+
+def _quiet(parts: RunParts) -> RunParts:
+    """The loop at rest, without noise and disturbance."""
+    config = replace(parts.config, start="rest", noise=False, disturbance=False)
+    return RunParts(config, _laws(parts), known_family=parts.family)
+
+
+def _laws(parts: RunParts) -> dict[str, SampledSystem] | None:
+    """Controllers with states of their own; None of code, which is made anew."""
+    return None if parts.code else {name: replace(law) for name, law in parts.models.items()}
+
+
+def _at_rest(alone: RunParts, parts: RunParts) -> SampledPlant:
+    family = alone.sensed_family if parts.code else alone.family  # code may read further sensors
+    return family.build(alone.settings, np.zeros(family.control_loop.order))
+
+
+def _simulated(alone: RunParts, telescope: SampledPlant | DrivenPlant, parts: RunParts, ticks: int) -> FloatArray:
+    """True line of sight of the loop with this plant."""
+    plant = alone.with_devices(telescope) if parts.code else telescope
     estimator, controller = alone.estimator(), alone.controller()
     for part in (plant, estimator, controller):
         part.reset()
@@ -60,5 +153,6 @@ def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
         done += rows
 
     with one_thread():
-        simulate(plant, estimator, controller, ticks, keep, wiring=alone.wiring if parts.code else NONE)
-    return found[round(default_transient(ticks * DT) / DT) :]
+        first = None if alone.states is None else alone.states.command
+        simulate(plant, estimator, controller, ticks, keep, first, alone.wiring if parts.code else NONE)
+    return found

@@ -1,47 +1,100 @@
-"""What each source of a run's disturbance files does to the line of sight (:mod:`los_testbed.loop.source_alone`)."""
+"""What each part of a run's disturbances does to the line of sight (:mod:`los_testbed.loop.source_alone`).
+
+**Shares.** The lines of sight of the parts add up to that of the run. The share of a part in the relative error is its
+covariance with the whole in windows of 20 ms, over the variance of the whole, both axes: for independent parts its part
+of the sum of squares, and for any parts the shares add up to 1. What the parts do not make, by limited commands or what
+else is not linear, is a row of its own.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 
+import numpy as np
+
+from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.loop.source_alone import parts_of
 from los_testbed.run.replay import controller_of
+from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.indices.errors import default_transient, performance_error
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
-from pointing_analysis.requirements.summary import Performance
+from pointing_analysis.requirements.conditions import ACTING
+from pointing_analysis.requirements.summary import WINDOW, Performance
 from titop_plant.interface import DT
 
 LONGEST = 20.0
-"""Seconds of a run that are simulated for each source."""
+"""Seconds of a run, from its start, that are simulated for each part and taken of the record."""
+TOGETHER, REST = "together", "not linear"
+"""Names of the row of the record, and of what the parts do not make of it."""
+SMALL = 1e-3
+"""Relative size, rms in windows, of what the parts do not make that is not worth a row."""
+LATE = 100
+"""Ticks that may be missing at the end of a record."""
 
 
 def source_shares(run: Recording) -> tuple[SourceShare, ...]:
-    """Shares of the sources of a bag; empty where it has none.
+    """Rows of all that acted in a run with sources, or a disturbance, of the user, and of the whole; else empty.
 
     Raises
     ------
     ValueError
-        The files of the sources, or the telescope, are no longer those of the run.
+        The files of the sources, or the telescope, are no longer those of the run; a bag that does not say what acted.
     """
-    if not isinstance(run, Run) or "disturbances" not in run.parameters or "run.yaml" not in run.attachments:
+    acting = run.parameters.get(ACTING)
+    own = acting is not None and any(entry.get("kind") != "scenario" for entry in acting)
+    if not isinstance(run, Run) or "run.yaml" not in run.attachments or not (own or "disturbances" in run.parameters):
         return ()
+    if acting is None:
+        raise ValueError("the bag is of an older version and does not say what acted: no shares of its sources")
     config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
-    parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")})
-    if parts.sources_digest != run.parameters.get("disturbances_sha256"):
+    start = RunStart.from_bytes(run.attachments[START_FILE]) if START_FILE in run.attachments else AT_REST
+    parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
+    if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
         raise ValueError("the files of the disturbances are no longer those of the run: no shares of them")
     ticks = min(config.ticks, round(LONGEST / DT))
-    errors = [Performance.of(errors_of_source(parts, i, ticks), DT) for i in range(len(parts.sources))]
-    total = math.fsum(error.rpe_rms**2 for error in errors)
-    return tuple(
-        SourceShare(one.name, one.kind, one.place, e.ape_p997, e.rpe_rms, e.rpe_rms**2 / total if total else 0.0)
-        for one, e in zip(parts.sources, errors)
-    )
+    first = round(default_transient(ticks * DT) / DT)
+    found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]
+    whole = np.sum([los for _, los in found], axis=0)
+    record = _record(run, config.ticks, first, len(whole))
+    rows = [(part.name, part.kind, part.place, los) for part, los in found]
+    if record is not None:
+        rest = record - whole
+        if np.sqrt(_covariance(rest, rest)) > SMALL * np.sqrt(_covariance(record, record)):
+            rows.append((REST, "", "", rest))
+        whole = record
+    power = _covariance(whole, whole)
+    shares = [_covariance(los, whole) / power if power else 0.0 for *_, los in rows]
+    rows.append((TOGETHER, "", f"{ticks * DT:g} s", whole))
+    return tuple(_row(*row, share) for row, share in zip(rows, [*shares, sum(shares)]))
+
+
+def _row(name: str, kind: str, place: str, los: FloatArray, share: float) -> SourceShare:
+    error = Performance.of(los, DT)
+    return SourceShare(name, kind, place, error.ape_p997, error.rpe_rms, share)
+
+
+def _record(run: Run, ticks: int, first: int, count: int) -> FloatArray | None:
+    """The same ticks of the record, NaN where a sample is missing; None where it does not begin with the run."""
+    truth = run["truth/los"]
+    if truth.lost_before or len(truth) + truth.integrity.missing + truth.lost_after < ticks - LATE:
+        return None
+    values = performance_error(run, first * DT).values[:count]
+    return values if len(values) == count else None
+
+
+def _covariance(a: FloatArray, b: FloatArray) -> float:
+    """Mean over the whole windows of the covariance in a window, both axes; windows with NaN are left out."""
+    n = round(WINDOW / DT)
+    cut = [x[: len(x) // n * n].reshape(-1, n, 2) for x in (a, b)]
+    within = [x - x.mean(axis=1, keepdims=True) for x in cut]
+    products = (within[0] * within[1]).mean(axis=1).sum(axis=1)
+    return float(np.mean(products[np.isfinite(products)])) if np.isfinite(products).any() else 0.0
 
 
 def as_rows(shares: Sequence[SourceShare]) -> list[dict[str, str | float]]:

@@ -25,6 +25,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.report.source_share import SourceShare
+from pointing_analysis.requirements.conditions import differences
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.rows import HEADS, cells
@@ -171,8 +172,13 @@ def judged(
     summaries = tuple(summarise_all(runs, transient=transient, requirements=requirements))
     shares = [_shares_or_reason(run) for run in runs]
     remarks = tuple(
-        (*(remarks_of(run, summary) if isinstance(run, Run) else ()), *([REMARK] if older else []), *missing)
-        for run, summary, older, (_, missing) in zip(runs, summaries, assumed, shares)
+        (
+            *(remarks_of(run, summary) if isinstance(run, Run) else ()),
+            *([REMARK] if older else []),
+            *missing,
+            *([other] if other else []),
+        )
+        for run, summary, older, (_, missing), other in zip(runs, summaries, assumed, shares, differences(runs))
     )
     return JudgedRuns(runs, summaries, tuple(share for share, _ in shares), remarks, transient, requirements)
 
@@ -283,6 +289,8 @@ def print_summary(console: Console, results: RunSummaries) -> None:
             say(console, remark, "note")
         for problem in summary.problems:
             say(console, problem, "note")
+        for label, text in summary.conditions.lines:
+            say(console, f"{label:<7} {text}")
         if summary.sampling:
             say(console, f"rate    {summary.sampling}")
         say(console, f"{summary.kind:<7} {summary.path}")
@@ -293,7 +301,7 @@ def print_summary(console: Console, results: RunSummaries) -> None:
 def _shares(shares: Sequence[SourceShare]) -> Table:
     values = numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE")
     heads: tuple[Column | str, ...] = (Column("source", overflow="fold"), "kind", "place", *values)
-    table = Table(*heads, title="Sources of disturbance, each alone in the loop", title_justify="left")
+    table = Table(*heads, title="What acts, each alone in the loop; shares add up", title_justify="left")
     for s in shares:
         table.add_row(*s.shown.values())
     return table

@@ -1,0 +1,85 @@
+"""What acted in a run and on which telescope, by its recording: figures of two runs are compared under the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pointing_analysis.read.recording import Recording
+
+ACTING = "acting"
+"""Key of what acts in the metadata of a bag: a list of entries with name, kind and, where there is more to say, what.
+An empty list: no disturbance."""
+MEMBER = "member"
+"""Key of the telescope's parameter values in the metadata of a bag, in words."""
+TELESCOPE = "parameters_hash"
+"""Key of the hash of the telescope's parameter file."""
+NOTHING = "no disturbance"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What acted in a run, and the telescope.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of what acted, or that nothing did; empty where the recording does not say it.
+    acting : tuple of str
+        The same with tone, kind and place.
+    member : str
+        Parameter values of the telescope; empty where they are not known.
+    telescope : str
+        Of its parameter file.
+    """
+
+    names: tuple[str, ...] = ()
+    acting: tuple[str, ...] = ()
+    member: str = ""
+    telescope: str = ""
+
+    @property
+    def lines(self) -> tuple[tuple[str, str], ...]:
+        """Label and text of each line for screen and page."""
+        found = ("acts", "; ".join(self.acting)), ("member", self.member)
+        return tuple((label, text) for label, text in found if text)
+
+
+UNKNOWN_CONDITIONS = Conditions()
+"""Of a recording that does not say them."""
+
+
+def conditions_of(run: Recording) -> Conditions:
+    """Conditions of a run."""
+    entries = run.parameters.get(ACTING)
+    member, telescope = (str(run.parameters.get(key, "")) for key in (MEMBER, TELESCOPE))
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        return Conditions((), (), member, telescope)
+    if not entries:
+        return Conditions((NOTHING,), (NOTHING,), member, telescope)
+    names = tuple(str(entry.get("name", "?")) for entry in entries)
+    what = (str(entry.get("what", "")) for entry in entries)
+    acting = tuple(f"{name} ({text})" if text else name for name, text in zip(names, what))
+    return Conditions(names, acting, member, telescope)
+
+
+def differences(runs: Sequence[Recording]) -> tuple[str, ...]:
+    """For each run a sentence on what acted otherwise than in the first one; empty where nothing did, or is not known.
+
+    Figures of such runs do not compare their controllers.
+    """
+    found = [conditions_of(run) for run in runs]
+    return tuple(_difference(found[0], one, runs[0].path.name) for one in found)
+
+
+def _difference(first: Conditions, other: Conditions, name: str) -> str:
+    pairs = {
+        "disturbance": ("; ".join(first.acting), "; ".join(other.acting)),
+        "member": (first.member, other.member),
+        "telescope": (first.telescope[:12], other.telescope[:12]),
+    }
+    told = [f"{what} {b}, in {name} {a}" for what, (a, b) in pairs.items() if a and b and a != b]
+    return f"not the conditions of {name}, so no comparison of controllers: {'; '.join(told)}" if told else ""
+
+
+__all__ = ["ACTING", "MEMBER", "NOTHING", "UNKNOWN_CONDITIONS", "Conditions", "conditions_of", "differences"]

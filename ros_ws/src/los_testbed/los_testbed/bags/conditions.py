@@ -1,0 +1,47 @@
+"""What acts in a run and on which member of the family, for its metadata: `pointing_analysis` reads it."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+from pointing_analysis.requirements.conditions import ACTING, MEMBER
+
+if TYPE_CHECKING:
+    from los_testbed.factories import RunParts
+    from los_testbed.run_start import RunStart
+
+
+def conditions(parts: RunParts, start: RunStart) -> dict[str, str]:
+    """Entries of the metadata; none of a run with another plant, of which it is not known."""
+    if parts.config.other_plant:
+        return {}
+    return {ACTING: json.dumps(acting(parts, start)), MEMBER: member(parts)}
+
+
+def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
+    """Scenario, disturbance of the user and sources, each with its name, its kind and what more there is to say."""
+    config, found = parts.config, []
+    if config.scenario_acts:
+        tone = start.tone
+        text = "" if tone is None else f"tone of {tone.omega / (2 * math.pi):.4g} Hz, worst for the {tone.index}"
+        found.append({"name": str(config.scenario), "kind": "scenario", "what": text})
+    if config.disturbance and config.disturbance_source:
+        found.append({"name": config.disturbance_source, "kind": "code", "what": "code of the user"})
+    found += [{"name": s.name, "kind": s.kind, "what": f"{s.kind} at {s.place}"} for s in parts.sources]
+    return found
+
+
+def member(parts: RunParts) -> str:
+    """Angle of the arrays, speeds of the wheels and uncertain frequencies, at the start of the run."""
+    from titop_plant.simulation.plant_config import frequencies, motion
+    from titop_plant.telescope.layout import arrays_turn
+
+    profile = motion(parts.settings, parts.parameters)
+    speeds = ", ".join(f"{speed:.6g}" for speed in profile.speeds(0.0))
+    texts = [f"arrays at {float(profile.angle(0.0)):.6g} rad"] if arrays_turn(parts.parameters) else []
+    texts += [f"wheels at {speeds} rad/s"] if speeds else []
+    given = frequencies(parts.config, parts.parameters)
+    texts += [f"{name} {value:.6g} rad/s" for name, value in given.items()] or ["frequencies nominal"]
+    return ", ".join(texts)

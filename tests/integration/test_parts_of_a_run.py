@@ -1,0 +1,204 @@
+"""All that acts in a run is named, and its parts add up to the record, for every kind of source."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli import app
+from los_testbed.config import RunConfig
+from los_testbed.disturbance_kinds import KINDS
+from los_testbed.factories import RunParts
+from los_testbed.loop.simulate import run_in_process
+from los_testbed.loop.source_alone import NOISE, parts_of
+from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
+from los_testbed.run_start import START_FILE, RunStart
+from los_testbed.variants import with_scenario
+
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.conditions import conditions_of, differences
+from pointing_analysis.requirements.summary import summarise
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+MOVING_ROTORS = Path(__file__).parents[2] / "examples" / "spacecraft" / "moving_rotors.toml"
+
+HARMONICS = "harmonics = [{order = 1, force = [0.2, 0.1, 0.3]}, {order = 2, torque = [0.01, 0.0, 0.02]}]"
+SOURCES = {
+    "series": 'file = "series.csv"\nplace = "wheel_2"\nkeep_mean = true',
+    "harmonics": f'place = "wheel_1"\nsquared = false\n{HARMONICS}',
+    "waterfall": 'file = "waterfall.csv"\nspeed = 200.0',
+    "psd": 'file = "psd.csv"\nplace = "payload"',
+    "cooler": f'place = "payload"\nfrequency = 45.0\nlinewidth = 0.2\n{HARMONICS}',
+    "pulses": "force = [3.0, 0.0, 1.0]\ntorque = [0.5, 0.5, 0.0]\nperiod = 0.5\nwidth = 0.05",
+}
+CLASS = """
+import numpy as np
+
+
+class Wind:
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self.random = np.random.default_rng(7)
+
+    def step(self, out):
+        out[:] = 0.0
+        out[22:25] = self.random.standard_normal(3)
+"""
+
+
+LAW = """
+from pathlib import Path
+
+import los_estimator
+from lftkit.systems.sampled.sampled_system import SampledSystem
+
+observer = SampledSystem.from_file(Path(los_estimator.__file__).parent / "designs/k_fsm.json").to_control()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(2000) / 1000.0
+    force = np.sin(2 * np.pi * np.outer(t, [11.0, 23.0, 37.0]))
+    np.savetxt("series.csv", np.c_[t, force], delimiter=",", header="time (s),Fx,Fy,Fz", comments="")
+    lines = [[60.0 * s, f, 0.3 * (f == 2 * s)] for s in (30.0, 34.0) for f in np.arange(50.0, 80.0)]
+    np.savetxt("waterfall.csv", lines, delimiter=",", header="speed (rpm),frequency (Hz),Fz", comments="")
+    np.savetxt("psd.csv", [[1, 1e-3], [200, 1e-4]], delimiter=",", header="frequency (Hz),Fx", comments="")
+    (tmp_path / f"wind_{tmp_path.name}.py").write_text(CLASS)
+    return tmp_path
+
+
+def telescope(folder: Path, *kinds: str) -> str:
+    tables = [f'[[disturbance]]\nname = "my {kind}"\nkind = "{kind}"\n{SOURCES[kind]}\n' for kind in kinds]
+    (folder / "telescope.toml").write_text("\n".join(tables))
+    return str(folder / "telescope.toml")
+
+
+def flown(**settings: object) -> Run:
+    config = RunConfig.from_mapping({"mode": "inprocess", "duration": 2.0, "loop": "fsm", **settings})
+    run_in_process(config, Path("bag"))
+    return Run.open(Path("bag"))
+
+
+def check_sum(run: Run, *names: str) -> None:
+    """The parts are these, their lines of sight add up to the record, tick by tick, and their shares to 1."""
+    config = RunConfig.from_mapping(RunParts(RunConfig()).config.to_plain() | _recorded(run))
+    start = RunStart.from_bytes(run.attachments[START_FILE])
+    parts = parts_of(RunParts(config, recorded_start=start))
+    truth = run["truth/los"].values[:, :2]
+    total = np.sum([part.los(len(truth)) for part in parts], axis=0)
+    assert np.abs(total - truth).max() < 1e-6 * np.abs(truth).max()
+    rows = source_shares(run)
+    assert [row.name for row in rows] == [*names, TOGETHER], "nothing is left over"
+    assert sum(row.share for row in rows[:-1]) == pytest.approx(1.0, abs=1e-6) == rows[-1].share
+    assert rows[-1].rpe == pytest.approx(summarise(run, transient=1.0).rpe_rms, rel=1e-9)
+    acting = [name for name in names if name != NOISE]
+    assert list(conditions_of(run).names) == acting and summarise(run).scenario == ", ".join(acting)
+
+
+def _recorded(run: Run) -> dict[str, object]:
+    import yaml
+
+    return dict(yaml.safe_load(run.attachments["run.yaml"]))
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_telescope_with_a_source_runs_with_it_alone(folder: Path, kind: str) -> None:
+    run = flown(parameters=telescope(folder, kind))
+    assert run.parameters["scenario"] == "none"
+    check_sum(run, f"my {kind}", NOISE)
+
+
+def test_every_kind_is_tried() -> None:
+    assert set(SOURCES) == set(KINDS)
+
+
+@pytest.mark.parametrize("scenario", ["worst_case", "unit_norm", "imbalance"])
+def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, scenario: str) -> None:
+    run = flown(parameters=telescope(folder, "cooler", "pulses"), scenario=scenario)
+    check_sum(run, scenario, "my cooler", "my pulses", NOISE)
+
+
+def test_a_class_and_files_have_a_row_each(folder: Path) -> None:
+    name = f"wind_{folder.name}:Wind"
+    run = flown(disturbance_source=name, disturbance_files="series.csv@wheel_1", duration=1.5, scenario="design")
+    check_sum(run, "design", name, "series", NOISE)
+
+
+def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
+    (folder / f"law_{folder.name}.py").write_text(LAW)
+    run = flown(parameters=telescope(folder, "pulses"), k_fsm=f"law_{folder.name}:observer")
+    assert [row.name for row in source_shares(run)] == ["my pulses", NOISE, TOGETHER]
+
+
+@pytest.mark.usefixtures("folder")
+def test_wheels_and_drives_of_the_telescope_have_a_row_each() -> None:
+    run = flown(parameters=str(MOVING_ROTORS))
+    check_sum(run, "wheel broadband", "array drive", NOISE)
+
+
+def test_what_limits_make_is_a_row_of_its_own(folder: Path) -> None:
+    run = flown(parameters=telescope(folder, "pulses"), fsm_authority=1e-6)
+    rows = source_shares(run)
+    assert [row.name for row in rows] == ["my pulses", NOISE, REST, TOGETHER]
+    assert sum(row.share for row in rows[:-1]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "scenario"),
+    [
+        ({}, "worst_case"),
+        ({"parameters": "telescope.toml"}, "none"),
+        ({"parameters": "telescope.toml", "scenario": "ramp"}, "ramp"),
+        ({"parameters": "telescope.toml", "disturbance": False}, "worst_case"),
+        ({"parameters": str(MOVING_ROTORS)}, "none"),
+        ({"disturbance_files": "series.csv"}, "none"),
+        ({"disturbance_files": "series.csv", "scenario": "imbalance"}, "imbalance"),
+        ({"disturbance_source": "mine:Wind"}, "none"),
+        ({"plant": "mine:Plant", "start": "rest"}, "worst_case"),
+    ],
+)
+def test_which_scenario_acts(folder: Path, settings: dict[str, object], scenario: str) -> None:
+    telescope(folder, "cooler")
+    assert with_scenario(RunConfig(**settings)).scenario == scenario  # type: ignore[arg-type]
+    assert with_scenario(RunConfig()).scenario == RunParts(RunConfig()).config.scenario == "worst_case"
+
+
+def test_tone_and_member_are_on_screen_in_json_and_on_the_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["run", "--mode", "inprocess", "--duration", "2", "--loop", "fsm"]
+    assert app.main([*line, "--json", "--output", "a"]) == 0
+    shown = capsys.readouterr()
+    tone = RunStart.from_bytes(Run.open(Path("a")).attachments[START_FILE]).tone
+    assert tone is not None
+    acts = f"worst_case (tone of {tone.omega / (2 * np.pi):.4g} Hz, worst for the RPE)"
+    values = json.loads(shown.out)
+    assert values["acting"] == [acts] and values["member"].startswith("arrays at ")
+    assert f"acts    {acts}" in shown.err and f"member  {values['member']}" in shown.err
+    page = Path("a/report.html").read_text()
+    assert acts in page and values["member"] in page
+    assert app.main([*line, "--scenario", "unit_norm", "--no-report", "--output", "b"]) == 0
+    capsys.readouterr()
+    assert app.main(["report", "a", "b", "--output", "page.html"]) in (0, 1)
+    said = " ".join(capsys.readouterr().out.split())
+    words = "not the conditions of a, so no comparison of controllers: disturbance unit_norm, in a"
+    assert f"{words} {acts}; member" in said
+    assert "no comparison of controllers" in Path("page.html").read_text()
+
+
+def test_runs_under_the_same_conditions_are_compared_without_a_word(folder: Path) -> None:
+    run_in_process(RunConfig(mode="inprocess", duration=1.2, scenario="design", loop="fsm"), Path("a"))
+    run_in_process(RunConfig(mode="inprocess", duration=1.2, scenario="design", loop="fsm+pma"), Path("b"))
+    assert differences([Run.open(Path("a")), Run.open(Path("b"))]) == ("", "")
+
+
+def test_a_run_without_disturbance_says_so(folder: Path) -> None:
+    run = flown(disturbance=False, parameters=telescope(folder, "cooler"), duration=1.2)
+    assert summarise(run).scenario == "no disturbance" and source_shares(run) == ()
