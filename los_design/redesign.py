@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,11 +70,14 @@ class DesignSummary:
         Of the pair, at verification points and at the worst points found.
     not_met : list of str
         One line for each requirement that is not met; empty if all are.
+    further : mapping
+        What else was verified, see :func:`design_all`.
     """
 
     folder: Path
     check: ImplementedCheck
     not_met: list[str]
+    further: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def met(self) -> bool:
@@ -98,6 +101,7 @@ def design_all(
     wall_limit: float = 3600.0,
     nominal: bool = False,
     workers: Workers | None = None,
+    verify_further: Callable[[Report], tuple[Mapping[str, Any], list[str]]] = lambda report: ({}, []),
 ) -> DesignSummary:
     """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
 
@@ -120,6 +124,9 @@ def design_all(
         Tune at the nominal parameters alone; the verification is that of the whole box.
     workers : Workers, optional
         Processes of searches and verification; the result does not depend on them.
+    verify_further : callable
+        Verifies more of the designs, which are in the folder when it is called: content for ``verification.json``, and
+        a line for each requirement that is not met.
 
     Raises
     ------
@@ -148,10 +155,11 @@ def design_all(
         at = verification_points(parameters, system, SAMPLES[effort], seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
         check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=workers, placed=placed)
-    not_met = broken_requirements(check)
-    content = {"implemented": check.to_mapping(), "not_met": not_met}
+    further, lines = verify_further(report)
+    not_met = [*broken_requirements(check), *lines]
+    content = {"implemented": check.to_mapping(), **further, "not_met": not_met}
     write_text(folder / "verification.json", json.dumps(content, indent=1) + "\n")
-    return DesignSummary(folder, check, not_met)
+    return DesignSummary(folder, check, not_met, further)
 
 
 def search_stages(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,13 @@ from rich.table import Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.mission import (
+    NO_MISSION,
+    Mission,
+    show_mission,
+    sources_of_mission,
+    verify_mission,
+)
 from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures, show_bounds
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
@@ -34,7 +41,9 @@ ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst point
 Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescope.toml, with copies of the files that
 it names, into a folder. A design of the same telescope that was interrupted, or ended by its time limit, goes on in
 its descent or after its last search. With --certify the proofs of all figures, bounds.json and bundle.zip follow, as
-`design certify` makes them. The exit code is 1 if a requirement is not met, or a figure not proven.
+`design certify` makes them. No tuning sees the sources of disturbance in the telescope's file: runs under them are
+judged by its requirements, beside runs without fine control. The exit code is 1 if a requirement is not met, or a
+figure not proven.
 
 **Examples**
 
@@ -131,8 +140,17 @@ def design_all(
         names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
         raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
     check_output(output, parameters, uncertain or ())
+    if unseen := sources_of_mission(None if parameters is None else str(parameters)):
+        sys.stderr.write(f"sources: the tuning does not see {', '.join(unseen)}; the verification does\n")
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
+    mission = Mission()
+
+    def verify_further(report: Callable[[str], None]) -> tuple[Mapping[str, Any], list[str]]:
+        nonlocal mission
+        mission = verify_mission(output, report)
+        return mission.to_mapping(), mission.not_met
+
     until = time.monotonic() + time_limit
     kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
     with cluster.workers() as pool, kept:
@@ -147,9 +165,10 @@ def design_all(
                 nominal=nominal,
                 wall_limit=ROUNDS_OF_ALL * time_limit if certify else time_limit,
                 workers=pool,
+                verify_further=verify_further,
             )
         bounds = _proven(own, output, pool, until) if certify else ()
-    show_implemented(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds)
+    show_implemented(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds, mission)
 
 
 def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
@@ -178,11 +197,13 @@ def show_implemented(
     not_met: list[str],
     json_: bool,
     bounds: Sequence[FigureBounds] = (),
+    mission: Mission = NO_MISSION,
 ) -> None:
     """Table or JSON object, one line for each requirement that is not met; exit code 1 if one is not met or proven."""
     if json_:
         proofs = {"figures": [b.to_mapping() for b in bounds]} if bounds else {}
-        print_json({"folder": str(folder), "implemented": implemented, "not_met": not_met, **proofs})
+        shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}
+        print_json({"folder": str(folder), **shown, **proofs})
     else:
         title = f"{folder}: gammas as implemented (1 is the limit)"
         table = Table("stage", "requirement", *numbers("gamma"), "", title=title)
@@ -195,6 +216,7 @@ def show_implemented(
                 Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)
     if bounds and not json_:
         show_bounds(bounds)
+    show_mission(mission)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")
     if not_met or any(b.status != "proven" for b in bounds):

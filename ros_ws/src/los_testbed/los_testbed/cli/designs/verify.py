@@ -16,6 +16,7 @@ from rich.text import Text
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.mission import Mission, verify_mission
 from los_testbed.cli.designs.redesign import show_implemented
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
 VERIFY_EXAMPLES = """Recompute all metrics of stored designs: certified norms, and those of the loop as implemented.
 
 The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The exit
-code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin.
+code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin. A telescope of
+a folder with sources of disturbance in its file is run under them, and judged by its requirements.
 
 With --output the result goes into a JSON file, and until it is there the parts that are done into FILE.parts: the
 same command goes on with them after an interrupt.
@@ -74,9 +76,9 @@ def verify(
         if folder is None:
             result, failed = _stored(samples, pool, uncertain or (), output)
         else:
-            implemented, not_met = _of_folder(folder, samples, pool, uncertain or (), output)
+            implemented, not_met, mission = _of_folder(folder, samples, pool, uncertain or (), output)
     if folder is not None:
-        show_implemented(folder, implemented, not_met, json_)
+        show_implemented(folder, implemented, not_met, json_, mission=mission)
         return
     if json_:
         print_json({**result, "failures": failed})
@@ -120,8 +122,8 @@ def _going_on(
 
 def _of_folder(
     folder: Path, samples: int, workers: Workers, uncertain: Sequence[str], output: Path | None
-) -> tuple[dict[str, Any], list[str]]:
-    """Values of the pair of a folder at nominal, corners, random and stored worst points, and what is not met."""
+) -> tuple[dict[str, Any], list[str], Mission]:
+    """Values of the pair of a folder at nominal, corners, random and stored worst points, what is not met, mission."""
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
     from los_loop.loop_plant import loop_plant
@@ -142,9 +144,11 @@ def _of_folder(
         step = _counted(bar, len(mirror_stages(parameters)) * len(at))
         with _going_on(workers, output, parameters, (k_fsm, k_pma), at) as kept:
             check = check_implemented(system, parameters, k_fsm, k_pma, at, step, workers=kept, placed=placed)
-            implemented, not_met = check.to_mapping(), broken_requirements(check)
-            _write(output, {"folder": str(folder), "implemented": implemented, "not_met": not_met})
-    return implemented, not_met
+            mission = verify_mission(folder, bar.print)
+            implemented, not_met = check.to_mapping(), [*broken_requirements(check), *mission.not_met]
+            shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}
+            _write(output, {"folder": str(folder), **shown})
+    return implemented, not_met, mission
 
 
 def _stored(

@@ -1,0 +1,158 @@
+"""Verdicts of `design all` and `design verify` include the sources of the telescope's file, which no tuning sees."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.cli import app
+from los_testbed.cli.designs import mission
+from los_testbed.cli.designs.mission import sources_of_mission, verify_mission
+from los_testbed.config import RunConfig
+from los_testbed.loop.simulate import run_in_process
+
+import fsm_pma_controller
+import los_estimator
+from los_design import redesign
+from los_design.search import worst_points
+from los_design.verification import verification
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+from titop_plant.telescope.parameters import load_parameters
+
+SOURCES = """
+replace = ["requirement"]
+
+[[requirement]]
+name = "APE"
+text = "prob(|APE| < 100 arcsec) >= 0.95 at 95 % confidence"
+
+[[requirement]]
+name = "RPE"
+text = "prob(rms RPE(20 ms) < 30 mas) >= 0.95 at 95 % confidence"
+
+[[disturbance]]
+name = "cryocooler"
+kind = "cooler"
+place = "payload"
+frequency = 47.0
+harmonics = [{order = 1, force = [0.03, 0.03, 0.06]}]
+"""
+
+
+class Check:
+    """In the place of the check of the loop's figures, which takes minutes."""
+
+    def to_mapping(self) -> dict[str, int]:
+        return {"points": 1}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The stored designs for the reference telescope with a cryocooler; short runs at the nominal member."""
+    monkeypatch.setattr(mission, "SECONDS", 2.0)
+    made = tmp_path / "designs"
+    made.mkdir()
+    for package, name in ((los_estimator, "k_fsm"), (fsm_pma_controller, "k_pma")):
+        shutil.copy(Path(str(package.__file__)).parent / "designs" / f"{name}.json", made)
+    (made / "telescope.toml").write_text(SOURCES)
+    return made
+
+
+def test_the_verdicts_are_those_of_runs_under_the_sources(folder: Path, tmp_path: Path) -> None:
+    found = verify_mission(folder)
+    assert found.sources == ("cryocooler",)
+    rows = [verdict for verdict in found.verdicts if verdict.requirement and verdict.requirement.name == "RPE"]
+    assert [(row.stage, row.member) for row in rows] == [("fsm", "nominal"), ("fsm+pma", "nominal")]
+    for verdict in rows:
+        bags = [tmp_path / f"{verdict.stage}-{loop}" for loop in (verdict.stage, "isolator")]
+        for bag in bags:
+            loop = bag.name.rpartition("-")[2]
+            designs = {name: str(folder / f"{name}.json") for name in ("k_fsm", "k_pma")}
+            parameters = str(folder / "telescope.toml")
+            run_in_process(RunConfig(mode="inprocess", duration=2.0, loop=loop, parameters=parameters, **designs), bag)
+        closed, opened = (summarise(Run.open(bag)) for bag in bags)
+        row = verdict.requirement
+        assert row is not None and row.value == closed.rows[1].value and verdict.without == opened.rows[1].value
+        assert found.rpe is not None and found.rpe[verdict.stage, "nominal"] == (closed.rpe_rms, opened.rpe_rms)
+        assert verdict.met == (row.value < 30.0)
+        assert f"RPE {closed.rpe_rms:.3g} mas rms under them, {opened.rpe_rms:.3g} without fine control" in " ".join(
+            found.statements
+        )
+
+
+def test_the_worst_member_is_judged_as_well(folder: Path) -> None:
+    stored = Path(str(worst_points.__file__)).parent / "worst_points.json"
+    shutil.copy(stored, folder)
+    (folder / "telescope.toml").write_text(SOURCES[SOURCES.index("[[disturbance]]") :])  # limits are part of the hash
+    found = verify_mission(folder)
+    assert {verdict.member for verdict in found.verdicts} == {"nominal", "worst for the RPE"}
+
+
+def test_verify_is_not_met_where_the_sources_break_a_limit(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code of a strong source is 1, with the number; of a weak one the sources change nothing."""
+    monkeypatch.setattr(verification, "verification_points", lambda *given, **more: [{}])
+    monkeypatch.setattr(verification, "check_implemented", lambda *given, **more: Check())
+    monkeypatch.setattr(verification, "broken_requirements", lambda check: [])
+    codes, told = {}, {}
+    for scale in ("0.001", "300.0"):
+        scaled = SOURCES.replace("frequency = 47.0", f"frequency = 47.0\nscale = {scale}")
+        (folder / "telescope.toml").write_text(scaled)
+        try:
+            codes[scale] = app.main(["design", "verify", str(folder), "--json"])
+        except SystemExit as ended:
+            codes[scale] = int(ended.code or 0)
+        told[scale] = capsys.readouterr()
+    weak, strong = (json.loads(told[scale].out) for scale in told)
+    assert weak["not_met"] == [] and codes["0.001"] == 0
+    broken, words = strong["not_met"], "under the sources of the telescope: rms RPE(20 ms), 95 %"
+    assert len(broken) == 2 and all(words in line and "without fine control)" in line for line in broken)
+    assert codes["300.0"] == 1
+    assert "the tuning does not see cryocooler: fsm, nominal, RPE " in told["300.0"].err
+    assert strong["mission"]["seen_by_the_tuning"] is False
+    rpe = {row["stage"]: row for row in strong["mission"]["relative_error"]}
+    assert np.isfinite([rpe["fsm"]["rpe_rms_mas"], rpe["fsm"]["without_fine_control"]]).all()
+
+
+def test_design_all_writes_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After designs and searches, which are replaced here, and before the verdict."""
+    pair = [None, None]
+    monkeypatch.setattr(redesign, "_pair", lambda *given: pair)
+    monkeypatch.setattr(redesign, "digest", lambda given: "")
+    monkeypatch.setattr(redesign, "search_stages", lambda *given: {})
+    monkeypatch.setattr(redesign, "adversarial_points", lambda *given: [])
+    monkeypatch.setattr(redesign, "store_worst_points", lambda *given: None)
+    monkeypatch.setattr(redesign.Placed, "of", lambda *given: redesign.NO_DEVICES)
+    monkeypatch.setattr(redesign, "verification_points", lambda *given: [])
+    monkeypatch.setattr(redesign, "check_implemented", lambda *given, **more: Check())
+    monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["first"])
+    parameters = load_parameters(folder / "telescope.toml")
+    summary = redesign.design_all(parameters, folder, verify_further=lambda report: ({"mission": 3}, ["second"]))
+    assert summary.not_met == ["first", "second"] and not summary.met
+    written = json.loads((folder / "verification.json").read_text())
+    assert written == {"implemented": {"points": 1}, "mission": 3, "not_met": ["first", "second"]}
+
+
+def test_a_telescope_without_sources_has_no_such_runs(folder: Path) -> None:
+    (folder / "telescope.toml").write_text("")
+    found = verify_mission(folder)
+    assert found.to_mapping() == {} and not found.not_met and not found.statements
+    assert sources_of_mission(None) == ()
+
+
+def test_a_source_that_no_run_can_have_is_refused_before_the_design(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("a.csv", np.c_[np.arange(100) / 100, np.ones(100)], delimiter=",", header="time,Fx", comments="")
+    Path("t.toml").write_text('[[disturbance]]\nname = "a"\nkind = "series"\nfile = "a.csv"\n')
+    with pytest.raises(SystemExit) as ended:
+        app.main(["design", "all", "--parameters", "t.toml", "--output", "made"])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert "must be as long as the run, 20 s, got 1 s (repeat = true repeats it)" in error
