@@ -73,7 +73,7 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
             lines = [["" if cell is None else _text(cell) for cell in row] for row in rows]
         finally:
             book.close()
-    except BudgetError:
+    except (BudgetError, MemoryError):
         raise
     except OSError as error:
         raise BudgetError(f"cannot read {path}: {error.strerror or error}") from None
@@ -156,6 +156,6 @@ def require_writable(path: Path) -> None:
 def _openpyxl(path: Path) -> Any:
     try:
         import openpyxl
-    except ImportError:
+    except ModuleNotFoundError:
         raise BudgetError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
     return openpyxl

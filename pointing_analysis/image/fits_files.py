@@ -36,7 +36,7 @@ def astropy_fits() -> Any:
     """
     try:
         from astropy.io import fits
-    except ImportError:
+    except ModuleNotFoundError:
         raise ValueError("astropy must be installed for FITS files: pip install 'los-testbed[image]'") from None
     return fits
 

@@ -11,7 +11,7 @@ from pointing_analysis.read.topic import Topic
 def _package(name: str) -> Any:
     try:
         return importlib.import_module(name)
-    except ImportError:
+    except ModuleNotFoundError:
         raise ValueError(f"{name} must be installed: pip install 'los-testbed[dataframes]'") from None
 
 

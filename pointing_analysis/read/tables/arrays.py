@@ -21,7 +21,7 @@ def read_parquet(path: Path) -> Table:
     try:
         import pyarrow
         from pyarrow import parquet
-    except ImportError:
+    except ModuleNotFoundError:
         raise TableError(f"{path}: pyarrow must be installed: pip install 'los-testbed[parquet]'") from None
 
     def numbers(kind: pyarrow.DataType) -> bool:
@@ -73,7 +73,7 @@ def read_numpy(path: Path) -> Table:
             return found.table(path, "NumPy")
         # mapped, not read: the shape that a file declares may be any
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except TableError:
+    except (TableError, MemoryError):
         raise
     except Exception as error:  # of a damaged file numpy raises a dozen kinds, that of its tokenizer included
         raise TableError(

@@ -38,7 +38,7 @@ def read_mat(path: Path) -> Table:
         sizes = [int(np.prod(shape, dtype=np.int64)) for _, shape, kind in io.whosmat(path) if kind != "object"]
         check_unpacked(path, 8 * sum(sizes))
         content = io.loadmat(path, squeeze_me=False, struct_as_record=True)
-    except TableError:
+    except (TableError, MemoryError):
         raise
     except Exception as error:  # of a damaged file scipy raises a dozen kinds
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -73,7 +73,7 @@ def read_hdf5(path: Path) -> Table:
     """
     try:
         import h5py
-    except ImportError:
+    except ModuleNotFoundError:
         raise TableError(f"{path}: h5py must be installed: pip install 'los-testbed[hdf5]'") from None
     found, notes = Gathered(), dict[str, None]()
     try:
@@ -84,6 +84,8 @@ def read_hdf5(path: Path) -> Table:
             _add_attributes(found, "", file.attrs)
             for name, dataset in datasets:
                 _add_dataset(found, name, dataset)
+    except MemoryError:
+        raise
     except TableError as error:
         text = str(error)
         raise TableError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -10,6 +10,7 @@ import signal
 from typing import Any, NoReturn
 
 from los_testbed.exit_codes import ExitCode
+from los_testbed.run.processes.memory import check_command
 
 
 def _end(number: int, frame: Any) -> NoReturn:
@@ -24,6 +25,11 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _end)
+    try:
+        check_command()
+    except ValueError as error:
+        os.write(2, f"los-testbed: {error}\n".encode())
+        return ExitCode.USER_ERROR
     from los_testbed.cli.app import main as command_line
 
     signal.signal(signal.SIGINT, interrupt)

@@ -20,7 +20,7 @@ from los_testbed.cli.command_group import CommandGroup
 from los_testbed.cli.environment import QUIET, SUPERVISED, TRACEBACK
 from los_testbed.cli.interrupts import remember_command
 from los_testbed.exit_codes import ExitCode
-from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY
+from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY, names_memory
 from los_testbed.run.summary.screen import printable
 
 app = typer.Typer(
@@ -140,15 +140,15 @@ def main(arguments: list[str] | None = None) -> int:
                 f"a path must be one that can exist, got {str(error.filename)[:80]!r}: {error.strerror}",
                 ExitCode.USER_ERROR,
             )
-        return _fail(str(error), ExitCode.FAILED)
+        return _fail(_with_memory(error), ExitCode.FAILED)
     except RuntimeError as error:
-        return _fail(str(error), int(getattr(error, "code", ExitCode.FAILED)))
-    except MemoryError as error:
-        return _fail(f"{TOO_LITTLE_MEMORY}: {error or 'an allocation failed'}", ExitCode.FAILED)
+        return _fail(_with_memory(error), int(getattr(error, "code", ExitCode.FAILED)))
+    except (MemoryError, ImportError) as error:
+        return _fail(_with_memory(error), ExitCode.FAILED)
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
             return _fail(error.format_message(), ExitCode.USER_ERROR)
-        return _fail(_unexpected(error), ExitCode.FAILED)
+        return _fail(_with_memory(error) if names_memory(str(error)) else _unexpected(error), ExitCode.FAILED)
     except BaseException as error:  # of another package: no class of this one is that
         if isinstance(error, (SystemExit, GeneratorExit)):
             raise
@@ -165,6 +165,13 @@ def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
     from los_testbed.cli.run import with_lone_options
 
     return with_lone_options(arguments)
+
+
+def _with_memory(error: BaseException) -> str:
+    """Message of an error; a limit of memory shows as errors of many kinds."""
+    if isinstance(error, MemoryError) or names_memory(f"{type(error).__name__}: {error}"):
+        return f"{TOO_LITTLE_MEMORY}: {str(error) or 'an allocation failed'}"
+    return f"a package cannot be loaded: {error}" if isinstance(error, ImportError) else str(error)
 
 
 def _unexpected(error: BaseException) -> str:

@@ -10,8 +10,14 @@ ADDRESS_SPACE = 1_150_000_000
 ADDRESS_SPACE_LIVE = 1_300_000_000
 """The node that serves viewers; measured 1.18e9."""
 
+ADDRESS_SPACE_COMMAND = 600_000 * 1024
+"""What any command needs; with less, packages fail to load at any place, and OpenBLAS asks for memory for ever."""
+
 TOO_LITTLE_MEMORY = "too little memory"
-WORDS = ("MemoryError", "Cannot allocate memory", "std::bad_alloc", "can't start new thread", "failed to map segment")
+WORDS = (
+    *("MemoryError", "Cannot allocate memory", "std::bad_alloc", "can't start new thread", "failed to map segment"),
+    *("cannot allocate memory", "Unable to allocate", "malloc of size", "realloc of size"),
+)
 
 
 def names_memory(errors: str) -> bool:
@@ -25,6 +31,15 @@ def names_memory(errors: str) -> bool:
     return any(word in errors for word in WORDS)
 
 
+def _check(needed: int, purpose: str, advice: str) -> None:
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise ValueError(
+            f"memory of a process (ulimit -v) must be at least {needed // 1024} kB for {purpose}, "
+            f"got {limit // 1024}: {TOO_LITTLE_MEMORY}{advice}"
+        )
+
+
 def check_address_space(live: bool) -> None:
     """Refuse to start processes that would wait for each other for ever: a middleware without memory says nothing.
 
@@ -33,10 +48,9 @@ def check_address_space(live: bool) -> None:
     ValueError
         The limit of this process (``ulimit -v``) is too small.
     """
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    needed = ADDRESS_SPACE_LIVE if live else ADDRESS_SPACE
-    if limit != resource.RLIM_INFINITY and limit < needed:
-        raise ValueError(
-            f"memory of a process (ulimit -v) must be at least {needed // 1024} kB for a run with nodes, "
-            f"got {limit // 1024}: {TOO_LITTLE_MEMORY}; or use --mode inprocess"
-        )
+    _check(ADDRESS_SPACE_LIVE if live else ADDRESS_SPACE, "a run with nodes", "; or use --mode inprocess")
+
+
+def check_command() -> None:
+    """Refuse any command where its packages cannot be loaded; raises as :func:`check_address_space`."""
+    _check(ADDRESS_SPACE_COMMAND, "a command", "")
