@@ -2,7 +2,8 @@
 
 Requirements on the run:
 
-* the bulk data (BDF) in SI units, basic displacement coordinates at the parent and the ports, no WTMASS;
+* the bulk data (BDF) in SI units or those that ``PARAM,UNITSYS`` states, basic displacement coordinates at the parent
+  and the ports, no WTMASS; files that it includes in its folder;
 * ``SOL 103`` clamped at **one grid point**, the parent, by ``SPC1,...,123456``, and nowhere else;
 * mass-normalised real eigenvectors of at least the ports (``DISPLACEMENT(PLOT)=ALL``);
 * forces of single-point constraint of the parent (``SPCFORCES(PLOT)=ALL``): they give the participation;
@@ -12,21 +13,29 @@ Requirements on the run:
 
 **Participation: L_k = -q_k / w_k^2**, with ``q_k`` the constraint force at the clamped point in mode k: the
 sum of all inertia forces of the mode, whatever mass formulation the elements have.
+
+Deck and OP2 must be of the same model: grid points, positions and mass are compared as far as the OP2 has them, and the
+constraint forces with the momentum of the deck's masses in each mode.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
+from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.support.input_files import check_file
+from lftkit.support.input_limits import RESULTS
 from titop_plant.structures.kinematics import read_only, tau
 from titop_plant.structures.modal_data import ChildPort, ModalData
+from titop_plant.structures.nastran_deck import DeckUnits, read_deck, units_of
+from titop_plant.structures.nastran_match import MASS, check_grids, check_mass, check_momentum, lumps
 from titop_plant.structures.residual_mass import check_residual_mass
 
 #: The OP2 file is in single precision: a residual negative by less than this fraction is a rounding error.
@@ -64,12 +73,12 @@ def read_nastran(
     subcase : int, optional
         Needed if the OP2 holds eigenvectors of several subcases.
     mass_matrix : array_like, shape (6, 6), optional
-        Rigid mass matrix at P that replaces the one computed from the files.
+        Rigid mass matrix at P, in the units of the deck, that replaces the one computed from the files.
 
     Returns
     -------
     ModalData
-        In the basic coordinate system of the model.
+        In the basic coordinate system of the model, in SI units.
 
     Raises
     ------
@@ -78,9 +87,9 @@ def read_nastran(
     FileNotFoundError
         No such file.
     ValueError
-        Missing or invalid content of a file; the message names the file.
+        Missing or invalid content of a file, or files of two models; the message names the file.
     """
-    model = _read_bdf(Path(bdf))
+    model, units = _read_bdf(Path(bdf))
     grids = {parent[0]: parent[1], **ports}
     positions = _positions(model, grids, str(bdf))
     _check_clamped(model, parent[1], str(bdf))
@@ -91,59 +100,83 @@ def read_nastran(
     scale = _mass_normalisation(results, squares.size)[:, None]
     if np.any(squares <= 0):
         raise ValueError(f"{op2}: eigenvalues of a clamped body must be positive, got {squares.min():.3g}")
+    check_grids(model, results, table, str(op2))
     participation = -scale * _rows(forces, parent[1], str(op2), parent[0]) / squares[:, None]
     shapes = {port: scale * _rows(table, grid, str(op2), port) for port, grid in ports.items()}
     if mass_matrix is None:
         rigid = _mass_matrix(model, results, positions[parent[0]], str(bdf))
     else:
         rigid = read_only(mass_matrix, (6, 6), f"{name}: mass_matrix")
+    _check_same(model, results, table, (participation / scale, positions[parent[0]], rigid[0, 0]), str(op2))
+    length, mass = units.length, np.sqrt(units.mass)
     data = ModalData(
         name,
         parent[0],
-        positions[parent[0]],
-        rigid,
+        length * positions[parent[0]],
+        rigid * units.mass * np.outer(*2 * [_by_axis(1.0, length)]),
         np.sqrt(squares),
         np.broadcast_to(damping, squares.shape),
-        participation,
-        tuple(ChildPort(port, positions[port], shapes[port].T) for port in ports),
+        participation * mass * _by_axis(1.0, length),
+        tuple(
+            ChildPort(port, length * positions[port], (shapes[port] / mass / _by_axis(1.0, length)).T) for port in ports
+        ),
     )
     data = data if n_modes is None else data.truncate(n_modes)
     check_residual_mass(data, SINGLE_PRECISION)
     return data
 
 
+def _by_axis(translation: float, rotation: float) -> FloatArray:
+    """Factors of the six components of a motion or a force, shape (6,)."""
+    return np.repeat([translation, rotation], 3)
+
+
+def _check_same(model: Any, results: Any, table: Any, found: tuple[FloatArray, FloatArray, float], path: str) -> None:
+    """Deck against OP2: mass by the grid point weight, momentum of the modes where all mass is known."""
+    known = lumps(model)
+    if known is None:
+        return
+    participation, point, mass = found
+    for weight in results.grid_point_weight.values():
+        check_mass(known, float(np.asarray(weight.MO)[0, 0]), path)
+    if abs(sum(lump[1] for lump in known) - mass) <= MASS * mass:
+        check_momentum(model, known, table, participation, point, path)
+
+
 def _pynastran() -> tuple[Any, Any]:
     try:
         from pyNastran.bdf.bdf import read_bdf
         from pyNastran.op2.op2 import read_op2
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise ImportError(
             f"pyNastran must be installed to read NASTRAN files (pip install 'los-testbed[nastran]'), got {error}"
         ) from None
     return read_bdf, read_op2
 
 
-def _read_bdf(path: Path) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: BDF file must exist, got no such file")
+def _read_bdf(path: Path) -> tuple[Any, DeckUnits]:
+    reader = _pynastran()[0]
     try:
-        model = _pynastran()[0](str(path), debug=None, punch=None)
-    except ImportError:
+        deck = read_deck(path)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: BDF file must exist, got no such file as {error.filename}") from None
+    try:
+        model = reader(io.StringIO(deck.text), debug=None, punch=deck.punch)
+    except (ImportError, MemoryError):
         raise
     except Exception as error:  # pyNastran raises many types
         raise ValueError(f"{path}: BDF must be readable by pyNastran, got {_one_line(error)}") from None
-    wtmass = model.params.get("WTMASS")
-    if wtmass is not None and float(wtmass.values[0]) != 1.0:
-        raise ValueError(f"{path}: PARAM,WTMASS must be absent or 1, got {wtmass.values[0]}")
-    return model
+    return model, units_of(deck, model, path)
 
 
 def _read_op2(path: Path) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: OP2 file must exist, got no such file")
+    try:
+        check_file(path, RESULTS)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: OP2 file must exist, got no such file") from None
     try:
         return _pynastran()[1](str(path), debug=None)
-    except ImportError:
+    except (ImportError, MemoryError):
         raise
     except Exception as error:
         raise ValueError(f"{path}: OP2 must be readable by pyNastran, got {_one_line(error)}") from None
@@ -232,7 +265,14 @@ def _mass_matrix(model: Any, results: Any, point: FloatArray, path: str) -> Floa
         shift = tau(origin, point)
         matrix = shift.T @ np.asarray(weight.MO, dtype=float) @ shift
         return np.asarray(0.5 * (matrix + matrix.T))
-    return _mass_of_elements(model, point, path)
+    found = _mass_of_elements(model, point, path)
+    least = linalg.eigvalsh(found[3:, 3:])
+    if found[0, 0] > 0 and least[0] <= 1e-9 * least[-1]:
+        raise ValueError(
+            f"{path}: mass must have inertia about every axis, got none about one: bars have none about their own, so "
+            "that a straight boom needs PARAM,GRDPNT,0 in the run, an inertia in a CONM2, or mass_matrix"
+        )
+    return found
 
 
 def _mass_of_elements(model: Any, point: FloatArray, path: str) -> FloatArray:
@@ -261,4 +301,4 @@ def _mass_of_elements(model: Any, point: FloatArray, path: str) -> FloatArray:
 
 def _shifted(mass: float, inertia: FloatArray, lever: FloatArray) -> FloatArray:
     shift = tau(lever, np.zeros(3))
-    return np.asarray(shift.T @ block_diag(mass * np.eye(3), inertia) @ shift)
+    return np.asarray(shift.T @ linalg.block_diag(mass * np.eye(3), inertia) @ shift)

@@ -235,7 +235,7 @@ def test_without_pynastran_the_error_names_the_package_to_install(
 
     def refuse(name: str, *arguments: Any, **keywords: Any) -> Any:
         if name.startswith("pyNastran"):
-            raise ImportError("No module named 'pyNastran'")
+            raise ModuleNotFoundError("No module named 'pyNastran'")
         return real(name, *arguments, **keywords)
 
     monkeypatch.setattr(builtins, "__import__", refuse)

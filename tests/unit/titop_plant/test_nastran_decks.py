@@ -1,0 +1,213 @@
+"""NASTRAN decks: their units, the files that they include, and an OP2 file that is of another model."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from unit.titop_plant.test_structures_nastran import KEEP, PARENT, frame, load, same_body, write_bdf, write_op2
+
+from titop_plant.structures import BeamFrame, ModalData, read_nastran, to_modal_data
+from titop_plant.structures.nastran_deck import INCH, POUND_FORCE, read_deck
+from titop_plant.structures.nastran_match import check_grids
+
+pytest.importorskip("pyNastran", reason="extra nastran")
+
+
+def scaled(source: BeamFrame, length: float, mass: float, size: float = 1.0) -> BeamFrame:
+    """The frame in units of so many metres and kilograms, and larger by a factor."""
+    beams = tuple(
+        replace(
+            beam,
+            section=replace(
+                beam.section,
+                E=beam.section.E * length / mass,
+                G=beam.section.G * length / mass,
+                density=beam.section.density * length**3 / mass,
+                A=beam.section.A / length**2,
+                Iy=beam.section.Iy / length**4,
+                Iz=beam.section.Iz / length**4,
+                J=beam.section.J / length**4,
+            ),
+        )
+        for beam in source.beams
+    )
+    masses = tuple(
+        replace(
+            one,
+            mass=one.mass / mass,
+            inertia=np.asarray(one.inertia) / (mass * length**2),
+            offset=np.asarray(one.offset) / length,
+        )
+        for one in source.masses
+    )
+    nodes = {name: (size * np.asarray(place) / length).tolist() for name, place in source.nodes.items()}
+    return BeamFrame(source.name, nodes, beams, masses)
+
+
+def written(folder: Path, source: BeamFrame, extra: str = "", **op2: Any) -> None:
+    write_bdf(source, folder / "crane.bdf")
+    text = (folder / "crane.bdf").read_text()
+    (folder / "crane.bdf").write_text(f"{extra}{text}")
+    write_op2(source, folder / "crane.op2", **op2)
+
+
+UNITS = {"MN-MM": (1e-3, 1.0), "N-MM": (1e-3, 1e3), "LBF-IN": (INCH, POUND_FORCE / INCH), "N-M": (1.0, 1.0)}
+
+
+@pytest.mark.parametrize("weight", [0, None])
+@pytest.mark.parametrize("system", UNITS)
+def test_a_deck_of_other_units_is_the_same_body(tmp_path: Path, system: str, weight: int | None) -> None:
+    """A frame with all its mass in CONM2, so that its mass is known exactly without the grid point weight, too."""
+    source = frame(density=1e-6)
+    written(tmp_path, scaled(source, *UNITS[system]), f"PARAM,UNITSYS,{system}\n", weight=weight)
+    same_body(load(tmp_path), to_modal_data(source, PARENT, ["e", "d"], KEEP), 1e-5)
+
+
+def test_a_given_mass_matrix_is_in_the_units_of_the_deck(tmp_path: Path) -> None:
+    source = frame()
+    written(tmp_path, scaled(source, 1e-3, 1.0), "PARAM,UNITSYS,MN-MM\n")
+    expected = to_modal_data(source, PARENT, ["e", "d"], KEEP)
+    factor = np.outer(*2 * [np.repeat([1.0, 1e3], 3)])
+    same_body(load(tmp_path, mass_matrix=expected.mass_matrix * factor), expected, 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ("PARAM,UNITSYS,FURLONGS\n", "UNITSYS must be one of N-M, .*, got FURLONGS"),
+        ("PARAM,WTMASS,.00259\n", r"WTMASS must be absent or 1: .*, got 0\.00259"),
+        ("SOL 103\nCEND\nPARAM,WTMASS,2.59-3\nBEGIN BULK\n", "WTMASS must be absent or 1: .*, got 2.59-3"),
+        ("SOL 103\nCEND\nSUBCASE 1\n  PARAM,UNITSYS,XX\nBEGIN BULK\n", "UNITSYS must be one of .*, got XX"),
+    ],
+)
+def test_units_that_are_not_known_are_refused_by_name(tmp_path: Path, extra: str, message: str) -> None:
+    written(tmp_path, frame(), extra)
+    with pytest.raises(ValueError, match=message):
+        load(tmp_path)
+
+
+def test_a_wtmass_of_one_is_none(tmp_path: Path) -> None:
+    written(tmp_path, frame(), "SOL 103\nCEND\nPARAM,WTMASS,1.0\nBEGIN BULK\n")
+    assert isinstance(load(tmp_path), ModalData)
+
+
+def heavier(source: BeamFrame) -> BeamFrame:
+    masses = (*source.masses[:-1], replace(source.masses[-1], mass=1.1 * source.masses[-1].mass))
+    return BeamFrame(source.name, source.nodes, source.beams, masses)
+
+
+OTHERS = {
+    "larger by half": lambda: scaled(frame(), 1.0, 1.0, 1.5),
+    "heavier at one point": lambda: heavier(frame()),
+    "in millimetres": lambda: scaled(frame(), 1e-3, 1.0),
+    "of denser beams": lambda: frame(density=28_000.0),
+    "mirrored": lambda: BeamFrame(
+        "crane", {k: [-v[0], *v[1:]] for k, v in frame().nodes.items()}, frame().beams, frame().masses
+    ),
+}
+
+
+TENTH = "heavier at one point"
+"""Within the lumping of the masses, so that the grid point weight alone has it."""
+
+
+CASES = [(name, weight) for name in OTHERS for weight in (0, None) if (name, weight) != (TENTH, None)]
+
+
+@pytest.mark.parametrize(("name", "weight"), CASES)
+def test_a_deck_with_the_op2_of_another_model_is_refused(tmp_path: Path, name: str, weight: int | None) -> None:
+    written(tmp_path, frame(), weight=weight)
+    write_op2(OTHERS[name](), tmp_path / "crane.op2", weight=weight)
+    with pytest.raises(ValueError, match="results must be of the model of the deck"):
+        load(tmp_path)
+
+
+def test_grid_points_that_the_deck_has_not_are_named(tmp_path: Path) -> None:
+    small = frame()
+    nodes = {name: small.nodes[name] for name in "acd"}
+    less = BeamFrame("crane", nodes, tuple(b for b in small.beams if "e" not in (b.start, b.end)), small.masses[:2])
+    written(tmp_path, small)
+    write_bdf(less, tmp_path / "crane.bdf")
+    with pytest.raises(ValueError, match=r"got 1 grid points that it has not: \[4\]"):
+        load(tmp_path, ports={"d": 3})
+
+
+def test_positions_that_the_op2_states_are_compared() -> None:
+    def model(places: dict[int, list[float]]) -> Any:
+        nodes = {grid: SimpleNamespace(get_position=lambda p=place: np.array(p)) for grid, place in places.items()}
+        return SimpleNamespace(nodes=nodes, spoints={}, epoints={})
+
+    table = SimpleNamespace(node_gridtype=np.array([[1, 1], [2, 1]]))
+    stated = SimpleNamespace(
+        nid_cp_cd_ps=np.array([[1, 0, 0, 0], [2, 0, 0, 0]]), xyz=np.array([[0.0, 0, 0], [2.0, 0, 0]], "float32")
+    )
+    results = SimpleNamespace(op2_results=SimpleNamespace(gpdt=stated))
+    check_grids(model({1: [0, 0, 0], 2: [2, 0, 0]}), results, table, "x.op2")
+    with pytest.raises(ValueError, match=r"GRID 2 must be where the deck has it, at \[2.1, 0.0, 0.0\]"):
+        check_grids(model({1: [0, 0, 0], 2: [2.1, 0, 0]}), results, table, "x.op2")
+    with pytest.raises(ValueError, match=r"got none with the numbers \[3\]"):
+        check_grids(model({1: [0, 0, 0], 2: [2, 0, 0], 3: [1, 0, 0]}), results, table, "x.op2")
+
+
+def test_a_deck_in_parts_is_the_whole_one(tmp_path: Path) -> None:
+    written(tmp_path, frame())
+    whole = load(tmp_path)
+    lines = (tmp_path / "crane.bdf").read_text().splitlines()
+    middle = next(i for i, line in enumerate(lines) if line.startswith("CBAR"))
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "rest.bdf").write_text("\n".join(lines[middle:]))
+    (tmp_path / "crane.bdf").write_text("\n".join([*lines[:middle], "include 'parts/", "   rest.bdf'"]))
+    assert np.array_equal(load(tmp_path).mass_matrix, whole.mass_matrix)
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    "name", ["/etc/passwd", "../out.bdf", "link.bdf", "$HOME/x", "C:/x", "sub/../../out.bdf", "", "crane.bdf"]
+)
+def test_no_file_outside_the_folder_is_included(tmp_path: Path, name: str) -> None:
+    inside = tmp_path / "in"
+    inside.mkdir()
+    (tmp_path / "out.bdf").write_text("GRID,77,,1.,0.,0.\n")
+    (inside / "link.bdf").symlink_to(tmp_path / "out.bdf")
+    (inside / "sub").mkdir()
+    written(inside, frame())
+    with (inside / "crane.bdf").open("a") as file:
+        file.write(f"INCLUDE '{name}'\n")
+    with pytest.raises(ValueError, match="INCLUDE must"):
+        load(inside)
+
+
+@pytest.mark.timeout(120)
+def test_a_pipe_or_device_is_no_deck_and_no_result(tmp_path: Path) -> None:
+    written(tmp_path, frame())
+    os.mkfifo(tmp_path / "pipe")
+    for file in (tmp_path / "pipe", Path("/dev/zero")):
+        for pair in ((file, tmp_path / "crane.op2"), (tmp_path / "crane.bdf", file)):
+            with pytest.raises(ValueError, match="not an ordinary file"):
+                read_nastran(*pair, name="x", parent=("a", 1), ports={"e": 4})
+    with (tmp_path / "crane.bdf").open("a") as file:
+        file.write("INCLUDE 'pipe'\n")
+    with pytest.raises(ValueError, match="not an ordinary file"):
+        load(tmp_path)
+
+
+def test_no_comment_makes_pynastran_write_or_leave_out(tmp_path: Path) -> None:
+    written(tmp_path, frame(), "$ pyNastran: dumplines=True\n$pyNastran: version=zona\n$PYNASTRAN: skip_cards=CONM2\n")
+    assert "nastran" not in read_deck(tmp_path / "crane.bdf").text.lower()
+    assert load(tmp_path).mass_matrix[0, 0] > 15.0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["crane.bdf", "crane.op2"]
+
+
+def test_a_straight_boom_without_inertia_about_itself_is_told(tmp_path: Path) -> None:
+    source = frame()
+    nodes = {name: [0.5 * i, 0.0, 0.0] for i, name in enumerate("acde")}
+    beams = tuple(replace(source.beams[0], start=i, end=j) for i, j in ("ac", "cd", "de"))
+    written(tmp_path, BeamFrame("boom", nodes, beams, ()), weight=None)
+    with pytest.raises(ValueError, match=r"inertia about every axis, .* a straight boom needs PARAM,GRDPNT,0"):
+        load(tmp_path)

@@ -1,0 +1,145 @@
+"""Text of a NASTRAN deck with the files that it includes, and the units that it states.
+
+The deck is read here and given to pyNastran as text: pyNastran would open any file that INCLUDE names, and follows
+comments that name other formats, files to write, or cards to leave out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from lftkit.support.input_files import read_bytes
+from lftkit.support.input_limits import INCLUDES, SYSTEM
+
+_INCLUDE = re.compile(r"^\s*include\b", re.IGNORECASE)
+_SECTIONS = re.compile(r"^\s*(cend|begin\s+bulk)\b", re.IGNORECASE | re.MULTILINE)
+_CASE_PARAM = re.compile(r"^\s*param[\s,]+(\w+)[\s,]+([^\s,$]+)", re.IGNORECASE | re.MULTILINE)
+FOOT, INCH, POUND_FORCE, POUND = 0.3048, 0.0254, 4.4482216152605, 0.45359237
+
+
+@dataclass(frozen=True)
+class DeckUnits:
+    """Units of a deck; the second is that of all of them.
+
+    Attributes
+    ----------
+    length : of one unit [m]
+    mass : of the consistent unit, force by length per s2 [kg]
+    """
+
+    length: float = 1.0
+    mass: float = 1.0
+
+
+UNIT_SYSTEMS: Mapping[str, DeckUnits] = MappingProxyType(
+    {
+        "N-M": DeckUnits(),
+        "MN-MM": DeckUnits(1e-3, 1.0),  # the force in millinewton, the mass in kg
+        "CN-CM": DeckUnits(1e-2, 1.0),
+        "N-MM": DeckUnits(1e-3, 1e3),
+        "LBF-IN": DeckUnits(INCH, POUND_FORCE / INCH),
+        "LBF-FT": DeckUnits(FOOT, POUND_FORCE / FOOT),
+        "PDL-FT": DeckUnits(FOOT, POUND),
+    }
+)
+"""Units by PARAM,UNITSYS, which Simcenter writes: force and length (Siemens KB000073658, "MN-MM" is mN, mm, kg)."""
+
+
+@dataclass(frozen=True)
+class Deck:
+    """A deck as one text.
+
+    Attributes
+    ----------
+    text : without comments for pyNastran, included files in their places
+    punch : whether it has bulk data only
+    """
+
+    text: str
+    punch: bool
+
+
+def read_deck(path: Path) -> Deck:
+    """Read a deck and what it includes.
+
+    Raises
+    ------
+    OSError
+        A file that cannot be read.
+    ValueError
+        INCLUDE of a file outside the folder of the deck, in a circle, or of too many files; a deck without lines.
+    """
+    lines = _lines(path, path.resolve().parent, (), [0])
+    text = "\n".join(line for line in lines if not re.match(r"^\s*\$\s*pynastran", line, re.IGNORECASE)) + "\n"
+    if not text.strip():
+        raise ValueError(f"{path}: BDF must have lines, got none")
+    return Deck(text, _SECTIONS.search(text) is None)
+
+
+def _lines(path: Path, folder: Path, above: tuple[Path, ...], count: list[int]) -> list[str]:
+    count[0] += 1
+    if count[0] > INCLUDES:
+        raise ValueError(f"{path}: deck must include at most {INCLUDES} files, got more")
+    data = read_bytes(path, SYSTEM)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # of comments; cards are ASCII
+    found: list[str] = []
+    waiting = iter(text.splitlines())
+    for line in waiting:
+        if not _INCLUDE.match(line):
+            found.append(line)
+            continue
+        name = _INCLUDE.sub("", line).split("$")[0].strip()
+        mark = name[:1]
+        while mark in ("'", '"') and (len(name) < 2 or not name.endswith(mark)):
+            more = next(waiting, None)
+            if more is None:
+                raise ValueError(f"{path}: INCLUDE must name a file in quotes, got {name[:80]}")
+            name += more.strip()
+        found += _lines(_inside(name.strip("'\""), path, folder, above), folder, (*above, path.resolve()), count)
+    return found
+
+
+def _inside(name: str, path: Path, folder: Path, above: tuple[Path, ...]) -> Path:
+    """The included file, in the folder of the deck."""
+    if not name or re.search(r"[:$%~\\\0]", name):
+        raise ValueError(f"{path}: INCLUDE must name a file by its path below the deck, got {name[:80]!r}")
+    file = (path.resolve().parent / name).resolve()
+    if not file.is_relative_to(folder):
+        raise ValueError(f"{path}: INCLUDE must name a file in the folder of the deck, got {name[:80]!r}")
+    if file in (*above, path.resolve()):
+        raise ValueError(f"{path}: INCLUDE must not come back to a file, got {name[:80]!r}")
+    return file
+
+
+def units_of(deck: Deck, model: Any, path: Path) -> DeckUnits:
+    """Units of the deck by PARAM,UNITSYS; SI without it.
+
+    Raises
+    ------
+    ValueError
+        A unit system that is not known, or PARAM,WTMASS other than 1, in any section.
+    """
+    stated = {name: str(card.values[0]) for name, card in model.params.items() if card.values}
+    head = deck.text[: found.start()] if (found := re.search(r"^\s*begin\s+bulk", deck.text, re.I | re.M)) else ""
+    for name, value in _CASE_PARAM.findall(head):
+        if stated.setdefault(name.upper(), value).upper() != value.upper():
+            raise ValueError(f"{path}: PARAM,{name.upper()} must have one value, got {stated[name.upper()]}, {value}")
+    weight = stated.get("WTMASS", "1.0")
+    try:
+        is_one = float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"e\1", weight.replace("D", "E").replace("d", "e"))) == 1.0
+    except ValueError:
+        is_one = False
+    if not is_one:
+        raise ValueError(f"{path}: PARAM,WTMASS must be absent or 1: give the masses in consistent units, got {weight}")
+    system = stated.get("UNITSYS", "N-M").upper().strip()
+    if system not in UNIT_SYSTEMS:
+        raise ValueError(f"{path}: PARAM,UNITSYS must be one of {', '.join(UNIT_SYSTEMS)}, got {system}")
+    return UNIT_SYSTEMS[system]

@@ -1,0 +1,133 @@
+"""Whether a NASTRAN deck and an OP2 file are of the same model: grid points, positions, mass, momentum of the modes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from titop_plant.structures.kinematics import tau
+
+MASS = 0.02
+"""Largest difference of the masses, relative; elements of some kinds differ by their rounding and offsets."""
+POSITION = 1e-4
+"""Largest difference of positions, relative to the size of the model; the OP2 file is in single precision."""
+MOMENTUM = 0.25
+"""Largest difference of the participation, relative; the masses of elements are taken at their grid points."""
+
+
+def check_grids(model: Any, results: Any, table: Any, path: str) -> None:
+    """Refuse results at grid points that the deck does not have, or that are elsewhere.
+
+    Raises
+    ------
+    ValueError
+        The OP2 file is of another model.
+    """
+    known = {*model.nodes, *model.spoints, *model.epoints}
+    rows = {int(grid) for grid in np.asarray(table.node_gridtype)[:, 0]}
+    if others := sorted(rows - known):
+        raise ValueError(
+            f"{path}: results must be of the model of the deck, got {len(others)} grid points that it has not: "
+            f"{others[:5]}"
+        )
+    stated = getattr(getattr(results, "op2_results", None), "gpdt", None)
+    if stated is None:
+        return
+    numbers, xyz = np.asarray(stated.nid_cp_cd_ps), np.asarray(stated.xyz, dtype=float)
+    grids = {int(row[0]): place for row, place in zip(numbers, xyz) if row[1] == 0 and int(row[0]) in model.nodes}
+    if missing := sorted(set(model.nodes) - {int(row[0]) for row in numbers}):
+        raise ValueError(f"{path}: grid points must be those of the deck, got none with the numbers {missing[:5]}")
+    ours = {grid: np.asarray(model.nodes[grid].get_position(), dtype=float) for grid in grids}
+    size = max((float(np.abs(place).max()) for place in ours.values()), default=0.0)
+    for grid, place in grids.items():
+        if np.abs(place - ours[grid]).max() > POSITION * size:
+            raise ValueError(
+                f"{path}: GRID {grid} must be where the deck has it, at {ours[grid].tolist()}, got {place.tolist()}"
+            )
+
+
+def lumps(model: Any) -> list[tuple[int, float, FloatArray, FloatArray]] | None:
+    """Grid point, mass, offset (3,) and inertia (3, 3) about the centre of mass of what has mass in the deck.
+
+    None where the deck has mass elements that are not understood, or grid points whose displacements are in
+    coordinates of their own.
+    """
+    found: list[tuple[int, float, FloatArray, FloatArray]] = []
+    for lump in model.masses.values():
+        if lump.type != "CONM2" or lump.Cid() != 0:
+            return None
+        center, mass, inertia = lump.centroid_mass_inertia()
+        grid = lump.Nid()
+        offset = np.asarray(center, dtype=float) - np.asarray(model.nodes[grid].get_position())
+        found.append((grid, float(mass), offset, np.asarray(inertia, dtype=float)))
+    for element in model.elements.values():
+        mass = float(element.Mass()) if hasattr(element, "Mass") else 0.0
+        if mass:
+            grids = [grid for grid in element.node_ids if grid]
+            found += [(grid, mass / len(grids), np.zeros(3), np.zeros((3, 3))) for grid in grids]
+    return None if any(model.nodes[grid].Cd() != 0 for grid, *_ in found) else found
+
+
+def check_mass(found: list[tuple[int, float, FloatArray, FloatArray]], stated: float, path: str) -> None:
+    """Refuse a mass of the OP2 file that the deck has not.
+
+    Raises
+    ------
+    ValueError
+        They differ by more than `MASS`.
+    """
+    total = sum(mass for _, mass, _, _ in found)
+    if abs(total - stated) > MASS * max(total, stated):
+        raise ValueError(
+            f"{path}: results must be of the model of the deck, whose mass is {total:.6g}, got a mass of {stated:.6g}"
+        )
+
+
+def check_momentum(
+    model: Any,
+    found: list[tuple[int, float, FloatArray, FloatArray]],
+    table: Any,
+    participation: FloatArray,
+    point: FloatArray,
+    path: str,
+) -> None:
+    """Compare what holds a mode at the clamped point with the momentum of the deck's masses in its shape.
+
+    Parameters
+    ----------
+    found : list
+        Of `lumps`.
+    table : object
+        Eigenvectors; where they lack a grid point with mass, nothing is compared.
+    participation : ndarray, shape (n, 6)
+        Of the constraint forces, in the modal scale of `table`.
+    point : ndarray, shape (3,)
+        The clamped point.
+
+    Raises
+    ------
+    ValueError
+        They differ by more than `MOMENTUM`: the OP2 file is of another model.
+    """
+    rows = {int(grid): row for row, grid in enumerate(np.asarray(table.node_gridtype)[:, 0])}
+    if not found or any(grid not in rows for grid, *_ in found):
+        return
+    shapes = np.asarray(table.data, dtype=float)
+    momentum = np.zeros_like(participation)
+    for grid, mass, offset, inertia in found:
+        moved = shapes[:, rows[grid]] @ tau(offset, np.zeros(3)).T
+        body = np.zeros((6, 6))
+        body[:3, :3], body[3:, 3:] = mass * np.eye(3), inertia
+        lever = np.asarray(model.nodes[grid].get_position()) + offset - point
+        momentum += moved @ body @ tau(lever, np.zeros(3))
+    for part, name in ((slice(0, 3), "forces"), (slice(3, 6), "moments")):
+        held, has = participation[:, part], momentum[:, part]
+        size = max(float(linalg.norm(held)), float(linalg.norm(has)))
+        if linalg.norm(held - has) > MOMENTUM * size:
+            raise ValueError(
+                f"{path}: results must be of the model of the deck, got {name} of constraint that differ from the "
+                f"momentum of its masses by {100 * linalg.norm(held - has) / size:.0f} %"
+            )
