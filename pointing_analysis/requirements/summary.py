@@ -30,7 +30,7 @@ from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run_end import early_end
 from pointing_analysis.read.series import SAMPLING
-from pointing_analysis.read.unsent import unsent
+from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
 from pointing_analysis.requirements.guarantee import NO_PROOF, proven_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
@@ -354,7 +354,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
         if topic.open_end:
             problems.append(f"{shown}: the recording was cut off, how many samples are missing at its end is not known")
         for count, what in (
-            (missing, f"samples missing in {len(state.gaps)} gaps"),
+            (missing, f"samples missing in {lost_gaps(run, name, missing)} gaps"),
             (ends, "samples missing before the first one and after the last one"),
             (state.duplicates, "stamps twice"),
             (state.conflicts, "stamps with two different values (two publishers?)"),

@@ -308,3 +308,43 @@ def test_a_topic_of_one_message_says_nothing_of_its_rate(tmp_path: Path) -> None
 @pytest.mark.parametrize(("value", "text"), [(139.2, "139 mas"), (math.nan, "– mas"), (math.inf, "beyond the image")])
 def test_a_radius_that_the_light_is_not_within_has_no_unit(value: float, text: str) -> None:
     assert Figure("EE80 radius, 99.7 %", value, "mas").text == text
+
+
+PERIODS = (300, 301, 800, 1500)
+"""Periods that the plant has lost: none of its topics has a sample of them."""
+
+
+def bag_with_lost_periods(folder: Path, lost: tuple[int, ...], counted: int) -> Summary:
+    """Of a run whose recorder counted so many samples of a topic that were not sent."""
+    stamps = 10**9 + 10**6 * np.arange(3000)
+    sent = np.setdiff1d(np.arange(3000), PERIODS)
+    rest = np.setdiff1d(sent, lost)
+    there = {"truth/los": sent, "isolator/accel": sent, "fsm/command": rest}
+    signals = {"truth/los": NOISE[sent], "isolator/accel": np.zeros((len(sent), 6)), "fsm/command": NOISE[rest]}
+    statistics = {"recorder": {f"unsent_/telescope/{name}": str(counted) for name in there}}
+    write_bag(
+        folder,
+        signals,
+        stamps={name: stamps[kept] for name, kept in there.items()},
+        parameters={"statistics": statistics, "transient_s": 0},
+    )
+    return summarise(Run.open(folder))
+
+
+def test_samples_of_lost_periods_are_no_gaps(tmp_path: Path) -> None:
+    """What is missing and was never sent has gaps in the record, but nothing is lost in them."""
+    assert bag_with_lost_periods(tmp_path / "none", (), 4).problems == ()
+    some = bag_with_lost_periods(tmp_path / "some", (100, 101, 802, 2000), 4)
+    assert some.problems == ("fsm/command: 4 samples missing in 3 gaps",)
+    beside = bag_with_lost_periods(tmp_path / "beside", (302, 303), 4)
+    assert beside.problems == ("fsm/command: 2 samples missing in 1 gaps",)
+
+
+def test_of_periods_that_nothing_was_recorded_of_as_many_were_sent_as_the_recorder_counts(tmp_path: Path) -> None:
+    """The plant says that it has lost three: the fourth was lost by the recorder, of all topics."""
+    found = bag_with_lost_periods(tmp_path / "bag", (100,), 3)
+    assert set(found.problems) == {
+        "truth/los: 1 samples missing in 1 gaps",
+        "isolator/accel: 1 samples missing in 1 gaps",
+        "fsm/command: 2 samples missing in 2 gaps",
+    }
