@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
+from los_testbed.cli.device import _table
 from los_testbed.config import RunConfig
 from los_testbed.device import emulator, motions
 from los_testbed.device.check import faults, judge
@@ -139,6 +140,39 @@ def test_each_mistake_is_one_line(model, wrong, lines):
 def test_motions_that_the_noise_hides_are_not_judged(model):
     said = faults(checked(model, Bench(noise=1.0)))
     assert any("not judged: without motion there is" in line for line in said)
+
+
+def test_of_a_camera_that_fits_no_motion_no_gain_is_printed(model):
+    """Times of acquisition that jump from frame to frame: what it sees is no motion of any actuator."""
+    bench = Bench()
+    read, rng = bench.read, np.random.default_rng(2)
+
+    def jumping(now_ns):
+        shifts = {"camera_los": int(rng.integers(0, 150) * TICK_NS)}
+        return [Sample(s.port, s.acquired_ns - shifts.get(s.port, 0), s.values) for s in read(now_ns)]
+
+    bench.read, bench.now = jumping, 10**9
+    rows = [row for row in checked(model, bench) if row.part == "camera_los"]
+    assert all(row.fault.startswith("fits no motion: ") for row in rows)
+    assert all(np.isnan(row.gain) and np.isnan(row.delay_ms) for row in rows)
+    (line, _) = _table(tuple(rows)).splitlines()[2:]
+    assert line.startswith("| camera_los[0] |  |  | ")
+
+
+def test_samples_that_are_not_finite_are_not_called_few_or_none(model):
+    bench = Bench()
+    read, odd = bench.read, ["accel_M1"]
+
+    def half(now_ns):
+        return [Sample(s.port, now_ns, s.values * (np.nan if s.port in odd else 1.0)) for s in read(now_ns)]
+
+    bench.read = half
+    assert "accel_M1: too few samples: 0, 4500 not finite" in faults(checked(model, bench))
+    bench, odd[:] = Bench(), MEASURED
+    read = bench.read
+    bench.read = lambda now: [one for one in half(now) if one.port != "camera_los"]
+    with pytest.raises(DeviceError, match="accel_Ip, accel_M1, accel_M2, fsm_angle not finite, no other sample for"):
+        checked(model, bench)
 
 
 def test_a_silent_rig_ends_the_check(model):

@@ -94,6 +94,31 @@ def test_the_times_of_a_slow_read_and_of_another_day_are_used():
     assert as_stamp(0, now, 1_000) == 1 and isinstance(as_stamp(5.5, 1, 1_000), int)
 
 
+@pytest.mark.parametrize(
+    ("odd", "quiet", "said"),
+    [
+        (EVERY_TICK[:2], (), "accel_Ip, accel_M1 not finite for 140 ms"),
+        (EVERY_TICK[:1], EVERY_TICK[1:2], "accel_Ip not finite, accel_M1 silent for 140 ms"),
+        (EVERY_TICK, (), "accel_Ip, accel_M1, accel_M2, fsm_angle not finite for 140 ms"),
+        ((), EVERY_TICK, "no sample for 140 ms"),
+    ],
+)
+def test_a_sensor_without_finite_values_and_one_without_samples_are_told_apart(odd, quiet, said):
+    device = Rig()
+    supervisor = watched(device)
+    assert supervisor.read(time.monotonic_ns())
+
+    def read(now_ns):
+        found = [Sample(port, now_ns, device.noise(port) * (np.nan if port in odd else 1.0)) for port in EVERY_TICK]
+        return [sample for sample in found if sample.port not in quiet]
+
+    device.read = read
+    for _ in range(140):
+        supervisor.read(time.monotonic_ns())
+    with pytest.raises(DeviceError, match=f"my:Rig: {said}; "):
+        supervisor.read(time.monotonic_ns())
+
+
 def without_lines(error):
     """A message without the places in the driver."""
     return re.sub(r" \(out, [^)]*\)", "", str(error))

@@ -331,6 +331,34 @@ def test_a_silent_sensor_is_named():
     assert synchronizer.silent() == [(2, 399 * MS)]
 
 
+def test_a_sensor_whose_values_are_not_finite_is_not_called_silent():
+    synchronizer, _ = own_time()
+    tick(synchronizer, 40)
+    for k in range(41, 440):
+        synchronizer.put(0, sample(k * MS, 1.0))
+        synchronizer.put(2, sample(k * MS, np.nan))
+    assert synchronizer.silent() == [] and dict(synchronizer.not_finite) == {(2, ""): 399}
+    tick(synchronizer, 440)
+    assert synchronizer.last == 440 * MS
+
+
+def test_of_a_message_of_several_topics_the_one_with_an_odd_value_is_named_and_the_frame_in_it_is_used():
+    codec = Codec(VECTOR3, 3, "f")
+    topics = {"accel": slice(0, 1), "camera": slice(1, 2)}
+    part = TickPart(codec, slice(0, 3), 1, (1, 2), [(1, 2)], topics)
+    camera = SlowSensor("camera", slice(1, 2), 2 * MS, 10 * MS)
+    synchronizer = StampSynchronizer([part], 3, {1: camera})
+
+    def put(k, *values):
+        return synchronizer.put(0, bytes(codec.encode(k * MS, np.array(values))))
+
+    assert put(39, 1.0, np.nan, np.nan) is not None
+    assert put(40, np.nan, 5.0, 0.0) is None
+    assert put(41, 1.0, np.inf, 0.0) is not None and put(42, 1.0, 5.0, np.inf) is not None
+    assert dict(synchronizer.not_finite) == {(0, "accel"): 1, (1, ""): 2}
+    assert put(43, 1.0, np.nan, np.nan) is not None and camera.counts["came"] == 1
+
+
 def test_a_frame_of_the_far_future_costs_no_other_one():
     """Not even the first of all, which comes before the time is known."""
     synchronizer, camera = own_time()

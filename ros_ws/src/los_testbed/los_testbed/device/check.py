@@ -42,8 +42,8 @@ class Row:
     Attributes
     ----------
     part, value : port and number of the value in it
-    gain : of the model's amplitude; nan: not known
-    delay_ms : behind the model, by the times of acquisition
+    gain : of the model's amplitude; nan: not known, as of a value that fits no motion
+    delay_ms : behind the model, by the times of acquisition; nan: not known
     noise, expected_noise : of a sample [SI]; nan for a command
     age_ms : median, when it was read; nan for a command
     fault : what is wrong, empty: nothing
@@ -276,28 +276,41 @@ def _sensor_rows(
     rows = []
     for j in range(columns.stop - columns.start):
         low, high = model.noise[columns][j], model.disturbed[columns][j]
+        gain = behind = np.nan
         if not matches:
-            fault, gain = f"too few samples: {len(times)}", np.nan
+            odd = found.not_finite[sensor.port]
+            fault = f"too few samples: {len(times)}" + (f", {odd} not finite" if odd else "")
         elif expected[j] == 0.0:
-            fault, gain = "", np.nan
+            fault = ""
         else:
-            match, gain = matches[j], matches[j].gain
-            fault = _fault(sensor, j, match, expected[j], delay - common)
+            fault = _unknown(sensor, j, matches[j], expected[j])
+            if not fault:
+                gain, behind = matches[j].gain, 1e3 * (delay - common)
+                fault = _fault(sensor, j, matches[j], expected[j], delay - common)
             fault = fault or _noise_fault(noise[j], low, high)
         age = 1e3 * float(np.median(ages)) if len(ages) else np.nan
-        rows.append(Row(sensor.port, j, gain, 1e3 * (delay - common), noise[j], low, age, fault))
+        rows.append(Row(sensor.port, j, gain, behind, noise[j], low, age, fault))
     return rows
 
 
-def _fault(sensor: _Seen, j: int, match: _Match, expected: float, delay: float) -> str:
+def _unknown(sensor: _Seen, j: int, match: _Match, expected: float) -> str:
+    """Why nothing can be said of the gain and the delay of a value, empty: they are known."""
     still = float(_rms(sensor.still[j, sensor.lines()]))
     if still > CLEAR_SHARE * expected:
         return f"not judged: without motion there is {still / expected:.0%} of what the motion makes"
-    moved = float(_rms(sensor.moved[j, sensor.lines()]))
-    if moved < DEAD_GAIN * expected:
-        return "dead: sees nothing"
-    if match.rest > UNEXPLAINED:
+    if match.rest > UNEXPLAINED and not _dead(sensor, j, expected):
         return f"fits no motion: {match.rest:.0%} of its power unexplained"
+    return ""
+
+
+def _dead(sensor: _Seen, j: int, expected: float) -> bool:
+    """Whether a value sees nothing of the motion."""
+    return float(_rms(sensor.moved[j, sensor.lines()])) < DEAD_GAIN * expected
+
+
+def _fault(sensor: _Seen, j: int, match: _Match, expected: float, delay: float) -> str:
+    if _dead(sensor, j, expected):
+        return "dead: sees nothing"
     fault = _words(match, j, "sees")
     if not fault and abs(delay) > DELAY_TOLERANCE_S:
         fault = f"values {abs(1e3 * delay):.0f} ms {'older' if delay > 0 else 'newer'} than their times say"

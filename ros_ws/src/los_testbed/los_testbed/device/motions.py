@@ -12,7 +12,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_testbed.device.contract import Sample
-from los_testbed.device.supervisor import Supervisor
+from los_testbed.device.supervisor import NOT_FINITE, Supervisor
 from los_testbed.loop.tick_clock import TickClock
 from titop_plant.interface import COLUMNS, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
 
@@ -52,10 +52,12 @@ class Record:
     ----------
     commands : times (n,), values (n, 8)
     samples : port to times of acquisition (m,), values (m, size), ages when they were read (m,) [s]
+    not_finite : samples left out for a value that is not finite, by port
     """
 
     commands: tuple[FloatArray, FloatArray]
     samples: dict[str, tuple[FloatArray, FloatArray, FloatArray]]
+    not_finite: dict[str, int]
 
     @property
     def longest_pause_ms(self) -> float:
@@ -103,13 +105,21 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
         found += [(sample, present) for sample in came]
         silent = 0 if came else silent + 1
         if silent > SILENT_TICKS:
-            raise supervisor.failed(f"no sample for {SILENT_TICKS} ms")
+            odd = [port for port in MEASURED if supervisor.counts[f"{NOT_FINITE}{port}"]]
+            what = f"{', '.join(odd)} not finite, no other sample" if odd else "no sample"
+            raise supervisor.failed(f"{what} for {SILENT_TICKS} ms")
         ticks.wait()
     supervisor.write(np.zeros(COMMANDS), steady())
     return Record(
         (np.array([t for t, _ in written]), np.array([u for _, u in written])),
         {port: _of_port(found, port, start) for port in MEASURED},
+        {port: supervisor.counts[f"{NOT_FINITE}{port}"] + _empty_frames(found, port) for port in MEASURED},
     )
+
+
+def _empty_frames(found: Sequence[tuple[Sample, int]], port: str) -> int:
+    """Frames without a value."""
+    return sum(sample.port == port and not np.isfinite(sample.values).all() for sample, _ in found)
 
 
 def _of_port(found: Sequence[tuple[Sample, int]], port: str, start: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -52,6 +52,10 @@ IMPOSSIBLE_TIME = "impossible_time_"
 that is set gives such times, until it is learned anew; a stamp of the far future would make all later ones late."""
 
 
+NOT_FINITE = "not_finite_"
+"""Count of the samples of a port that were refused for a value; frames without values are none of them."""
+
+
 class Supervisor:
     """A device with what the loop has to know of it.
 
@@ -157,7 +161,7 @@ class Supervisor:
                 self.acquired_ns = min(self.acquired_ns, found.acquired_ns)
             self._silent[port] = 0 if port in fresh else self._silent[port] + 1
             if port in fresh:
-                self._odd_before[port] = self.counts[f"not_finite_{port}"]
+                self._odd_before[port] = self.counts[f"{NOT_FINITE}{port}"]
             if port not in fresh:
                 self.counts[f"absent_{port}"] += 1
         self._watch()
@@ -196,7 +200,7 @@ class Supervisor:
         if not all(map(math.isfinite, values.tolist())):
             if sample.port in FRAMED:  # a frame without a star
                 return True
-            self.counts[f"not_finite_{sample.port}"] += 1
+            self.counts[f"{NOT_FINITE}{sample.port}"] += 1
             return False
         data = values.tobytes()
         if data != self._last.get(sample.port):
@@ -209,12 +213,15 @@ class Supervisor:
     def _watch(self) -> None:
         """Raise where a sensor is silent for too long, or frozen."""
         silent = {port: ticks for port, ticks in self._silent.items() if ticks > self._limit_ticks}
-        if len(silent) == len(self._silent):
+        odd = [port for port in silent if self.counts[f"{NOT_FINITE}{port}"] > self._odd_before[port]]
+        quiet = [port for port in silent if port not in odd]
+        if len(quiet) == len(self._silent):
             raise self.failed(f"no sample for {self._limit_ticks} ms")
         if silent:
-            odd = any(self.counts[f"not_finite_{port}"] > self._odd_before[port] for port in silent)
-            what = "not finite" if odd else "silent"
-            raise self.failed(f"{', '.join(silent)} {what} for {self._limit_ticks} ms")
+            what = ", ".join(
+                f"{', '.join(ports)} {how}" for ports, how in ((odd, "not finite"), (quiet, "silent")) if ports
+            )
+            raise self.failed(f"{what} for {self._limit_ticks} ms")
         for samples in (FROZEN_TICKS, FROZEN_FRAMES):
             frozen = [port for port, most in FROZEN.items() if most == samples and self._equal[port] > most]
             if frozen:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class TickPart:
         with another one is rejected.
     frames : sequence of (int, int)
         Slow sensors whose samples come in this message: their number among the slow ones and the column of their age.
+    topics : mapping of str to slice
+        Names of what the message is made of and their columns in it, where it is the message of several topics.
     """
 
     def __init__(
@@ -52,11 +55,14 @@ class TickPart:
         every: int = 1,
         intermittent: Sequence[int] = (),
         frames: Sequence[tuple[int, int]] = (),
+        topics: Mapping[str, slice] = MappingProxyType({}),
     ) -> None:
         self.codec = codec
         self.columns = columns
         self.period_ns = every * TICK_NS
         self.frames = tuple(frames)
+        self._topics = dict(topics) or {"": slice(0, codec.size)}
+        self._may_be_absent = set(intermittent)
         self._required = np.setdiff1d(np.arange(codec.size), intermittent) if len(intermittent) else None
 
     def valid(self, values: FloatArray) -> bool:
@@ -65,6 +71,11 @@ class TickPart:
         # x - x is 0 for a finite number only; one product is cheaper than np.isfinite on each
         energy = float(needed.dot(needed))
         return energy - energy == 0.0 and (self._required is None or not np.isinf(values).any())
+
+    def not_finite(self, values: FloatArray) -> list[str]:
+        """Of which topics values are not finite that have to be; "" for the only one."""
+        odd = [i for i, x in enumerate(values.tolist()) if np.isinf(x) or (x != x and i not in self._may_be_absent)]
+        return [name for name, columns in self._topics.items() if any(columns.start <= i < columns.stop for i in odd)]
 
 
 class StampSynchronizer:
@@ -105,6 +116,8 @@ class StampSynchronizer:
         self._snaps = slow is not None
         self._phases: dict[int, int] = {}
         self.rejected: Counter[str] = Counter()
+        self.not_finite: Counter[tuple[int, str]] = Counter()
+        """Messages of a part that were rejected for a value of one of its topics."""
         self.gaps = 0
         self.stamp = HOLD_STAMP
         self.last = HOLD_STAMP
@@ -173,14 +186,15 @@ class StampSynchronizer:
         except CodecError as error:
             self.rejected[error.reason] += 1
             return None
-        if not part.valid(values):
-            self.rejected["not_finite"] += 1
-            return None
         if self._snaps and stamp != HOLD_STAMP:
             for number, age in part.frames:
                 self._take_bundled(number, self._rows[slot], stamp, age)
         self._newest = max(self._newest, stamp)
         self.latest[index] = stamp
+        if not part.valid(values):
+            self.rejected["not_finite"] += 1
+            self.not_finite.update((index, name) for name in part.not_finite(values))
+            return None
         seen = self._seen[slot] = self._seen[slot] | 1 << index
         if seen & self._always != self._always or not self._complete(seen, stamp):
             return None
@@ -208,12 +222,13 @@ class StampSynchronizer:
         """Another run begins, with counts of its own."""
         self.gaps = 0
         self.rejected.clear()
+        self.not_finite.clear()
         self.off_grid.clear()
         for sensor in self.slow.values():
             sensor.begin_again()
 
     def silent(self) -> list[tuple[int, int]]:
-        """Parts of which nothing has come while others have, and for how long [ns]."""
+        """Parts of which nothing has come, whatever its values, while others have, and for how long [ns]."""
         quiet = [
             (index, self.slow[index].silent_ns() if index in self.slow else self._newest - latest)
             for index, latest in enumerate(self.latest)
@@ -234,7 +249,10 @@ class StampSynchronizer:
         columns, seconds = self.slow[index].columns, row[age]
         values = row[columns].copy()
         row[columns] = np.nan
-        if seconds == seconds:
+        if np.isinf(seconds):  # of no known time
+            row[age] = np.nan
+            self._refuse_frame(index)
+        elif seconds == seconds:
             sent = stamp - round(seconds * 1e9)
             self._take_frame(index, sent, self._nearest(index, sent), values)
 
@@ -242,13 +260,18 @@ class StampSynchronizer:
         """A frame of a slow sensor is kept there for its tick or, where that is over, for the next one."""
         sensor = self.slow[index]
         if np.isinf(values).any():
-            self.rejected["not_finite"] += 1
+            self._refuse_frame(index)
         elif sensor.note(sent, tick, self.now, self.horizon):
             self.latest[index] = tick
             if tick > self.last:
                 sensor.keep(tick, values)
             elif np.isfinite(values).all():
                 sensor.offer(tick, values, self.last)
+
+    def _refuse_frame(self, index: int) -> None:
+        """Count a frame with a value that is not finite."""
+        self.rejected["not_finite"] += 1
+        self.not_finite[index, ""] += 1
 
     def _row_of(self, tick: int) -> FloatArray | None:
         """Vector of an earlier tick, if it is still there and was complete."""

@@ -56,7 +56,8 @@ def _synchronizer(context: NodeContext, bundle: Bundle) -> StampSynchronizer:
     some = [t for t in bundle.topics if t.framed or t.every(config.frame_ticks) > 1]
     absent = [column for t in some for column in range(t.columns.start, t.columns.stop)] + list(bundle.ages.values())
     frames = [(1 + i, bundle.ages[topic.name]) for i, topic in enumerate(slow)]
-    part = TickPart(bundle.codec(), slice(0, bundle.size), 1, absent, frames)
+    named = {topic.name: topic.columns for topic in bundle.topics}
+    part = TickPart(bundle.codec(), slice(0, bundle.size), 1, absent, frames, named)
     sensors = {number: slow_sensor(config, topic) for (number, _), topic in zip(frames, slow, strict=True)}
     return StampSynchronizer([part], bundle.size, sensors if config.mode == "realtime" else None)
 

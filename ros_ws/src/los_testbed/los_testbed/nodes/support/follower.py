@@ -64,6 +64,7 @@ class LawLoop:
         self._held = self._told = False
         self._tried = self.context.config.exercise > 0.0
         self._troubles = (0, 0)
+        self._odd: dict[str, int] = {}
         self._begin_times()
 
     def _begin_times(self) -> None:
@@ -112,6 +113,7 @@ class LawLoop:
         self.law.changes.restore()
         self._begin_times()
         self._troubles = (0, 0)
+        self._odd = {}
 
     def statistics(self, synchronizer: StampSynchronizer, names: Sequence[str]) -> dict[str, str]:
         """Counts and times of the loop."""
@@ -123,6 +125,7 @@ class LawLoop:
             "gap_ticks": str(synchronizer.gaps),
             **self.execution.summary("execution"),
             **rejected,
+            **{f"not_finite_{name}": str(n) for name, n in _not_finite(synchronizer, names).items()},
             **off_grid,
             **frames,
             **self.law.changes.record(),
@@ -137,6 +140,11 @@ class LawLoop:
         if silent := synchronizer.silent():
             level = max(level, WARN)
             message = ", ".join(f"{names[i]} silent for {t * 1e-9:.2g} s" for i, t in silent)
+        odd = _not_finite(synchronizer, names)
+        if new := [name for name, count in odd.items() if count != self._odd.get(name, 0)]:
+            level = max(level, WARN)
+            message = ", ".join([*(f"{name} not finite" for name in new), *([message] if silent else [])])
+        self._odd = odd
         news = troubles[0] - self._troubles[0], troubles[1] - self._troubles[1]
         self._troubles = troubles
         period = {"period_mean_us": f"{self.period.mean_us:.3f}", "period_max_us": f"{self.period.maximum_us:g}"}
@@ -155,6 +163,11 @@ class LawLoop:
                 "rejected_samples": news[1],
             }
         )
+
+
+def _not_finite(synchronizer: StampSynchronizer, names: Sequence[str]) -> dict[str, int]:
+    """Samples that were rejected for a value that is not finite, by topic."""
+    return {name or names[index]: count for (index, name), count in sorted(synchronizer.not_finite.items())}
 
 
 class Follower:
