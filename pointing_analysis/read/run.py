@@ -20,7 +20,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
-from pointing_analysis.read.mcap.bag_metadata import merged, value_of
+from pointing_analysis.read.mcap.bag_metadata import REMAPPED, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.messages.message_types import COLUMNS
@@ -107,14 +107,19 @@ class Run:
             for _ in self._read.blocks():
                 pass
             self._noted.update(dict.fromkeys(self._read.problems()))
-        channels = [c for info in self._read.infos for c in info.channels.values()]
-        self.namespace = self._choose_namespace({c.topic for c in channels})
-        self._schemas = {self.short(c.topic): c.schema for c in channels if c.topic.startswith(self.namespace + "/")}
         found, _ = merged(self._read.infos)
         self.parameters: Mapping[str, Any] = MappingProxyType({k: value_of(v) for k, v in found.items()})
+        every = {c.topic: c for info in self._read.infos for c in info.channels.values()}
+        named = self.parameters.get(REMAPPED)
+        names = named.items() if isinstance(named, dict) else ()
+        self._recorded_as = {str(usual): str(name) for usual, name in names if str(name) in every}
+        self._usual = {name: usual for usual, name in self._recorded_as.items()}
+        channels = {self._usual.get(topic, topic): channel for topic, channel in every.items()}
+        self.namespace = self._choose_namespace(channels)
+        self._schemas = {self.short(t): c.schema for t, c in channels.items() if t.startswith(self.namespace + "/")}
         if fits:
             for topic, column in columns.items():
-                if topic.startswith(self.namespace + "/"):
+                if self._usual.get(topic, topic).startswith(self.namespace + "/"):
                     self._topics[self.short(topic)] = self._finished(column)
 
     def _pass(self, selects: Callable[[str], bool]) -> tuple[dict[str, Column], bool]:
@@ -192,8 +197,13 @@ class Run:
     # -- access -------------------------------------------------------------------------------------------------
 
     def short(self, topic: str) -> str:
-        """Name of a topic without the namespace."""
-        return topic[len(self.namespace) + 1 :]
+        """Name of a topic without the namespace; of one that was remapped its usual one."""
+        return self._usual.get(topic, topic)[len(self.namespace) + 1 :]
+
+    def _full(self, name: str) -> str:
+        """Name under which a topic is recorded."""
+        usual = f"{self.namespace}/{name}"
+        return self._recorded_as.get(usual, usual)
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -223,7 +233,7 @@ class Run:
             return self._topics[name]
         if name not in self.topics:
             raise BagError(f"{self.path}: no topic {name!r}; the bag has {', '.join(self.topics)}")
-        full = f"{self.namespace}/{name}"
+        full = self._full(name)
         columns, fits = self._pass(lambda topic: topic == full)
         if not fits:
             raise BagError(
@@ -241,7 +251,7 @@ class Run:
 
         Empty where the bag has no such topic.
         """
-        full, found = f"{self.namespace}/{name}", []
+        full, found = self._full(name), []
         reading = BagPass(self.path, self._files, self._max_chunk, self._window)
         for info, block in reading.blocks():
             seconds = reading.seconds(block)

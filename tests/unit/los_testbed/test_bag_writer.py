@@ -1,5 +1,6 @@
 """Bags: readers that others wrote find what was put in."""
 
+import json
 import zlib
 
 import numpy as np
@@ -13,6 +14,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from pointing_analysis.read.mcap.bag_metadata import has_right_hash
+from pointing_analysis.read.run import Run
 
 MS = 1_000_000
 
@@ -123,3 +125,27 @@ def test_an_empty_bag_is_a_bag(tmp_path):
         summary = make_reader(stream).get_summary()
     assert summary.statistics.message_count == 0
     assert len(summary.channels) == len(TOPICS)
+
+
+def test_a_remapped_topic_has_the_name_that_it_was_sent_under_and_is_read_by_its_usual_one(tmp_path):
+    stamps, angles = 10**9 + MS * np.arange(50), np.random.default_rng(2).standard_normal((50, 2))
+    sent_as = {TRUTH_LOS.path: "/bench/autocollimator"}
+    metadata = {"los_testbed": {"remapped": json.dumps(sent_as)}}
+    with BagWriter(tmp_path / "a", metadata, topics=[TRUTH_LOS, PMA_COMMAND], sent_as=sent_as) as w:
+        w.write("/bench/autocollimator", stamps, stamps, codec_for(TRUTH_LOS).encode_many(stamps, angles))
+    with AnyReader([tmp_path / "a"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        assert {c.topic for c in reader.connections} == {"/bench/autocollimator", PMA_COMMAND.path}
+    run = Run.open(tmp_path / "a")
+    assert run.namespace == "/telescope" and run.topics == ("pma/command", "truth/los")
+    assert run["truth/los"].values[:, :2].tolist() == angles.tolist()
+    assert len(run.messages("truth/los")) == 50
+
+
+def test_a_name_that_no_topic_has_is_no_name_of_one(bag):
+    """A bag that was made of one with remapped topics has them under their usual names."""
+    _, stamps, sent = bag
+    run = Run.open(bag[0])
+    remapped = {"los_testbed": {"remapped": json.dumps({TRUTH_LOS.path: "/not/there"})}}
+    with BagWriter(bag[0].with_name("b"), remapped, topics=[TRUTH_LOS]) as w:
+        w.write(TRUTH_LOS.path, stamps, stamps, codec_for(TRUTH_LOS).encode_many(stamps, sent[TRUTH_LOS.path]))
+    assert Run.open(bag[0].with_name("b"))["truth/los"].values.tolist() == run["truth/los"].values.tolist()

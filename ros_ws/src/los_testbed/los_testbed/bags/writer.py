@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,8 @@ class BagWriter:
         Of the topics; default: that in the metadata.
     topics : sequence of TopicDefinition
         Default: those of the table.
+    sent_as : mapping of str to str
+        Other names of topics, absolute as well, under which they are recorded.
 
     Raises
     ------
@@ -105,6 +107,7 @@ class BagWriter:
         name: str | None = None,
         namespace: str | None = None,
         topics: Sequence[TopicDefinition] = TOPICS,
+        sent_as: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         check_new_bag(path)
         try:
@@ -117,7 +120,8 @@ class BagWriter:
         self.namespace = (
             namespace if namespace is not None else metadata.get(METADATA_NAME, {}).get("namespace", NAMESPACE)
         )
-        self._types = {topic.path_in(self.namespace): topic.type_name for topic in topics}
+        paths = {topic.path_in(self.namespace): topic.type_name for topic in topics}
+        self._types = {sent_as.get(path, path): type_name for path, type_name in paths.items()}
         if diagnostics:
             self._types[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         for name, table in metadata.items():

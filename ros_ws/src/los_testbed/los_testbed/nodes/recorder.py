@@ -30,6 +30,7 @@ from los_testbed.run.bag_names import free_name
 from los_testbed.run.processes.node_launch import STATISTICS_VARIABLE
 from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
+from pointing_analysis.read.mcap.bag_metadata import REMAPPED
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import HEADER
 from pointing_analysis.read.unsent import UNSENT
@@ -74,6 +75,7 @@ class Recorder:
         topics = self.parts.topics
         self.tracks = topic_tracks(context, DEPTH, topics=topics)
         self._from_plant = [track for track, topic in zip(self.tracks, topics) if topic.publisher == "plant"]
+        self._sent_as = {t.path: t.subscription.name for t in self.tracks if t.subscription.name != t.path}
         self.reports = report_tracks(context)
         self._late = ReportWatch(node, NODES[:-1]) if config.mode == "realtime" else None
         self.watch = SourceWatch(node, [t.subscription for t in (*self.tracks, *self.reports.values())])
@@ -186,10 +188,11 @@ class Recorder:
                 return
             self.bag = BagWriter(
                 self.path,
-                {METADATA_NAME: run_metadata(self.parts, self.start)},
+                {METADATA_NAME: {**run_metadata(self.parts, self.start), **self._remapped()}},
                 attachments(self.parts, self.start),
                 diagnostics=not self.simulated,
                 topics=self.parts.topics,
+                sent_as=self._sent_as,
             )
         for track in self.tracks:
             self._write(self.bag, track)
@@ -201,6 +204,10 @@ class Recorder:
             self._write(self.bag, merged)
         self.bag.end_chunk()
 
+    def _remapped(self) -> dict[str, str]:
+        """What the bag says of topics that have another name."""
+        return {REMAPPED: json.dumps(self._sent_as)} if self._sent_as else {}
+
     def _write(self, bag: BagWriter, track: Track) -> None:
         """Messages of equal length go in one block."""
         if not track.data:
@@ -211,7 +218,7 @@ class Recorder:
             log = sent = np.array([stamp_of(message) for message in track.data], np.int64)
         for start, stop in _runs(sizes):
             block = np.frombuffer(b"".join(track.data[start:stop]), np.uint8).reshape(stop - start, -1)
-            bag.write(track.path, log[start:stop], sent[start:stop], block)
+            bag.write(self._sent_as.get(track.path, track.path), log[start:stop], sent[start:stop], block)
         track.data, track.received, track.sent = [], [], []
 
     def own_statistics(self) -> dict[str, str]:

@@ -20,7 +20,8 @@ from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.requesters import UNKNOWN
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
-from los_testbed.topics import ISOLATOR_ACCEL
+from los_testbed.nodes.support.unread_topics import bypassed_in_words, unread_in_words
+from los_testbed.topics import ISOLATOR_ACCEL, SENSORS
 from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0
@@ -136,12 +137,17 @@ def wait_for_followers(
             time.sleep(HOLD_PERIOD_S)  # the last echoes arrive
             _refuse_second_commander(context, io, meanwhile)
             io.choose_readers(answers.bundled)
+            topics = (*SENSORS, *(one.topic for one in io.commands)) if answers.bundled else ()
+            if text := bypassed_in_words(context.node, topics, io.bundle_reader.source.name):
+                context.event("warning", message=text)
+                context.warn_alone([text])
             return
         elif time.monotonic() - start_time > context.config.start_timeout:
             _refuse_second_commander(context, io, meanwhile)
             missing = ", ".join(subscription.name + _strangers_on(subscription) for subscription in answers.missing)
             raise ValueError(
                 f"all nodes must answer within {context.config.start_timeout:g} s, got no message on {missing}"
+                f"{unread_in_words(context.node)}"
             )
 
 

@@ -37,7 +37,7 @@ class Track:
     """What came on one topic from its matched publisher since the last chunk, and what is known of it altogether."""
 
     def __init__(self, path: str, subscription: RawSubscription, period_ns: int, codec: Codec | None = None) -> None:
-        self.path = path
+        self.path = path  # where it is not remapped; the subscription has the name that it is sent under
         self.codec = codec
         self.unreadable = 0
         self._numbers = np.zeros(codec.size if codec else 0)

@@ -1,0 +1,67 @@
+"""Topics of a run that are sent and not read, or read and not sent: what a forgotten remap leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rclpy.node import Node
+
+from los_testbed.nodes.support.transport.bundle import COMMANDS_NAME, MEASUREMENTS_NAME
+from los_testbed.topics import SENSORS, TopicDefinition
+from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
+
+LISTENERS = ("recorder", "live")
+"""Nodes that read whatever is sent."""
+
+LAWS = ("estimator", "controller")
+
+
+def unread_in_words(node: Node) -> str:
+    """What is sent and read by nobody else, and what is read and sent by nobody, of the nodes of a run.
+
+    Where the message with all samples of a tick is read, the topics of single sensors need no reader.
+
+    Parameters
+    ----------
+    node : Node
+        The plant's.
+    """
+    own = [node.resolve_topic_name(topic.name) for topic in SENSORS]
+    bundles = {node.resolve_topic_name(name) for name in (MEASUREMENTS_NAME, COMMANDS_NAME)}
+    composed = bool(_readers(node, node.resolve_topic_name(MEASUREMENTS_NAME)))
+    laws = [name for name in LAWS if name in node.get_node_names()]
+    sent = [] if composed or not laws else own
+    heard: dict[str, str] = {}
+    for name in laws:
+        if not composed or name == "controller":
+            sent += _topics(node.get_publisher_names_and_types_by_node(name, node.get_namespace()))
+        heard |= dict.fromkeys(_topics(node.get_subscriber_names_and_types_by_node(name, node.get_namespace())), name)
+    unread = [topic for topic in sent if topic not in bundles and not _readers(node, topic)]
+    unsent = [f"{topic} (read by {name})" for topic, name in heard.items() if not node.count_publishers(topic)]
+    words = [f"nobody reads {', '.join(unread)}"] if unread else []
+    words += [f"nobody sends {', '.join(unsent)}"] if unsent else []
+    return "".join(f"; {text}" for text in words)
+
+
+def bypassed_in_words(node: Node, topics: Iterable[TopicDefinition], bundle: str) -> str:
+    """What is said where topics of single sensors or actuators have other names and the message of all is used."""
+    own = node.get_namespace().rstrip("/")
+    names = [(f"{own}/{topic.name}", node.resolve_topic_name(topic.name)) for topic in topics]
+    other = ", ".join(f"{usual} is {name}" for usual, name in names if usual != name)
+    if not other:
+        return ""
+    return (
+        f"{other}, but the loop uses {bundle}: what stands between the two names acts on nothing; start estimator and "
+        "controller in processes of their own (--processes separate, composed:=false)"
+    )
+
+
+def _topics(found: Iterable[tuple[str, list[str]]]) -> list[str]:
+    """Topics with the types of the loop."""
+    return sorted(topic for topic, types in found if {ACCEL, JOINT_STATE, VECTOR3}.intersection(types))
+
+
+def _readers(node: Node, topic: str) -> list[str]:
+    """Nodes that read a topic."""
+    names = [endpoint.node_name for endpoint in node.get_subscriptions_info_by_topic(topic)]
+    return [name for name in names if name not in LISTENERS]
