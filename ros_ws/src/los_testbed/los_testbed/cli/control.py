@@ -35,7 +35,7 @@ def _remote(domain: int | None, namespace: str, timeout: float, at: float | None
     seconds("--at", at, 1e6)
     from los_testbed.run.processes.node_launch import check_ros
 
-    check_ros()
+    check_ros(domain)
     from los_testbed.nodes.remote_control import remote_control
 
     with remote_control(domain, namespace, timeout) as remote:

@@ -124,7 +124,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     from los_testbed.run.processes.node_launch import check_ros
     from pointing_analysis.replay.replay import compare
 
-    check_ros()
+    check_ros(domain)
     from los_testbed.nodes.sensor_player import play
     from pointing_analysis.requirements.summary import METADATA as REQUIREMENTS
 

@@ -324,7 +324,7 @@ def check(parts: RunParts) -> tuple[str, ...]:
     if config.mode != "inprocess":
         from los_testbed.run.processes.node_launch import check_ros
 
-        check_ros()
+        check_ros(config.domain)
     return warnings
 
 

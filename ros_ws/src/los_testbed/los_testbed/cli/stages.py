@@ -102,7 +102,7 @@ def stages(
         check_new_bag(folder)
     warn(RunParts(base).check())
     if base.mode != "inprocess":
-        check_ros()
+        check_ros(base.domain)
     chosen = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
     plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs or "")

@@ -23,6 +23,7 @@ from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.processes.domains import domain_lock
+from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, domain_of
 from los_testbed.topics import FSM_COMMAND, IMAGE_NAME, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import IMAGE
@@ -95,9 +96,9 @@ def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, 
             f"{run.path}: to drive nodes the bag must hold {', '.join(missing)}, got {', '.join(run.topics)}"
         )
     if domain is not None:
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        os.environ[DOMAIN_VARIABLE] = str(domain)
     os.environ.setdefault("ROS_LOG_DIR", "/tmp")
-    with domain_lock(int(os.environ.get("ROS_DOMAIN_ID", "0")), NAMESPACE):
+    with domain_lock(domain_of(os.environ), NAMESPACE):
         context = NodeContext("replay", [])
         try:
             others = OtherPlants(context)

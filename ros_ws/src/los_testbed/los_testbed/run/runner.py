@@ -35,6 +35,7 @@ from los_testbed.run.processes.node_launch import (
     ros_arguments,
 )
 from los_testbed.run.processes.node_process import NodeProcess
+from los_testbed.run.processes.ros_variables import domain_of
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
 from los_testbed.run_start import START_VARIABLE, at_rest, for_nodes
@@ -130,7 +131,7 @@ class Runner:
     def domain(self) -> int:
         """ROS domain of the run."""
         own = self._config.domain
-        return own if own is not None else int(os.environ.get("ROS_DOMAIN_ID", "0"))
+        return own if own is not None else domain_of(os.environ)
 
     def run(self) -> Results:
         """Start, watch and end the nodes.
@@ -142,7 +143,7 @@ class Runner:
         RunError
             A node failed; the others were ended.
         """
-        check_ros()
+        check_ros(self._config.domain)
         check_address_space(self._live is not None)
         check_new_bag(self._config.bag)
         parts = RunParts(self._config)

@@ -44,6 +44,7 @@ from los_testbed.nodes.support.transport.raw_topics import listed_publisher
 from los_testbed.nodes.support.transport.security import refuse_missing_security
 from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
 from los_testbed.run.processes.node_launch import EVENTS_VARIABLE
+from los_testbed.run.processes.ros_variables import check_variables
 from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 CHANGING = "set_parameters", "set_parameters_atomically"
@@ -81,6 +82,7 @@ class NodeProcess:
         sharpen_timers()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+        check_variables(os.environ)
         choose_middleware(os.environ)
         rclpy.init(args=[name, *arguments], signal_handler_options=SignalHandlerOptions.NO)
         refuse_missing_security()

@@ -15,6 +15,7 @@ from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import COMPOSED, RunConfig
 from los_testbed.run.processes.enclaves import enclave_path
 from los_testbed.run.processes.memory_file import memory_file
+from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, check_variables
 from los_testbed.topics import BOTH_LAWS, NODES
 from pointing_analysis.files.atomic_output import write_text
 
@@ -26,7 +27,7 @@ RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST_VARIABLE = "ROS_LOCALHOST_ONLY"
 """Deprecated form of the range ``LOCALHOST``; 1 overrides :data:`RANGE_VARIABLE`."""
 TRANSPORT_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
-LAYER_VARIABLE, LAYER = "RMW_IMPLEMENTATION", "rmw_fastrtps"
+LAYER = "rmw_fastrtps"
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Fast DDS 2 and 3 call it differently."""
 
@@ -36,14 +37,20 @@ def node_command(name: str) -> list[str]:
     return [sys.executable, "-m", f"los_testbed.nodes.{name}"]
 
 
-def check_ros() -> None:
+def check_ros(domain: int | None = None) -> None:
     """Refuse to start processes that cannot run.
+
+    Parameters
+    ----------
+    domain : int, optional
+        In place of that of the environment.
 
     Raises
     ------
     ValueError
-        rclpy is not installed.
+        rclpy is not installed, or a variable of the environment has a value with which it does not start.
     """
+    check_variables({**os.environ, **({} if domain is None else {DOMAIN_VARIABLE: str(domain)})})
     if importlib.util.find_spec("rclpy") is None:
         raise ValueError(f"rclpy must be installed for this mode: ROS 2 is not installed; {_how_to_get_ros()}")
 
@@ -119,7 +126,7 @@ def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
     variables["OPENBLAS_NUM_THREADS"] = "1"
     variables[EVENTS_VARIABLE] = str(os.getpid())
     if config.domain is not None:
-        variables["ROS_DOMAIN_ID"] = str(config.domain)
+        variables[DOMAIN_VARIABLE] = str(config.domain)
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     return variables
@@ -139,11 +146,11 @@ def run_alone(name: str, config: RunConfig) -> int:
         raise ValueError(f"--only must be one of {', '.join((*NODES, BOTH_LAWS))}, got {name!r}")
     if config.mode == "inprocess":
         raise ValueError("mode must be realtime or lockstep with --only, got inprocess")
-    check_ros()
+    check_ros(config.domain)
     if name == "recorder":
         check_new_bag(config.bag)
     if config.domain is not None:
-        os.environ["ROS_DOMAIN_ID"] = str(config.domain)
+        os.environ[DOMAIN_VARIABLE] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
         node = importlib.import_module(f"los_testbed.nodes.{module_of(name, config)}")
         return int(node.main(ros_arguments(config, parameters.path, name)))

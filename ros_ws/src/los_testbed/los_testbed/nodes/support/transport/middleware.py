@@ -12,12 +12,12 @@ from pathlib import Path
 
 from los_testbed.run.processes.node_launch import (
     LAYER,
-    LAYER_VARIABLE,
     LOCALHOST_VARIABLE,
     PROFILE_VARIABLES,
     RANGE_VARIABLE,
     TRANSPORT_VARIABLE,
 )
+from los_testbed.run.processes.ros_variables import LAYER_VARIABLE
 
 _PROFILES = Path(__file__).parents[3] / "profiles"
 NETWORK_PROFILE = _PROFILES / "fastdds.xml"
