@@ -19,12 +19,12 @@ from pathlib import Path
 from los_testbed.run.processes import namespaces
 from los_testbed.run.processes.node_launch import (
     LAYER,
-    LAYER_VARIABLE,
     LOCALHOST_VARIABLE,
     PROFILE_VARIABLES,
     RANGE_VARIABLE,
     TRANSPORT_VARIABLE,
 )
+from los_testbed.run.processes.ros_variables import LAYER_VARIABLE
 from los_testbed.run.processes.viewers import Live, opened_here
 
 _PROGRAM = [sys.executable, "-I", "-S", str(Path(namespaces.__file__))]
