@@ -86,4 +86,4 @@ def _among(stamps: IntArray, topic: Topic) -> BoolArray:
     nearest = np.minimum(
         np.abs(there[np.minimum(after, len(there) - 1)] - stamps), np.abs(there[np.maximum(after - 1, 0)] - stamps)
     )
-    return nearest <= topic.period * 1e9 / 2
+    return np.asarray(nearest <= topic.period * 1e9 / 2)

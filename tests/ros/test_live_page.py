@@ -35,6 +35,7 @@ READ = "JSON.stringify({start: document.body.dataset.start, tick: document.body.
     f"'{name}': document.getElementById('{name}').textContent"
     for name in ("los-x", "los-y", "stage", "missed", "ticks", "connection", "answer")
 )
+ACTIVE = "[...document.querySelectorAll('button')].filter(b => !b.disabled).length"
 READ += ", stageBefore: document.body.dataset.stageBefore})"
 
 
@@ -88,6 +89,7 @@ def post_long(address, token):
 def use_page(page, found):
     """What a user does on the page, by keyboard as far as it goes."""
     found["early"] = until(page, lambda now: int(now.get("tick", 0)) > 1500 and now["ticks"] != "-")
+    found["active"] = page.value(ACTIVE)
     found["refused"] = refusals(found["address"])
     found["samples"] = [read(page)]
     for _ in range(8):
@@ -120,6 +122,7 @@ def use_page(page, found):
     found["reached"] = set(reached)
     page.value("document.querySelector('button[data-name=stop]').click()")
     found["last"] = until(page, lambda now: now["connection"] == "run over")
+    found["active at the end"] = page.value(ACTIVE)
     found["errors"] = list(page.errors)
 
 
@@ -185,6 +188,13 @@ def test_the_page_ends_with_the_counts_of_the_run(watched):
     assert found["last"]["ticks"] == results.statistics["plant"]["ticks"]
     assert not results.failures and not results.interrupted, "stopped by the page"
     assert not [line for line in results.warnings if "viewers" in line]
+
+
+@pytest.mark.slow
+def test_the_buttons_are_active_while_there_is_a_run(watched):
+    found = watched[0]
+    assert found["active"] == len(found["buttons"]) and found["active at the end"] == 0
+    assert found["last"]["connection"] == "run over" and found["last"]["answer"] == ""
 
 
 @pytest.mark.slow

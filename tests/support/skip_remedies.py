@@ -8,6 +8,7 @@ from collections.abc import Iterable
 REMEDIES = {
     "this processor has no extended precision": "run on x86-64, whose long double has 64 bits of mantissa",
     "no chromium": "install a browser: apt-get install chromium",
+    "no node": "install Node.js: apt-get install nodejs",
     "could not import 'pandas": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'xarray": "install the extra: pip install 'los-testbed[dataframes]'",
     "could not import 'distributed": "install the extra: pip install 'los-testbed[campaign]'",

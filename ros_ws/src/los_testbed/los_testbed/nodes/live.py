@@ -1,4 +1,4 @@
-"""Live node: the topics of a run for viewers, by Foxglove's protocol and as a page, at ordinary priority.
+"""Live node: the topics of a run for viewers, by Foxglove's protocol and as a page; it comes after the loop.
 
 In real time it reads best effort: a viewer, or this node, that is slow does not make the others send anything again.
 """
@@ -24,6 +24,7 @@ from los_testbed.live.foxglove_controls import FoxgloveControls
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import Frames
 from los_testbed.live.page_server import PageServer
+from los_testbed.loop.scheduling import prefer
 from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.track import merge, report_tracks, topic_tracks
@@ -32,6 +33,8 @@ from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 DEPTH = 1000
 PERIOD_S = 0.02
+NICE = -10
+"""What the loop leaves of two processors goes to viewers before the programs beside it."""
 SERVICE_S = 0.05
 LOOK_NS = 20_000_000
 LIFE_CYCLE = ("activate", "deactivate")
@@ -83,6 +86,8 @@ class LiveNode:
     def __init__(self, context: NodeContext, live: Live) -> None:
         config, node = context.config, context.node
         self.context = context
+        if config.priority:
+            prefer(NICE)
         parts = RunParts(config)
         self._topics = parts.topics
         self.tracks = topic_tracks(context, DEPTH, reliable=config.mode == "lockstep", topics=self._topics)

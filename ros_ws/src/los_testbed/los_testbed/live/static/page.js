@@ -1,7 +1,7 @@
 "use strict";
 // Shows the frames of the server (live/frames.py) and posts actions. The token is the fragment of the address.
 (() => {
-  const SPAN_S = 5, HISTORY_S = 300, LEVELS = ["OK", "WARN", "ERROR", "STALE"];
+  const SPAN_S = 5, HISTORY_S = 300, NORMAL = 1000, LEVELS = ["OK", "WARN", "ERROR", "STALE"];
   const COLOURS = ["--blue", "--orange", "--ok", "--bad"];
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
@@ -176,9 +176,17 @@
     }
   }
 
-  function connection(text, kind) {
+  // Text of the connection; the buttons ask a run that goes on, and nothing else.
+  function connection(text, kind, active = false) {
     at("connection").textContent = text;
     at("connection").className = `status ${kind}`;
+    for (const button of document.querySelectorAll("button[data-name]")) button.disabled = !active;
+  }
+
+  function end() {
+    over = true;
+    connection("run over", "");
+    show("answer", "");
   }
 
   function take(frame) {
@@ -187,7 +195,6 @@
       show("run", `${fixed.namespace}, ${fixed.mode}, scenario ${fixed.scenario}, ${fixed.duration} s`);
     }
     if (frame.run !== run) { run = frame.run; clear(); }
-    over = frame.over;
     document.body.dataset.start = frame.start;
     if (at("stage").textContent !== frame.stage) {
       show("stage", frame.stage);
@@ -203,13 +210,15 @@
     charts.los.setData([recent.t, recent.x, recent.y]);
     charts.actuators.setData([recent.t, recent.fsm, recent.pma]);
     drawCloud();
-    connection(over ? "run over" : frame.tick < 0 ? "waiting for the run" : "running", over ? "" : "ok");
+    if (frame.over) end();
+    else connection(frame.tick < 0 ? "waiting for the run" : "running", "ok", true);
   }
 
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/data`);
     socket.onmessage = (message) => take(JSON.parse(message.data));
-    socket.onclose = () => {
+    socket.onclose = (closed) => {
+      if (closed.code === NORMAL) end();
       if (over) return;
       connection("connection lost", "bad");
       setTimeout(connect, 2000);
@@ -226,9 +235,11 @@
         body: JSON.stringify({ name: button.dataset.name, value: JSON.parse(button.dataset.value) }),
       });
       const { error } = await response.json();
+      if (over) return;
       answer.className = error ? "bad" : "";
       show("answer", error || `${button.dataset.name} ${button.textContent}: accepted`);
     } catch (error) {
+      if (over) return;
       answer.className = "bad";
       show("answer", "no answer from the server");
     }
