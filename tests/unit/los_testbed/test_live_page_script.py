@@ -20,7 +20,8 @@ let socket, reconnects = 0;
 const page = {
   document: { documentElement: {}, body: element(), getElementById: (id) => (ids[id] ||= element()),
     querySelectorAll: () => buttons, createElement: element },
-  getComputedStyle: () => ({ getPropertyValue: () => "" }), location: { hash: "#token=a", protocol: "http:", host: "h" },
+  getComputedStyle: () => ({ getPropertyValue: () => "" }),
+  location: { hash: "#token=a", protocol: "http:", host: "h" },
   URLSearchParams, uPlot: class { setData() {} destroy() {} setSize() {} }, ResizeObserver: class { observe() {} },
   WebSocket: class { constructor() { socket = this; } }, setTimeout: () => { reconnects += 1; },
 };
