@@ -16,7 +16,7 @@ from pointing_analysis.requirements.verdict import Status, Verdict
 from pointing_analysis.rounding import at_most
 from pointing_analysis.units import ANGLES
 
-KEEPS = "keeps its limits"
+KEEPS = "within limits"
 """Shown for a run that keeps a limit and is too short to prove it."""
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""

@@ -97,9 +97,9 @@ class Verdict:
             return f"{'at' if self.keeps else beyond} its limit; no length of run decides it"
         seconds = f"{math.ceil(self.seconds_needed)} s"
         return (
-            f"keeps its limit; {seconds} would prove it"
+            f"within limit, not yet demonstrated: needs {seconds}"
             if self.keeps
-            else f"{beyond} its limit; {seconds} would decide"
+            else f"{beyond} limit, not yet demonstrated: needs {seconds}"
         )
 
 

@@ -266,4 +266,4 @@ def test_the_five_lines_of_the_page(folder: Path, monkeypatch: pytest.MonkeyPatc
     unit.writeto("pupil.fits")
     main([*command[1:], "--transient", "0"])
     page = Path("seen.html").read_text()
-    assert "MTF(20 ms, Nyquist)" in page and "keeps its limits" in page and '<figure id="star">' in page
+    assert "MTF(20 ms, Nyquist)" in page and "within limits" in page and '<figure id="star">' in page

@@ -124,9 +124,9 @@ def test_all_outputs_agree(seed: int, tmp_path: Path, monkeypatch: pytest.Monkey
             on_page = shown["all runs" if joint else run.path.name, row["text"]]
             _, value, limit, bound, _ = seen(row)
             assert [on_page[head] for head in ("Quantile", "Limit", "Bound")] == [value, limit, bound]
-            words = {"not enough data": ("not enough data", "keeps its limits")}.get(row["status"], (row["status"],))
+            words = {"not enough data": ("not enough data", "within limits")}.get(row["status"], (row["status"],))
             assert on_page["Verdict"] in words
-            assert ("keeps" in on_page["Verdict"]) == row["statement"].startswith(("keeps its limit", "at its limit"))
+            assert ("within" in on_page["Verdict"]) == row["statement"].startswith(("within limit", "at its limit"))
             assert row["note"] in on_page.get("Remark", "")
     single = [r for r in requirements if not r.across_runs]
     assert len(page) == len({str(r) for r in requirements if r.across_runs and count > 1}) + (
