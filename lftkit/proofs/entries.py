@@ -132,7 +132,7 @@ def record(forms: Mapping[str, Form], optional: Mapping[str, Form] | None = None
 
 def table(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Rows of finite numbers, all of the same length."""
-    rows = value if type(value) in (list, tuple) else (None,)
+    rows: Any = value if type(value) in (list, tuple) else (None,)
     if not all(type(row) in (list, tuple) for row in rows) or len({len(row) for row in rows}) > 1:
         raise refuse(where, "a list of rows of the same length", value)
     if not {type(entry) for row in rows for entry in row} <= {int, float}:
@@ -227,17 +227,14 @@ def file_content(path: Path) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
 def member(data: bytes, name: str) -> np.ndarray[Any, Any]:
     """An array in numpy's format, of which nothing is made before its size is known to be that of the data."""
     stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    format_of: Any = np.lib.format
+    version = format_of.read_magic(stream)
+    read = format_of.read_array_header_1_0 if version == (1, 0) else format_of.read_array_header_2_0
     shape, by_columns, kind = read(stream)
     count, start = math.prod(shape), stream.tell()
-    sizes = all(type(size) is int and size >= 0 for size in shape) and kind.str in TYPES
-    if (
-        not sizes
-        or not name.endswith(".npy")
-        or version not in ((1, 0), (2, 0))
-        or len(data) - start != count * kind.itemsize
-    ):
+    known = name.endswith(".npy") and version in ((1, 0), (2, 0)) and kind.str in TYPES
+    sizes = all(type(size) is int and size >= 0 for size in shape)
+    if not (known and sizes and len(data) - start == count * kind.itemsize):
         raise ProofError(f"{name} must be an array of {', '.join(TYPES)} and of its size, got {kind.str} {shape}")
     values = np.frombuffer(data[start:], kind) if count else np.zeros(0, kind)
     return values.reshape(shape, order="F" if by_columns else "C").copy()

@@ -30,11 +30,13 @@ from los_design.verification.bundle import (
     MANIFEST,
     TELESCOPE,
     Bundle,
+    ProvenFigure,
     as_mapping,
     check_bundle,
     checked_noise,
     member_of,
     open_bundle,
+    requirements_of,
     write_bundle,
 )
 from los_design.verification.loop_models import box_of, figures_of, noise_model, provable, telescope_model
@@ -224,7 +226,7 @@ def with_another_number(text: bytes, chance: random.Random, ignored: set[str]) -
 def test_any_other_number_is_another_subject_or_refused(member: str, written: Path, tmp_path: Path) -> None:
     """With right hashes: a statement names another telescope or other controllers then."""
     chance = random.Random(member)
-    ignored = {"provenance", "design_basis", "version", "requirement"}
+    ignored = {"provenance", "version", "requirement"}
     with open_bundle(written) as bundle:
         own = bundle.subject
     for _ in range(40):
@@ -238,6 +240,19 @@ def test_any_other_number_is_another_subject_or_refused(member: str, written: Pa
                 assert bundle.subject != own
         except ProofError:
             pass
+
+
+def test_a_bundle_speaks_of_the_requirements_of_its_limits_alone() -> None:
+    """Not of one that is added for another stage, or of another window."""
+    parameters = load_parameters()
+    own = [row["text"] for row in parameters["requirement"]]
+    added = {"name": "other", "text": "prob(|APE| < 1 arcsec) >= 0.997 at 95 % confidence", "loop": "isolator"}
+    with_other = {**parameters, "requirement": [*parameters["requirement"], added]}
+    figures = {name: ProvenFigure("fsm", name, 0.5, 1.0, (0.0, 1.0), 1, 1) for name in ("APE", "fast", "mirror")}
+    assert requirements_of(with_other, figures.values(), ()) == tuple(own[:2])
+    assert requirements_of(with_other, [figures["fast"]], ()) == (own[1],)
+    assert requirements_of(with_other, [figures["mirror"]], ()) == ()
+    assert requirements_of(with_other, [], ["fsm+pma"]) == (own[0], own[2])
 
 
 def renamed(members: dict[str, bytes]) -> None:

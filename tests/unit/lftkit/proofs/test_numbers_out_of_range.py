@@ -17,6 +17,7 @@ import pytest
 from mpmath import mp
 from support.uncertain_examples import aligned_modes
 
+from lftkit import Port, RealParameter, System
 from lftkit.arrays import ComplexArray
 from lftkit.proofs import ProofError, check_mu, check_proof, mu, real_block, worst_case_gain
 from lftkit.proofs.axis.proof import AxisProof
@@ -25,6 +26,7 @@ from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest
 from lftkit.proofs.trusted.definite import positive
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, reciprocal, span, weighted_share
+from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.stability import nominal_windows, windows_above
 
 POWERS = (-320, -310, -290, -160, 160, 290, 300, 308)
@@ -283,3 +285,19 @@ def test_the_weight_of_the_relative_error_is_bounded_from_above_however_slow() -
         for y in (1e-300, 1e-12, 1e-8, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3):
             at = mp.mpf(y)
             assert mp.mpf(window_power(y)) >= 1 - 144 / (at**4 + 12 * at**2 + 144)
+
+
+@pytest.mark.parametrize("exponent", [307.6, 307.7, 307.8, 307.9, 307.95])
+@pytest.mark.parametrize("factor", [1.0, 1e300])
+def test_a_form_that_overflows_as_it_is_made_hermitian_proves_nothing(exponent: float, factor: float) -> None:
+    """A mode of gain 5 and one number as all scalings: "below 0.01 of the limit" was accepted."""
+    p = RealParameter("p", 0.0, -1.0, 1.0)
+    B, C = [[0.0, 0.0], [-0.1, 1.0]], [[0.1, 0.0], [1.0, 0.0]]
+    ports = [Port("f", 1)], [Port("x", 1)]
+    mode = System([[0.0, 1.0], [-1.0, -0.2]], B, C, np.zeros((2, 2)), *ports, channels=("p",), elements=(p,))
+    model, box, band = loop_model(mode, dt=0.1), box_of(mode), (0.0, math.pi / 0.1)
+    nodes = np.array([0.0, *np.geomspace(1e-3, band[1], 60)])
+    D = np.full((61, 1, 1), 10.0**exponent, complex)
+    strip = Strip(box, nodes, (D,), (0.0 * D,), np.full(61, factor))
+    with pytest.raises(ProofError):
+        check_loop_proof(LoopProof(model, ("p",), box, band, 0.01, (strip,)), stability=False)
