@@ -43,6 +43,7 @@ from pointing_analysis.requirements.rows import (
     rows_of,
     with_unit,
 )
+from pointing_analysis.requirements.settling import judge_settled
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
@@ -474,6 +475,8 @@ def summarise(
             "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
         )
     asked = applicable(known or (), run)
+    settled = [judge_settled(r, run, transient) for r in asked]
+    problems += dict.fromkeys(one.remark for one in settled if one.remark)
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
@@ -487,7 +490,7 @@ def summarise(
         lost_by_topic=lost,
         camera_dropped=dropped,
         knowledge=_knowledge(run, transient),
-        verdicts=tuple(judge(r, [run], transient) for r in asked),
+        verdicts=tuple(one.verdict for one in settled),
         beside=tuple(beside_of(run, r) for r in asked),
         requirements_known=known is not None,
         problems=tuple(problems),

@@ -259,7 +259,8 @@ def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
     return metrics.radial(samples)
 
 
-def _not_judged(requirement: Requirement, why: str) -> Verdict:
+def not_judged(requirement: Requirement, why: str) -> Verdict:
+    """A verdict that says why there is none."""
     nothing = confidence.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
     return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
 
@@ -338,20 +339,20 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     """
     if len(runs) < 2 and requirement.across_runs:
         what = "PRE" if requirement.index == "PRE" else requirement.interpretation
-        return _not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
+        return not_judged(requirement, f"a {what} requirement needs several runs, got {len(runs)}")
     contradictions = [text for run in runs for text in run.contradictions]
     if contradictions:
-        return _not_judged(requirement, f"the recording contradicts its own digests: {contradictions[0]}")
+        return not_judged(requirement, f"the recording contradicts its own digests: {contradictions[0]}")
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:
-        return _not_judged(requirement, str(error))
+        return not_judged(requirement, str(error))
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
         worst_of = [_worst(one.values, requirement) for one in collected]
         known = [w for one, w in zip(collected, worst_of) if not one.missing or beyond_limit(np.array(w), requirement)]
         if not known:
-            return _not_judged(requirement, "every run has missing samples: the worst instant of none is known")
+            return not_judged(requirement, "every run has missing samples: the worst instant of none is known")
         worst = np.array(known)
         return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
     if requirement.interpretation == "mixed":

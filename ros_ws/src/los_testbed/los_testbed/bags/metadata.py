@@ -25,6 +25,7 @@ from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
+from pointing_analysis.requirements.settling import MEASURED, START_UP
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -41,8 +42,9 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     ``fsm_authority`` and ``pma_authority`` are the limits in force, also where the configuration leaves them to the
     telescope. ``los_sensitivity`` is the telescope's; ``controller_warnings`` says which controllers were made for
     other parameters or limits, and is missing where none was. ``transient_s`` is 0 for a run that starts in its steady
-    state, and missing for one that starts at rest. ``telescope_differences`` says in which values a parameter file
-    differs from the reference. ``requirements`` are those of the telescope, by which the bag is judged;
+    state; it is missing for one that does not, and ``start_up`` says that its length is measured in the record.
+    ``telescope_differences`` says in which values a parameter file differs from the reference.
+    ``requirements`` are those of the telescope, by which the bag is judged;
     ``optics`` are those of its images, ``camera`` the table of a guide camera that takes images; ``sensors`` are topic,
     unit, rate and noise of each sensor.
     ``acting`` names all that acts, ``member`` the parameter values (:mod:`los_testbed.bags.conditions`).
@@ -60,7 +62,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
         "rate_hz": str(RATE),
-        **({"transient_s": "0"} if start.steady and not parts.sources else {}),
+        **_start_up(parts, start),
         **_sources(parts),
         **conditions(parts, start),
         **({"start_note": start.note} if start.note else {}),
@@ -74,6 +76,13 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         "commit": commit(),
         "python": sys.version.split()[0],
     }
+
+
+def _start_up(parts: RunParts, start: RunStart) -> dict[str, str]:
+    """What is known of the start-up: none in a steady state; else it is measured, but of a rig and of what moves."""
+    if start.steady and not parts.sources:
+        return {"transient_s": "0"}
+    return {} if parts.config.device or parts.settings.ramps else {START_UP: MEASURED}
 
 
 def tables_of(parts: RunParts) -> dict[str, str]:

@@ -1,0 +1,183 @@
+"""How long the start-up of a run lasts that does not begin in its steady state, measured in its own record.
+
+For each requirement the level of its index (the square of its samples, in `BLOCKS` blocks) is fitted by a constant and
+one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
+left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
+show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
+half of the record, or a tone still changes, the requirement is not judged: a longer run, or a start in the steady
+state, decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from pointing_analysis.arrays import FloatArray
+from pointing_analysis.indices import metrics
+from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
+from pointing_analysis.indices.weights import rpe_discrete
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged
+from pointing_analysis.spectra.tone_budget import named_tones
+
+START_UP = "start_up"
+"""Key in the metadata of a bag whose run does not begin in its steady state; the value is `MEASURED`."""
+MEASURED = "measured"
+BLOCKS = 60
+PART = 0.1
+"""Part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude."""
+SIGNIFICANT = 4.0
+"""Standard errors at which an exponential, or a change of a tone, is one."""
+DECAYS: FloatArray = np.asarray(np.geomspace(1.0 / BLOCKS, 3.0, 33), dtype=float)
+"""Time constants that are tried, parts of the record."""
+SHORTEST = 4.0
+"""[s] In a shorter record no start-up is measured."""
+SEGMENTS = 8
+"""In which the amplitude of a tone is found; each holds so many periods of it at least: """
+PERIODS = 2.0
+OFFSETS = (-5, -4, -3, 3, 4, 5)
+"""Bins of a segment beside a tone at which the noise of its amplitude is found."""
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Verdict on a run that may start up.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    remark : str
+        What was left out beyond the usual start-up; empty where nothing was.
+    """
+
+    verdict: Verdict
+    remark: str = ""
+
+
+def judge_settled(requirement: Requirement, run: Recording, transient: float | None = None) -> Settled:
+    """Verdict on one run, its start-up measured and left out where the run begins with one and none is given."""
+    if transient is not None or run.parameters.get(START_UP) != MEASURED or requirement.across_runs:
+        return Settled(judge(requirement, [run], transient))
+    make = knowledge_error if requirement.index in ("AKE", "MKE", "RKE") else performance_error
+    try:
+        series = make(run, None)
+        seconds = series.start + start_up(series, requirement, named_tones(run))
+    except ValueError:
+        return Settled(judge(requirement, [run], None))  # which says why
+    whole = series.start + series.duration
+    if seconds > 0.5 * whole:
+        known = f"about {seconds:.0f} s" if math.isfinite(seconds) else "more than it"
+        why = f"not settled: its start-up takes {known} of {whole:g} s (a longer run, or --transient SECONDS)"
+        return Settled(not_judged(requirement, why))
+    if seconds <= series.start:
+        return Settled(judge(requirement, [run], None))
+    left = math.ceil(seconds)
+    remark = f"{requirement.quantity}: the first {left} s are start-up, measured, and left out"
+    return Settled(judge(requirement, [run], float(left)), remark)
+
+
+def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[float] | FloatArray = ()) -> float:
+    """Seconds from the begin of a series until it is settled; infinite where a tone of the disturbance still changes.
+
+    Parameters
+    ----------
+    series : ErrorSeries
+    requirement : Requirement
+        Of an index of one run.
+    tones : sequence of float
+        Frequencies of the disturbance [rad/s].
+    """
+    if series.duration < SHORTEST:
+        return 0.0
+    if requirement.of_image:
+        squares = metrics.windows(series.values, series.dt, requirement.times[0]).variance.sum(axis=1)
+    else:
+        squares = np.square(index_samples(series, requirement)[0])
+    squares = squares[np.isfinite(squares)]
+    if len(squares) < 2 * BLOCKS or not squares.any():
+        return 0.0
+    level = math.sqrt(float(squares[len(squares) // 2 :].mean()))
+    if _tone_changes(series, requirement, np.asarray(tones, dtype=float), level):
+        return math.inf
+    return decay(squares, series.duration)
+
+
+def decay(squares: FloatArray, seconds: float) -> float:
+    """Seconds until an exponential in a level is below `PART` of what is left of it; 0 where there is none.
+
+    Parameters
+    ----------
+    squares : ndarray, shape (n,)
+        Squares of the samples of an index, in the order of time.
+    seconds : float
+        That they take.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 60.0, 6000)
+    >>> round(decay(1.0 + 3.0 * np.exp(-t / 5.0), 60.0)), decay(np.ones(6000), 60.0)  # 5 s ln(3 / 0.1)
+    (17, 0.0)
+    """
+    n = len(squares) // BLOCKS * BLOCKS
+    blocks = squares[:n].reshape(BLOCKS, -1).mean(axis=1)
+    time = (np.arange(BLOCKS) + 0.5) * seconds / BLOCKS
+    best = min((_fit(blocks, time, tau * seconds) for tau in DECAYS), key=lambda fit: fit[0])
+    _, tau, size, error = best
+    left = float(blocks[-BLOCKS // 4 :].mean())
+    if abs(size) <= SIGNIFICANT * error or abs(size) <= PART * left:
+        return 0.0
+    return max(0.0, tau * math.log(abs(size) / (PART * left)))
+
+
+def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float, float, float]:
+    """Sum of squares that a constant and an exponential leave, time constant, size of the exponential, its error."""
+    columns = np.column_stack([np.ones(len(time)), np.exp(-time / tau)])
+    inverse = linalg.inv(columns.T @ columns)
+    size = inverse @ columns.T @ blocks
+    rest = blocks - columns @ size
+    total = float(rest @ rest)
+    alike = min(max(float(rest[1:] @ rest[:-1]) / total, 0.0), 0.95) if total else 0.0
+    variance = total / (len(blocks) - 3) * inverse[1, 1] * (1.0 + alike) / (1.0 - alike)
+    return total, tau, float(size[1]), math.sqrt(variance)
+
+
+def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArray, level: float) -> bool:
+    """Whether the amplitude of a tone differs between the halves of a series by more than 5 % of the level."""
+    e, dt = series.values, series.dt
+    n = len(e) // SEGMENTS
+    seconds = n * dt
+    slowest = PERIODS * 2.0 * math.pi / seconds
+    for omega in tones[(tones > slowest) & (tones < math.pi / dt)]:
+        near = np.abs(tones - omega)
+        if (near[near > 0] < 2.0 * slowest).any():
+            continue  # not resolved in a segment: their beat is no change
+        weight = 1.0
+        if requirement.of_windows or requirement.of_image or requirement.index in ("RPE", "RKE"):
+            weight = float(rpe_discrete(np.array([omega]), max(2, round(requirement.times[0] / dt)), dt)[0])
+        found = _amplitudes(e, dt, n, omega)
+        beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds) for k in OFFSETS]
+        noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
+        half = SEGMENTS // 2
+        change = float(np.sqrt(np.square(np.abs(found[half:].mean(axis=0) - found[:half].mean(axis=0))).sum()))
+        error = noise * math.sqrt(2.0 / half)
+        if weight * change > math.sqrt(PART) / 3.0 * level * math.sqrt(2.0) and change > SIGNIFICANT * error:
+            return True
+    return False
+
+
+def _amplitudes(e: FloatArray, dt: float, n: int, omega: float) -> FloatArray:
+    """Complex amplitudes (segments, 2) of a frequency in each segment of n samples, Hann weights, one phase for all."""
+    window = np.hanning(n + 2)[1:-1]
+    parts = np.nan_to_num(e[: SEGMENTS * n]).reshape(SEGMENTS, n, 2)
+    parts = parts - np.einsum("skc,k->sc", parts, window / window.sum())[:, None, :]
+    turn = np.exp(-1j * omega * dt * np.arange(SEGMENTS * n)).reshape(SEGMENTS, n)
+    return np.asarray(2.0 * np.einsum("skc,sk->sc", parts, turn * window / window.sum()))
+
+
+__all__ = ["MEASURED", "START_UP", "Settled", "decay", "judge_settled", "start_up"]
