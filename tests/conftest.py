@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import warnings
 from collections.abc import Generator
 from pathlib import Path
@@ -20,6 +21,11 @@ from support.unjudged import UnjudgedWarning, unjudged_lines
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
 os.environ.setdefault("LOS_TESTBED_QUIET", "1")  # lines of progress come by the clock: no test may depend on them
+
+# Who starts the tests may ignore these, and programs inherit it: those of the tests are to end by them.
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 from hypothesis import settings
 

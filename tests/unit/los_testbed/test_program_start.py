@@ -17,6 +17,8 @@ class Sender:
             os.kill(os.getpid(), signal.{name})
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the tests may have been started where one is ignored
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.meta_path.insert(0, Sender())
 sys.argv = ["los-testbed", "--version"]
 from los_testbed.program import main
