@@ -213,7 +213,7 @@ def _disjoint(e: FloatArray, n: float) -> Iterator[tuple[FloatArray, FloatArray]
     About the window's own mean, not mean(e^2) - mean(e)^2: the same in exact arithmetic, without cancellation.
     """
     if n != round(n):
-        yield from windows_of(e, n * np.arange(_count(e, n)), n)
+        yield from windows_of(e, n * np.arange(_count(e, n), dtype=np.float64), n)
         return
     for blocks in _blocks(e, round(n)):
         mean = blocks.mean(axis=1)
@@ -308,14 +308,15 @@ def _fractional_instant(e: FloatArray, n: float, position: Position) -> FloatArr
         return found
     ahead = 0.5 * (n - 1) if position == "centred" else n - 1  # from the begin of a window to that of its sample
     k = np.arange(int(np.ceil(ahead)), len(e) if position == "end" else int(len(e) - ahead))
-    missing = np.isnan(e).any(axis=1)
+    starts = k.astype(np.float64) - ahead
+    missing: BoolArray = np.asarray(np.isnan(e).any(axis=1))
     offset = np.nanmean(e, axis=0) if not missing.all() else np.zeros(2)
     filled = np.where(missing[:, None], 0.0, e - offset)
-    result = filled[k] - sliding_means(filled, k - ahead, n)
+    result: FloatArray = filled[k] - sliding_means(filled, starts, n)
     if missing.any():
         holes = np.cumsum(np.append(0, missing))
-        first, last = np.floor(k - ahead + ROUNDING), np.ceil(k - ahead + n - ROUNDING)
-        result[(holes[last.astype(np.int64)] - holes[first.astype(np.int64)]) > 0] = np.nan
+        begins, ends = np.floor(starts + ROUNDING).astype(np.int64), np.ceil(starts + n - ROUNDING).astype(np.int64)
+        result[(holes[ends] - holes[begins]) > 0] = np.nan
     return result
 
 
@@ -344,7 +345,7 @@ def pde(error: ArrayLike, dt: float, window: float, separation: float) -> FloatA
         first = e[starts[:, None] + np.arange(n)].mean(axis=1)
         second = e[starts[:, None] + lag + np.arange(n)].mean(axis=1)
     else:
-        begin = n * np.arange(int((len(e) - n - lag) / n + ROUNDING) + 1)
+        begin = n * np.arange(int((len(e) - n - lag) / n + ROUNDING) + 1, dtype=np.float64)
         first, second = (np.concatenate([mean for mean, _ in windows_of(e, at, n)]) for at in (begin, begin + lag))
     drift = second - first
     return np.asarray(drift[~np.isnan(drift).any(axis=1)])

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pointing_analysis.arrays import ComplexArray, FloatArray
 
-PLACES = 100
+AVERAGED = 100
 """Windows over which the weight of one that is no whole number of samples is averaged."""
 
 
@@ -66,6 +66,6 @@ def _rpe_fractional(angle: FloatArray, n: float) -> FloatArray:
         return np.asarray((turn**whole - 1) / np.where(flat, 1.0, turn - 1) + (at - whole) * turn**whole)
 
     power = np.zeros(angle.shape)
-    for begin in (n * np.arange(PLACES)) % 1.0:
+    for begin in (n * np.arange(AVERAGED)) % 1.0:
         power += np.abs(integral(begin + n) - integral(begin)) ** 2
-    return np.asarray(np.where(flat, 0.0, np.sqrt(np.maximum(1 - power / (PLACES * n**2), 0))))
+    return np.asarray(np.where(flat, 0.0, np.sqrt(np.maximum(1 - power / (AVERAGED * n**2), 0))))

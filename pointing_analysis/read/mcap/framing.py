@@ -162,7 +162,7 @@ class Framing:
         op, length = RECORD.unpack(head)
         if op in PARTS:
             return self._agrees(op, at, length, stop)
-        return op == OP_MESSAGE and length >= BODY and at + RECORD.size + length <= stop
+        return bool(op == OP_MESSAGE and length >= BODY and at + RECORD.size + length <= stop)
 
     def _frame(self, at: int, stop: int) -> Frame:
         head = self.peek(at, RECORD.size)
