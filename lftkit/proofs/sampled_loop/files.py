@@ -77,5 +77,5 @@ def model_entries(model: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def model_of(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> LoopModel:
     """The model of :func:`model_entries`, of entries that were read."""
-    parts = {name: float(arrays[name]) if name in SCALAR else arrays[name] for name in MODEL}
+    parts: dict[str, Any] = {name: float(arrays[name]) if name in SCALAR else arrays[name] for name in MODEL}
     return LoopModel(**parts, **{name: header[name] for name in (*HEADER, *ADDED) if name in header})
