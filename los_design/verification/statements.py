@@ -63,7 +63,7 @@ class Statement:
     @property
     def text(self) -> str:
         """One line on tones."""
-        which = f"bundle {self.bundle}" + ("" if self.checked else ", not checked here")
+        which = f"bundle {self.bundle[:12]}" + ("" if self.checked else ", not checked here")
         said = f"{', '.join(self.figures)} ({which})"
         return f"proven for every telescope of the family and tones of norm 1 in all: {said}"
 

@@ -65,5 +65,5 @@ def test_a_proof_is_the_same_file_whatever_the_workers(tmp_path: Path) -> None:
             with pytest.raises(RuntimeError, match="parts that are proven are kept"):
                 list(prove_on(client, [replace(parts(tmp_path / "none")[0], model=None)]))  # type: ignore[arg-type]
         assert written(folder, results) == expected
-        summary = json.loads(bytes(np.load(folder / "2.npz")["summary"]).decode())
+        summary = json.loads(bytes(np.load(folder / "2.npz")["header"]).decode())
         assert summary["finished"] and not summary["uncovered"]

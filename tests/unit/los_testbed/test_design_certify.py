@@ -49,7 +49,7 @@ def content(path: Path) -> dict[str, np.ndarray]:
     """Arrays of a part but for the processor time, which is in its summary."""
     with np.load(path, allow_pickle=False) as archive:
         found = {name: archive[name] for name in archive.files}
-    summary = json.loads(bytes(found.pop("summary")).decode())
+    summary = json.loads(bytes(found.pop("header")).decode())
     del summary["seconds"]
     return {**found, "summary": np.array(json.dumps(summary))}
 

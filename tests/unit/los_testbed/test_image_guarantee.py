@@ -83,7 +83,7 @@ def test_the_line_beside_the_measured_values() -> None:
     text = proven_text(found, OPTICS, measured)
     assert text == (
         "MTF of the motion, 20 ms, proven for every telescope of the family and one tone of norm 1, without noise: at "
-        "least 0.667 at 0.5 Nyquist, no bound above 0.935 Nyquist (RPE 20.33 mas); measured with noise, 99.7 %: 0.512 "
+        "least 0.667 at 0.5 Nyquist, no bound above 0.934 Nyquist (RPE 20.33 mas); measured with noise, 99.7 %: 0.512 "
         "at 0.5 Nyquist, 0.1 at Nyquist"
     )
     assert "at Nyquist (RPE 10 mas)" in proven_text({**found, "rms_rad": 10 * MAS}, OPTICS, None)

@@ -34,7 +34,7 @@ from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_leve
 from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof
 from lftkit.proofs.state_space.checker import digest
 
-OTHERS = (True, False, None, "1", 1, 0, -1, 1.5, [], {}, [0], [[0]], math.nan, math.inf, 2**70)
+OTHERS: tuple[Any, ...] = (True, False, None, "1", 1, 0, -1, 1.5, [], {}, [0], [[0]], math.nan, math.inf, 2**70)
 FORMS = {"number": number, "index": index, "text": text, "truth": truth, "rows": each(index), "table": table}
 ACCEPTED: dict[str, tuple[Any, ...]] = {
     "number": (1, 0, -1, 1.5, 2**70),
@@ -60,7 +60,8 @@ def test_a_form_takes_its_type_and_no_other(name: str) -> None:
 def test_records_have_their_keys_and_no_others() -> None:
     form = record({"a": number, "b": maybe(text)}, {"c": mapping(truth)})
     assert form({"a": 1, "b": None, "c": {"x": True}}, "p") == {"a": 1.0, "b": None, "c": {"x": True}}
-    for wrong in ({"a": 1}, {"a": 1, "b": None, "d": 1}, [], None, {"a": 1, "b": None, "c": {"x": 1}}):
+    others: tuple[Any, ...] = ({"a": 1}, {"a": 1, "b": None, "d": 1}, [], None, {"a": 1, "b": None, "c": {"x": 1}})
+    for wrong in others:
         with pytest.raises(ProofError):
             form(wrong, "p")
     for ragged in ([[1, 2], [3]], [1, [2]], [[1, True]], [[1.0, math.inf]], "ab"):
