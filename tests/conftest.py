@@ -27,7 +27,7 @@ signal.signal(signal.SIGTERM, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-from hypothesis import settings
+from hypothesis import settings  # noqa: E402 (the handlers come first)
 
 settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
 settings.load_profile("any-machine")

@@ -14,7 +14,8 @@ as long as the correlation, and :math:`n = N / F`. The largest F counts. An esti
 it has d degrees of freedom, from the number and the kurtosis of the blocks (Satterthwaite), and F is taken
 :math:`(t_d / z)^2` times as large, with the quantiles of Student's and of the normal distribution (Korn and Graubard,
 Survey Methodology 24, 1998). A record has few long blocks, whose F scatters: fewer than `SURE` blocks count only where
-F is larger than the correlation of the values explains, by more than chance at `DOUBT`.
+F is larger than the correlation of the values explains, by more than chance at `DOUBT`. From one length of these and
+to the next F has come half of the way that is left (what is missing falls as 1 / B): as much is added again.
 
 Of fewer than `TYPICAL` exceedances the largest `TYPICAL` values are asked as well: a burst of which two samples are
 above the limit has more that are just below it. The few themselves count as they are.
@@ -37,7 +38,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.read.mapped_arrays import PART, parts, present
 
-SURE = 64
+SURE = 128
 """Blocks from which an estimate always counts."""
 
 FEWEST = 4
@@ -155,6 +156,8 @@ def block_factor(
     kurtosis = blocks * fourth / squares**2
     free = np.clip(2.0 * blocks / np.maximum(kurtosis - 1.0, 1e-12), 1.0, blocks - 1.0)
     beyond = factor > explained * special.chdtri(blocks - 1.0, DOUBT) / (blocks - 1.0)
+    growth = np.maximum(np.diff(factor, prepend=factor[:1]), 0.0)
+    factor += np.where(blocks < 2 * SURE, growth, 0.0)
     counts = (blocks >= sure) | beyond
     return float((factor * (1.0 if certain else inflation(free)))[counts].max(initial=0.0))
 

@@ -20,53 +20,71 @@ WINDOWS = 10
 """Fewest whole windows in the run of the longest exposure."""
 
 PROBABILITY = 0.997
+"""Part of the windows of the curve that is drawn where no requirement asks for one."""
+
+DASHES = ("-", "-.", (0, (6, 2)), (0, (4, 1, 1, 1)))
+"""Of the curves of the parts, the largest first."""
+
 FEWEST = 3
 """Fewest samples of the shortest exposure."""
 
 
 def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture | None:
-    """Rms of the relative error in windows of each length: of all windows, and what 99.7 % of them keep.
+    """Rms of the relative error in windows of each length: of all windows, and what each required part of them keeps.
 
     Parameters
     ----------
     views : of all runs
-    requirements : those on the rms RPE in windows, both axes, are marked at their window
+    requirements : those on the rms RPE in windows, both axes, are marked at their window, with the mark of the curve of
+        the part of the windows that they ask for
     """
-    curves = [(i, view, *_curve(view)) for i, view in enumerate(views)]
+    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
+    asked = sorted({(r.times[0], r.limit, r.probability) for r in own})
+    wanted = sorted({r.probability for r in own} or {PROBABILITY}, reverse=True)
+    curves = [(i, view, *_curve(view, wanted)) for i, view in enumerate(views)]
     curves = [curve for curve in curves if curve[2].size > 1]
     if not curves:
         return None
-    asked = {(r.times[0], r.limit): r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis}
 
     def draw(figure: Figure) -> None:
         axis = _panels(figure, 1)[0]
         for i, view, length, rms, most in curves:
             style = stroke(i, len(views))
-            axis.loglog(1e3 * length, most, label=view.label, **style)
+            for k, kept in enumerate(most.T):
+                name = view.label if k == 0 else "_nolegend_"
+                axis.loglog(1e3 * length, kept, label=name, ls=DASHES[k % len(DASHES)], **style)
             axis.loglog(1e3 * length, rms, ls=":", **style)
-        axis.plot([], [], color="#555555", label="99.7 % of the windows")
+        for k, part in enumerate(wanted):
+            name = f"{100 * part:.6g} % of the windows"
+            axis.plot([], [], color="#555555", ls=DASHES[k % len(DASHES)], label=name)
         axis.plot([], [], color="#555555", ls=":", label="rms of all")
-        for k, (window, limit) in enumerate(sorted(asked)):
-            name = "limit" if k == 0 else "_nolegend_"
-            axis.plot(1e3 * window, limit / RAD_PER_MAS, "v", color=LIMIT, ms=7, label=name)
+        for k, part in enumerate(wanted):
+            marks = [(window, limit) for window, limit, probability in asked if probability == part]
+            for number, (window, limit) in enumerate(marks):
+                name = "_nolegend_" if number else f"limit for {100 * part:.6g} %"
+                axis.plot(1e3 * window, limit / RAD_PER_MAS, "v^<>"[k % 4], color=LIMIT, ms=7, label=name)
         axis.set_xlabel("exposure [ms]")
         axis.set_ylabel("rms RPE of a window [mas]")
         legend_above(figure, axis)
 
-    alt = "Relative error in windows of each length, rms and 99.7 % of the windows; marks: limits at their windows"
+    parts = " and ".join(f"{100 * part:.6g} %" for part in wanted)
+    alt = f"Relative error in windows of each length, rms and {parts} of the windows; marks: limits at their windows"
     return picture("rpe-over-exposure", "Relative error over exposure time", alt, 3.8, draw)
 
 
-def _curve(view: RunView) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Lengths [s], rms and quantile [mas] over windows without missing samples; lengths without such are left out."""
+def _curve(view: RunView, wanted: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lengths (m,) [s], rms (m,) and quantiles (m, k) [mas] over windows without missing samples.
+
+    Lengths without such windows are left out.
+    """
     n, dt = len(view.series.values), view.series.dt
     if n < FEWEST * WINDOWS:
-        return np.empty(0), np.empty(0), np.empty(0)
+        return np.empty(0), np.empty(0), np.empty((0, len(wanted)))
     samples = np.unique(np.geomspace(FEWEST, n // WINDOWS, POINTS).round().astype(int))
     rows = []
     for count in samples:
         power = metrics.windows(view.series.values, dt, count * dt).variance.sum(axis=1) / RAD_PER_MAS**2
         if power.size and power.max() > 0.0:
-            rows.append((count * dt, float(np.sqrt(power.mean())), float(np.sqrt(np.quantile(power, PROBABILITY)))))
-    table = np.array(rows).reshape(-1, 3)
-    return table[:, 0], table[:, 1], table[:, 2]
+            rows.append((count * dt, np.sqrt(power.mean()), *np.sqrt(np.quantile(power, wanted))))
+    table = np.array(rows, dtype=float).reshape(-1, 2 + len(wanted))
+    return table[:, 0], table[:, 1], table[:, 2:]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.text import Requirement
 from pointing_analysis.spectra.spectra import Line, Spectrum
 
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")
@@ -176,8 +178,10 @@ def time_history(views: Sequence[RunView]) -> Picture:
     return picture("time", "Line of sight over time", alt, 1.2 + 1.5 * len(views), draw)
 
 
-def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
-    """Path of the line of sight in the focal plane, with the circle that holds it and the circle of the APE limit."""
+def trajectory(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:
+    """Path of the line of sight in the focal plane, the circle that holds it and that of the smallest APE limit."""
+    limits = [(r.limit / RAD_PER_ARCSEC, r.probability) for r in requirements if r.index == "APE" and not r.axis]
+    limit, probability = min(limits, default=(math.inf, 0.0))
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(views), columns=min(2, len(views)))
@@ -192,10 +196,9 @@ def trajectory(views: Sequence[RunView], limit: float | None) -> Picture:
             axis.plot(e[:, 0], e[:, 1], color=COLOURS[0], linewidth=0.5)
             angle = np.linspace(0, 2 * np.pi, 181)
             axis.plot(largest * np.cos(angle), largest * np.sin(angle), color="#555555", label="largest error")
-            if limit is not None and limit < 4 * arcsec:
-                axis.plot(
-                    limit * np.cos(angle), limit * np.sin(angle), color=LIMIT, ls="--", label=f"limit {limit:g} arcsec"
-                )
+            if limit < 4 * arcsec:
+                radius, text = limit * RAD_PER_ARCSEC / scale, f"limit {limit:.6g} arcsec for {100 * probability:.6g} %"
+                axis.plot(radius * np.cos(angle), radius * np.sin(angle), color=LIMIT, ls="--", label=text)
             axis.set_aspect("equal", adjustable="datalim")
             axis.set_title(f"{view.label}\nlargest {largest:.3g} {unit}")
             axis.set_xlabel(f"LOS x [{unit}]")
@@ -303,42 +306,6 @@ def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, Floa
 
     alt = "Line-of-sight rms at each disturbance line, run by run: how much of each line every stage lets through"
     return picture("lines-by-run", "Disturbance lines, run by run", alt, 3.6, draw)
-
-
-LEFT = 0.99
-"""Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
-
-
-def exceedance(views: Sequence[RunView], kind: str, limits: Sequence[float]) -> Picture:
-    """Share of the samples above each value, for APE or RPE, with limits and the 0.3 % level."""
-    unit, scale = ("arcsec", RAD_PER_ARCSEC) if kind == "APE" else ("mas", RAD_PER_MAS)
-
-    def draw(figure: Figure) -> None:
-        axis = _panels(figure, 1)[0]
-        smallest = [limit / scale for limit in limits]
-        for i, view in enumerate(views):
-            e = view.series.values
-            if kind == "RPE":
-                e = metrics.rpe_instant(e, view.series.dt, view.window)
-            r = SortedValues(by_parts(lambda rows: metrics.radial(rows) / scale, e))
-            # Even steps in the logarithm of the share: the tail keeps all of its points.
-            pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
-            pick = pick[r.at(pick) > 0.0] if r.size else pick[:0]
-            axis.loglog(r.at(pick), 1 - pick / max(r.size, 1), label=view.label, **stroke(i, len(views)))
-            smallest += [value for value in [r.quantile(1.0 - LEFT)] if r.size and value > 0.0]
-        for limit in limits:
-            axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9, label=f"limit {limit / scale:g} {unit}")
-        if smallest:
-            axis.set_xlim(left=0.7 * min(smallest))
-        axis.axhline(0.003, color="#555555", ls=":", lw=0.9, label="0.3 %")
-        _few_decades(axis)
-        axis.set_xlabel(f"radial {kind} [{unit}]")
-        axis.set_ylabel("share of time above")
-        legend_above(figure, axis)
-
-    what = "absolute performance error" if kind == "APE" else "relative performance error"
-    alt = f"Share of time in which the {what} exceeds each value, against the limits"
-    return picture(kind.lower(), f"{kind} distribution", alt, 3.8, draw)
 
 
 def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture | None:

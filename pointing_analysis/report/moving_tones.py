@@ -17,6 +17,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import Motion, motion_of
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, legend_above, picture, stroke
+from pointing_analysis.requirements.text import Requirement
 
 SEGMENT = 1024
 """Samples of a spectrum of the waterfall."""
@@ -39,19 +40,19 @@ RAYS_SHOWN, LOWEST_TOP = 2.2, 500.0
 """A Campbell diagram ends at so many times the largest speed, or at this frequency [rad/s]."""
 
 
-def moving_pictures(views: Sequence[RunView], limits: Sequence[float]) -> list[Picture]:
+def moving_pictures(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture]:
     """Pictures of the runs in which something moves; none where nothing does.
 
     Parameters
     ----------
     views : sequence of RunView
-    limits : sequence of float
-        Of the relative error [rad].
+    requirements : sequence of Requirement
+        Of all runs.
     """
     moving = [(view, motion) for view in views if (motion := motion_of(view.run)) is not None]
     made: list[Picture] = []
     if moving:
-        made.append(error_over_time([view for view, _ in moving], limits))
+        made.append(error_over_time([view for view, _ in moving], requirements))
     for k, (view, motion) in enumerate(moving):
         if len(view.series.values) < 2 * SEGMENT or not np.isfinite(view.series.values).all():
             continue
@@ -148,8 +149,10 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
     return picture(f"campbell-{k + 1}", f"Campbell diagram: {view.label}", alt, 4.0, draw)
 
 
-def error_over_time(views: Sequence[RunView], limits: Sequence[float]) -> Picture:
-    """Rms of the worst window of each stretch of time, against the limits."""
+def error_over_time(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:
+    """Rms of the worst window of each stretch of time, against the limits on the rms in such windows."""
+    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
+    limits = sorted({(r.limit, r.probability) for r in own if r.times == (views[0].window,)})
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
@@ -163,11 +166,13 @@ def error_over_time(views: Sequence[RunView], limits: Sequence[float]) -> Pictur
             time = view.series.start + view.series.dt * first + 0.5 * size * view.window
             shown = np.maximum(worst, 1e-6 * RAD_PER_MAS) / RAD_PER_MAS
             axis.semilogy(time, shown, label=view.label, **stroke(i, len(views)))
-        for i, limit in enumerate(limits):
-            axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", lw=0.9, label=None if i else "limits")
+        for limit, probability in limits:
+            text = f"limit {limit / RAD_PER_MAS:.6g} mas for {100 * probability:.6g} %"
+            axis.axhline(limit / RAD_PER_MAS, color=LIMIT, linestyle="--", lw=0.9, label=text)
         axis.set_xlabel("time [s]")
         axis.set_ylabel("relative error [mas rms]")
         legend_above(figure, axis)
 
-    alt = "Relative error over time, rms of the worst windows of 20 ms, one curve a run; dashed: limits."
+    window = f"{1e3 * views[0].window:g} ms"
+    alt = f"Relative error over time, rms of the worst windows of {window}, one curve a run; dashed: limits."
     return picture("rpe-over-time", "Relative error over time", alt, 2.8, draw)

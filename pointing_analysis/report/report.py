@@ -19,8 +19,7 @@ import numpy as np
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, performance_error
-from pointing_analysis.indices.metrics import holds
+from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
@@ -31,6 +30,7 @@ from pointing_analysis.read.series import LOS
 from pointing_analysis.report import figures, image_figures
 from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
+from pointing_analysis.report.distribution_figure import distributions
 from pointing_analysis.report.exposure_figure import over_exposure
 from pointing_analysis.report.figures import Picture, RunView
 from pointing_analysis.report.image_figures import ImageView, image_views
@@ -123,14 +123,12 @@ class Drawn:
     Parameters
     ----------
     views : of all runs
-    limits : sorted limits of the APE and of the RPE [rad]
     model : what a model expects at the disturbance lines
     requirements : of all runs
     loops : of each run its loop, broken at one place after the other; empty without any
     """
 
     views: Sequence[RunView]
-    limits: Mapping[str, list[float]]
     model: Model
     requirements: Sequence[Requirement] = ()
     loops: Sequence[Sequence[LoopCurves]] = ()
@@ -151,14 +149,6 @@ class Drawn:
         return any(v.spectrum for v in self.views)
 
 
-def _trajectory(d: Drawn) -> Picture:
-    return figures.trajectory(d.views, d.limits["APE"][0] / RAD_PER_ARCSEC if d.limits["APE"] else None)
-
-
-def _relative_exceedance(d: Drawn) -> Picture | None:
-    return figures.exceedance(d.views, "RPE", d.limits["RPE"]) if all(map(_has_windows, d.views)) else None
-
-
 def _intervals(d: Drawn) -> Picture | None:
     times = [(v.label, intervals_us(v.run)) for v in d.views]
     return figures.timing(times, "Tick intervals", "interval of ticks [µs]")
@@ -171,7 +161,7 @@ def _latency(d: Drawn) -> Picture | None:
 
 PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ...] = (
     lambda d: figures.time_history(d.views),
-    _trajectory,
+    lambda d: figures.trajectory(d.views, d.requirements),
     lambda d: image_figures.stars(d.images),
     lambda d: image_figures.targets(d.images),
     lambda d: image_figures.transfers(d.images),
@@ -179,10 +169,9 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     lambda d: image_figures.ellipticities(d.images),
     lambda d: figures.density(d.views) if d.has_spectrum else None,
     lambda d: cumulative(d.views) if d.has_spectrum else None,
-    lambda d: moving_pictures(d.views, d.limits["RPE"]),
+    lambda d: moving_pictures(d.views, d.requirements),
     lambda d: figures.by_line(d.views, d.model),
-    lambda d: figures.exceedance(d.views, "APE", d.limits["APE"]),
-    _relative_exceedance,
+    lambda d: distributions(d.views, d.requirements),
     lambda d: over_exposure(d.views, d.requirements),
     lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
     lambda d: nyquist(d.names, d.loops),
@@ -200,7 +189,7 @@ def pictures(
     loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    drawn = Drawn(views, {k: _limits(requirements, k) for k in ("APE", "RPE")}, model or {}, requirements, loops)
+    drawn = Drawn(views, model or {}, requirements, loops)
     made: list[Picture] = []
     for draw in PICTURES:
         found = draw(drawn)
@@ -215,17 +204,6 @@ def _rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[Requiremen
     joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
     own = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
     return [row for row in own if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
-
-
-def _limits(requirements: Sequence[Requirement], index: str) -> list[float]:
-    """Limits of the index that a picture shows [rad]: of both axes together, in windows of `WINDOW` or none."""
-    return sorted(
-        {r.limit for r in requirements if r.index == index and not r.axis and all(t == WINDOW for t in r.times)}
-    )
-
-
-def _has_windows(v: RunView) -> bool:
-    return v.series.duration > WINDOW and holds(WINDOW, v.series.dt)
 
 
 def _ratio(tone: ToneComparison) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.campaign import page as campaign_page
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import first_order_index, influences, pair_effects, yield_curve
 from los_testbed.campaign.member import finished_row, metric_columns
@@ -18,6 +19,8 @@ from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from support import axe, headless_browser
+
+from pointing_analysis.requirements.text import parse
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
 REQUIREMENTS = RunParts(BASE).requirements
@@ -154,3 +157,16 @@ def test_members_that_are_no_random_draws_have_no_probability(tmp_path: Path) ->
     for number, chunk in asked.chunks():
         folder.write(number, [finished_row(m["index"], m, dict.fromkeys(TIME_METRICS, 1.0), "ok", "") for m in chunk])
     assert {v["interpretation"] for v in campaign_summary(asked, folder)["verdicts"]} == {"temporal"}
+
+
+def test_the_limits_of_a_picture_are_those_of_its_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows of 20 ms, 99.7 % of them: neither another window nor another part, though all are in mas."""
+    texts = [(40, 20, 0.997), (30, 20, 0.95), (60, 50, 0.997)]
+    asked = [parse(f"prob(rms RPE({ms} ms) < {mas} mas) >= {p} at 95 % confidence") for mas, ms, p in texts]
+    found = [v for r in asked for v in verdicts({}, ["ok"] * 9, "fsm+pma", [r])]
+    shown: list[Any] = []
+    monkeypatch.setattr(campaign_page, "_distribution", lambda name, metric, limits: shown.append(limits))
+    monkeypatch.setattr(campaign_page, "_yield", lambda name, metric, limits: shown.append(limits))
+    summary = {"ranked_by": "rpe_window_p997_mas", "verdicts": [v.as_dict() for v in found], "influence": []}
+    campaign_page._pictures(summary, np.zeros((9, 7)), np.linspace(20.0, 50.0, 9))
+    assert shown == [[pytest.approx(40.0)]] * 2

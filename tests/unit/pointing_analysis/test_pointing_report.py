@@ -14,13 +14,14 @@ from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.report import figures
+from pointing_analysis.report import distribution_figure
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import LaidOutFigure, by_line
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.text import parse
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 from pointing_analysis.units import RAD_PER_ARCSEC
 from titop_plant.telescope.parameters import load_parameters
@@ -144,7 +145,7 @@ def test_nothing_comes_from_outside(page) -> None:
 
 def test_pictures_have_texts_and_are_svg(page) -> None:
     found = outline(page)
-    assert len(found.pictures) == 9
+    assert len(found.pictures) == 10
     assert all(label and len(label) > 20 for label in found.pictures)
     text = page.read_text().lower()
     assert "<img" not in text and "<date>" not in text and "dc:date" not in text
@@ -187,9 +188,10 @@ def test_the_axis_of_the_ape_begins_at_the_errors_and_not_where_they_pass_zero(t
     los = 5.0 * RAD_PER_ARCSEC * np.column_stack([np.sin(88.0 * t), 0.0 * t])
     los[:3] = 1e-8 * RAD_PER_ARCSEC
     run = Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, parameters={"loop": "fsm"}))
-    monkeypatch.setattr(figures, "picture", lambda *parts: parts[-1])
+    monkeypatch.setattr(distribution_figure, "picture", lambda *parts: parts[-1])
     drawn = Figure()
-    figures.exceedance([view(run, "fsm")], "APE", [10.0 * RAD_PER_ARCSEC])(drawn)
+    limit = parse("prob(|APE| < 10 arcsec) >= 0.997 at 95 % confidence")
+    distribution_figure.distributions([view(run, "fsm")], [limit])[0](drawn)  # type: ignore[operator]
     lowest, highest = drawn.axes[0].get_xlim()
     assert 1e-3 < lowest < 0.1 and highest > 10.0
 

@@ -77,7 +77,7 @@ def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray) -
     if not finite.size:
         return []
     name = MEANINGS[summary["ranked_by"]]
-    given = sorted({v["limit"] for v in summary["verdicts"] if v["unit"] == "mas"})
+    given = sorted({v["limit"] for v in summary["verdicts"] if summary["ranked_by"] in (v["column"], RANKED["model"])})
     limits = [limit for limit in given if limit <= given[0] or limit < 1.5 * finite.max()]
     made = [_distribution(name, finite, limits), _yield(name, metric, limits)]
     if any(entry["first_order"] is not None for entry in summary["influence"]):

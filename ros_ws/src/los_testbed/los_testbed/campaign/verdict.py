@@ -67,6 +67,8 @@ class CampaignVerdict:
         Independent samples, and those that would show compliance with the exceedances seen.
     undecided : int
         Members whose own runs are too short for a verdict on them.
+    column : str
+        Of the data set, that the limit is for.
     text : str
         Requirement in full.
     lower_limit : bool
@@ -87,6 +89,7 @@ class CampaignVerdict:
     text: str = ""
     lower_limit: bool = False
     undecided: int = 0
+    column: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Values for JSON; what is not finite is None."""
@@ -299,4 +302,5 @@ def _verdict(
         needed=needed,
         text=str(requirement),
         lower_limit=named.lower,
+        column=named.quantile,
     )

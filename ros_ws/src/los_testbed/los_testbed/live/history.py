@@ -148,10 +148,12 @@ def indices(error: FloatArray, stage: str, requirements: Sequence[Requirement]) 
                     "name": requirement.name,
                     "text": str(requirement),
                     "index": requirement.index,
+                    "quantity": requirement.quantity,
                     "limit": float(f"{limit:.6g}"),
                     "largest": float(f"{values.max():.6g}"),
                     "rms": float(f"{np.sqrt(np.mean(np.square(values))):.6g}"),
                     "within": float(f"{np.mean(values < limit):.6g}"),
+                    "probability": requirement.probability,
                 }
             )
     return found

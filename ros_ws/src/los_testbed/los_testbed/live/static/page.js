@@ -125,10 +125,11 @@
       name.textContent = index.name;
       name.title = index.text;
       value.textContent = `${digits(index.largest)} of ${index.limit} mas`;
-      value.className = index.largest < index.limit ? "ok" : "bad";
+      value.className = index.within >= index.probability ? "ok" : "bad";
       return [name, value];
     }));
-    const ours = indices.filter((index) => index.index === "RPE");
+    const relative = indices.filter((index) => index.index === "RPE");
+    const ours = relative.filter((index) => index.quantity === relative[0].quantity);  // of one curve
     limits = indices;
     if (!ours.length || !recent.t.length) return;
     rpe.t.push(recent.t[recent.t.length - 1]);

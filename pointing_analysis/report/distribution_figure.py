@@ -1,0 +1,100 @@
+"""Distributions of the judged indices: for each index the share of its samples above each value, with its own limits.
+
+The samples are those by which a requirement is judged, and a limit stands in the picture of its own index only, with
+the share that its requirement allows to be above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
+from pointing_analysis.read.mapped_arrays import SortedValues, by_parts
+from pointing_analysis.report.figures import (
+    LIMIT,
+    Picture,
+    RunView,
+    _few_decades,
+    _panels,
+    legend_above,
+    picture,
+    stroke,
+)
+from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.verdict import index_samples
+
+LEFT = 0.99
+"""Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
+
+ALWAYS = ("|APE|", "|RPE({window:g} ms)|")
+"""Quantities that are shown whatever is required, the second one where the runs have its windows."""
+
+ABSOLUTE = ("APE", "MPE")
+"""Indices that are shown in arcsec, others in mas."""
+
+SHOWN = (*ABSOLUTE, "RPE", "PDE")
+"""Indices that one run without an estimate has."""
+
+
+def distributions(views: Sequence[RunView], requirements: Sequence[Requirement]) -> list[Picture]:
+    """A picture of each index that is required, and of those that are always shown.
+
+    Parameters
+    ----------
+    views : of all runs
+    requirements : of all runs; those on an index that a run does not have are left out
+    """
+    asked: dict[str, list[Requirement]] = {}
+    for text in ALWAYS:
+        quantity = text.format(window=1e3 * views[0].window)
+        asked[quantity] = []
+    for requirement in requirements:
+        if requirement.index in SHOWN:
+            asked.setdefault(requirement.quantity, []).append(requirement)
+    found = (_distribution(views, quantity, own) for quantity, own in asked.items())
+    return [one for one in found if one is not None]
+
+
+def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Requirement]) -> Picture | None:
+    """Share of the samples of an index above each value; None where a run has none."""
+    requirement = own[0] if own else parse(f"prob({quantity} < 1 arcsec) >= 0.997 at 95 % confidence")
+    unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
+    try:
+        values = [index_samples(view.series, requirement)[0] for view in views]
+    except ValueError:  # a window that is longer than the run, or no whole number of its samples
+        return None
+    if not all(map(len, values)):
+        return None
+
+    samples = "windows" if requirement.of_windows else "samples"
+
+    def draw(figure: Figure) -> None:
+        axis = _panels(figure, 1)[0]
+        smallest = [one.limit / scale for one in own]
+        for i, (view, own_values) in enumerate(zip(views, values)):
+            r = SortedValues(by_parts(lambda rows: rows / scale, own_values))
+            # Even steps in the logarithm of the share: the tail keeps all of its points.
+            pick = np.unique((r.size - np.geomspace(1, max(r.size, 1), 400)).astype(int).clip(0))
+            pick = pick[r.at(pick) > 0.0]
+            axis.loglog(r.at(pick), 1 - pick / r.size, label=view.label, **stroke(i, len(views)))
+            smallest += [value for value in [r.quantile(1.0 - LEFT)] if value > 0.0]
+        allowed = {(one.limit, one.probability): one for one in own}
+        for limit, probability in sorted(allowed):
+            text = f"limit {limit / scale:.6g} {unit} for {100 * probability:.6g} %"
+            axis.axvline(limit / scale, color=LIMIT, ls="--", lw=0.9)
+            axis.plot(limit / scale, 1.0 - probability, "v", color=LIMIT, ms=6, label=text)
+        for share in sorted({1.0 - probability for _, probability in allowed}):
+            axis.axhline(share, color="#555555", ls=":", lw=0.9, label=f"{100 * share:.4g} %")
+        if smallest:
+            axis.set_xlim(left=0.7 * min(smallest))
+        _few_decades(axis)
+        axis.set_xlabel(f"{quantity} [{unit}]")
+        axis.set_ylabel(f"share of {samples} above")
+        legend_above(figure, axis)
+
+    alt = f"Share of the {samples} in which {quantity} exceeds each value{', with its limits' if own else ''}"
+    name = "".join(c if c.isalnum() else "-" for c in quantity.lower()).strip("-")
+    return picture(name, f"Distribution of {quantity}", alt, 3.8, draw)

@@ -1,0 +1,113 @@
+"""A limit stands on the curve of its own statistic only: index, window and part of the samples of the requirement."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.report import distribution_figure, exposure_figure, figures, moving_tones
+from pointing_analysis.report.report import view
+from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.verdict import judge
+from pointing_analysis.units import RAD_PER_MAS
+
+MAS = [
+    "prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence",
+    "prob(rms RPE(20 ms) < 30 mas) >= 0.95 at 95 % confidence",
+    "prob(rms RPE(50 ms) < 60 mas) >= 0.997 at 95 % confidence",
+    "prob(|RPE_x(20 ms)| < 70 mas) >= 0.9 at 95 % confidence",
+]
+REQUIREMENTS = [parse(text) for text in (*MAS, "prob(|APE| < 0.2 arcsec) >= 0.997 at 95 % confidence")]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    los = 30.0 * RAD_PER_MAS * np.random.default_rng(0).standard_normal((12_000, 2))
+    return Run.open(write_bag(tmp_path_factory.mktemp("limits") / "bag", {"truth/los": los}))
+
+
+def drawn(module: Any, draw: Any, monkeypatch: pytest.MonkeyPatch) -> dict[str, Axes]:
+    """Title and axis of each picture that a function makes."""
+    made: dict[str, Axes] = {}
+
+    def picture(name: str, title: str, alt: str, height: float, show: Any) -> str:
+        figure = Figure()
+        show(figure)
+        made[title] = figure.axes[0]
+        return name
+
+    monkeypatch.setattr(module, "picture", picture)
+    draw()
+    return made
+
+
+def marks(axis: Axes) -> set[tuple[float, float]]:
+    """Points of the limits in a picture."""
+    points = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT and len(line.get_xdata()) == 1]
+    return {(round(float(p.get_xdata()[0]), 6), round(float(p.get_ydata()[0]), 6)) for p in points}
+
+
+def test_each_distribution_has_the_limits_on_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = [view(run, "run")]
+    made = drawn(distribution_figure, lambda: distribution_figure.distributions(shown, REQUIREMENTS), monkeypatch)
+    assert {title: marks(axis) for title, axis in made.items()} == {
+        "Distribution of |APE|": {(0.2, 0.003)},
+        "Distribution of |RPE(20 ms)|": set(),
+        "Distribution of rms RPE(20 ms)": {(40.0, 0.003), (30.0, 0.05)},
+        "Distribution of rms RPE(50 ms)": {(60.0, 0.003)},
+        "Distribution of |RPE_x(20 ms)|": {(70.0, 0.1)},
+    }
+
+
+@pytest.mark.parametrize("requirement", REQUIREMENTS, ids=str)
+def test_a_curve_says_of_a_limit_what_the_table_says(
+    run: Run, requirement: Requirement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The share at the limit is the verdict's; the quantile of the table is on the curve at the required part."""
+    shown = [view(run, "run")]
+    made = drawn(distribution_figure, lambda: distribution_figure.distributions(shown, [requirement]), monkeypatch)
+    axis = made[f"Distribution of {requirement.quantity}"]
+    curve = next(line for line in axis.get_lines() if line.get_label() == "run")
+    value, share = (np.asarray(data, dtype=float) for data in curve.get_data())
+    found = judge(requirement, [run])
+    ((limit, _),) = marks(axis)
+    at = float(np.interp(limit, value, share, right=0.0))
+    assert at == pytest.approx(found.exceeding, rel=0.03, abs=2.0 / found.samples)
+    unit = requirement.limit / limit
+    kept = float(np.interp(1.0 - requirement.probability, share[::-1], value[::-1]))
+    assert kept == pytest.approx(found.quantile.value / unit, rel=0.06)
+
+
+def test_limits_over_the_exposure_are_on_the_curve_of_their_part(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = [view(run, "run")]
+    made = drawn(exposure_figure, lambda: exposure_figure.over_exposure(shown, REQUIREMENTS), monkeypatch)
+    (axis,) = made.values()
+    names = [line.get_label() for line in axis.get_lines()]
+    assert {"99.7 % of the windows", "95 % of the windows", "limit for 99.7 %", "limit for 95 %"} <= set(names)
+    assert marks(axis) == {(20.0, 40.0), (20.0, 30.0), (50.0, 60.0)}
+    curves = [line for line in axis.get_lines() if len(line.get_xdata()) > 2]
+    for requirement, curve in ((REQUIREMENTS[0], curves[0]), (REQUIREMENTS[1], curves[1])):
+        at = float(np.interp(20.0, *(np.asarray(data, dtype=float) for data in curve.get_data())))
+        assert at == pytest.approx(judge(requirement, [run]).quantile.value / RAD_PER_MAS, rel=0.05)
+
+
+def test_limits_over_time_are_those_of_its_windows(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = drawn(moving_tones, lambda: moving_tones.error_over_time([view(run, "run")], REQUIREMENTS), monkeypatch)
+    (axis,) = made.values()
+    lines = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT]
+    assert sorted(float(line.get_ydata()[0]) for line in lines) == pytest.approx([30.0, 40.0])
+
+
+def test_the_circle_of_the_limit_has_the_unit_of_the_axes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In mas or arcsec, whichever the errors are shown in."""
+    made = drawn(figures, lambda: figures.trajectory([view(run, "run")], REQUIREMENTS), monkeypatch)
+    (axis,) = made.values()
+    circle = next(line for line in axis.get_lines() if line.get_color() == figures.LIMIT)
+    scale = 1.0 if "[arcsec]" in axis.get_xlabel() else 1000.0
+    assert np.hypot(*circle.get_data()) == pytest.approx(0.2 * scale)
