@@ -14,6 +14,8 @@ MEMBER = "member"
 """Key of the telescope's parameter values in the metadata of a bag, in words."""
 TELESCOPE = "parameters_hash"
 """Key of the hash of the telescope's parameter file."""
+START_UP, MEASURED = "start_up", "measured"
+"""Key and value of a run that does not begin in its steady state (:mod:`pointing_analysis.requirements.settling`)."""
 NOTHING = "no disturbance"
 
 
@@ -80,6 +82,3 @@ def _difference(first: Conditions, other: Conditions, name: str) -> str:
     }
     told = [f"{what} {b}, in {name} {a}" for what, (a, b) in pairs.items() if a and b and a != b]
     return f"not the conditions of {name}, so no comparison of controllers: {'; '.join(told)}" if told else ""
-
-
-__all__ = ["ACTING", "MEMBER", "NOTHING", "UNKNOWN_CONDITIONS", "Conditions", "conditions_of", "differences"]

@@ -22,13 +22,11 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, performance_error
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.conditions import MEASURED, START_UP
 from pointing_analysis.requirements.text import Requirement
 from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged
 from pointing_analysis.spectra.tone_budget import named_tones
 
-START_UP = "start_up"
-"""Key in the metadata of a bag whose run does not begin in its steady state; the value is `MEASURED`."""
-MEASURED = "measured"
 BLOCKS = 60
 PART = 0.1
 """Part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude."""
@@ -180,4 +178,4 @@ def _amplitudes(e: FloatArray, dt: float, n: int, omega: float) -> FloatArray:
     return np.asarray(2.0 * np.einsum("skc,sk->sc", parts, turn * window / window.sum()))
 
 
-__all__ = ["MEASURED", "START_UP", "Settled", "decay", "judge_settled", "start_up"]
+__all__ = ["Settled", "decay", "judge_settled", "start_up"]

@@ -460,9 +460,10 @@ def summarise(
     elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
     lost, problems, dropped = _integrity(run)
-    problems += [damaged] if damaged else []
     star, unusable = _star(run, series) if metrics.is_whole(WINDOW, series.dt) else (None, "")
-    problems += [unusable] if unusable else []
+    asked = applicable(known or (), run)
+    settled = [judge_settled(r, run, transient) for r in asked]
+    problems += [text for text in (damaged, unusable, *dict.fromkeys(one.remark for one in settled)) if text]
     if not judged:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: shorter than two samples of {1e3 * series.dt:.6g} ms")
     if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
@@ -474,9 +475,6 @@ def summarise(
         problems.append(
             "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
         )
-    asked = applicable(known or (), run)
-    settled = [judge_settled(r, run, transient) for r in asked]
-    problems += dict.fromkeys(one.remark for one in settled if one.remark)
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),

@@ -80,7 +80,7 @@ def telescope(folder: Path, *kinds: str) -> str:
     return str(folder / "telescope.toml")
 
 
-def flown(**settings: object) -> Run:
+def recorded(**settings: object) -> Run:
     config = RunConfig.from_mapping({"mode": "inprocess", "duration": 2.0, "loop": "fsm", **settings})
     run_in_process(config, Path("bag"))
     return Run.open(Path("bag"))
@@ -88,7 +88,7 @@ def flown(**settings: object) -> Run:
 
 def check_sum(run: Run, *names: str) -> None:
     """The parts are these, their lines of sight add up to the record, tick by tick, and their shares to 1."""
-    config = RunConfig.from_mapping(RunParts(RunConfig()).config.to_plain() | _recorded(run))
+    config = RunConfig.from_mapping(RunParts(RunConfig()).config.to_plain() | _settings_of(run))
     start = RunStart.from_bytes(run.attachments[START_FILE])
     parts = parts_of(RunParts(config, recorded_start=start))
     truth = run["truth/los"].values[:, :2]
@@ -102,7 +102,7 @@ def check_sum(run: Run, *names: str) -> None:
     assert list(conditions_of(run).names) == acting and summarise(run).scenario == ", ".join(acting)
 
 
-def _recorded(run: Run) -> dict[str, object]:
+def _settings_of(run: Run) -> dict[str, object]:
     import yaml
 
     return dict(yaml.safe_load(run.attachments["run.yaml"]))
@@ -110,7 +110,7 @@ def _recorded(run: Run) -> dict[str, object]:
 
 @pytest.mark.parametrize("kind", SOURCES)
 def test_a_telescope_with_a_source_runs_with_it_alone(folder: Path, kind: str) -> None:
-    run = flown(parameters=telescope(folder, kind))
+    run = recorded(parameters=telescope(folder, kind))
     assert run.parameters["scenario"] == "none"
     check_sum(run, f"my {kind}", NOISE)
 
@@ -121,30 +121,30 @@ def test_every_kind_is_tried() -> None:
 
 @pytest.mark.parametrize("scenario", ["worst_case", "unit_norm", "imbalance"])
 def test_a_scenario_that_is_asked_for_acts_beside_them(folder: Path, scenario: str) -> None:
-    run = flown(parameters=telescope(folder, "cooler", "pulses"), scenario=scenario)
+    run = recorded(parameters=telescope(folder, "cooler", "pulses"), scenario=scenario)
     check_sum(run, scenario, "my cooler", "my pulses", NOISE)
 
 
 def test_a_class_and_files_have_a_row_each(folder: Path) -> None:
     name = f"wind_{folder.name}:Wind"
-    run = flown(disturbance_source=name, disturbance_files="series.csv@wheel_1", duration=1.5, scenario="design")
+    run = recorded(disturbance_source=name, disturbance_files="series.csv@wheel_1", duration=1.5, scenario="design")
     check_sum(run, "design", name, "series", NOISE)
 
 
 def test_a_system_of_python_control_has_the_rows_too(folder: Path) -> None:
     (folder / f"law_{folder.name}.py").write_text(LAW)
-    run = flown(parameters=telescope(folder, "pulses"), k_fsm=f"law_{folder.name}:observer")
+    run = recorded(parameters=telescope(folder, "pulses"), k_fsm=f"law_{folder.name}:observer")
     assert [row.name for row in source_shares(run)] == ["my pulses", NOISE, TOGETHER]
 
 
 @pytest.mark.usefixtures("folder")
 def test_wheels_and_drives_of_the_telescope_have_a_row_each() -> None:
-    run = flown(parameters=str(MOVING_ROTORS))
+    run = recorded(parameters=str(MOVING_ROTORS))
     check_sum(run, "wheel broadband", "array drive", NOISE)
 
 
 def test_what_limits_make_is_a_row_of_its_own(folder: Path) -> None:
-    run = flown(parameters=telescope(folder, "pulses"), fsm_authority=1e-6)
+    run = recorded(parameters=telescope(folder, "pulses"), fsm_authority=1e-6)
     rows = source_shares(run)
     assert [row.name for row in rows] == ["my pulses", NOISE, REST, TOGETHER]
     assert sum(row.share for row in rows[:-1]) == pytest.approx(1.0)
@@ -200,5 +200,5 @@ def test_runs_under_the_same_conditions_are_compared_without_a_word(folder: Path
 
 
 def test_a_run_without_disturbance_says_so(folder: Path) -> None:
-    run = flown(disturbance=False, parameters=telescope(folder, "cooler"), duration=1.2)
+    run = recorded(disturbance=False, parameters=telescope(folder, "cooler"), duration=1.2)
     assert summarise(run).scenario == "no disturbance" and source_shares(run) == ()

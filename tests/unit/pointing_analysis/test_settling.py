@@ -12,7 +12,8 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.settling import MEASURED, decay, judge_settled, start_up
+from pointing_analysis.requirements.conditions import MEASURED
+from pointing_analysis.requirements.settling import decay, judge_settled, start_up
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.text import parse
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pointing_analysis.requirements.conditions import ACTING, MEMBER
@@ -35,13 +36,15 @@ def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
 
 def member(parts: RunParts) -> str:
     """Angle of the arrays, speeds of the wheels and uncertain frequencies, at the start of the run."""
-    from titop_plant.simulation.plant_config import frequencies, motion
-    from titop_plant.telescope.layout import arrays_turn
+    from titop_plant.simulation.plant_config import frequencies
+    from titop_plant.telescope.layout import arrays_turn, default_speeds
 
-    profile = motion(parts.settings, parts.parameters)
-    speeds = ", ".join(f"{speed:.6g}" for speed in profile.speeds(0.0))
-    texts = [f"arrays at {float(profile.angle(0.0)):.6g} rad"] if arrays_turn(parts.parameters) else []
+    config = parts.config
+    if config.profile not in ("linear", "trapezoidal"):
+        return f"arrays and wheels as {Path(config.profile).name} says"
+    speeds = ", ".join(f"{speed:.6g}" for speed in config.wheel_speed or default_speeds(parts.parameters))
+    texts = [f"arrays at {config.array_angle:.6g} rad"] if arrays_turn(parts.parameters) else []
     texts += [f"wheels at {speeds} rad/s"] if speeds else []
-    given = frequencies(parts.config, parts.parameters)
+    given = frequencies(config, parts.parameters)
     texts += [f"{name} {value:.6g} rad/s" for name, value in given.items()] or ["frequencies nominal"]
     return ", ".join(texts)

@@ -25,7 +25,7 @@ from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
-from pointing_analysis.requirements.settling import MEASURED, START_UP
+from pointing_analysis.requirements.conditions import MEASURED, START_UP
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
@@ -82,7 +82,9 @@ def _start_up(parts: RunParts, start: RunStart) -> dict[str, str]:
     """What is known of the start-up: none in a steady state; else it is measured, but of a rig and of what moves."""
     if start.steady and not parts.sources:
         return {"transient_s": "0"}
-    return {} if parts.config.device or parts.settings.ramps else {START_UP: MEASURED}
+    config = parts.config
+    moves = config.ramp_duration or config.profile not in ("linear", "trapezoidal")
+    return {} if config.device or moves else {START_UP: MEASURED}
 
 
 def tables_of(parts: RunParts) -> dict[str, str]:
