@@ -27,10 +27,11 @@ from lftkit.tuning.certificate import Certificate, weighted_loop
 from lftkit.tuning.descent.starts import start_checked
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
+from lftkit.tuning.problem import MIN_DECAY
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, check_weights
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.sector_gain import SectorGain
-from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import StructureOnImage, required_period
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure
@@ -79,6 +80,7 @@ def tune_discrete(
     *,
     initial: Sequence[ArrayLike] = (),
     met: float = -np.inf,
+    min_decay: float = MIN_DECAY,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune a discrete controller on discrete models, as :func:`lftkit.tuning.tune` does in continuous time.
@@ -94,8 +96,9 @@ def tune_discrete(
     structure : Structure
         Of the discrete controller: entries are those of its matrices, also fixed and bounded ones. A PID has the
         sampling period (``pid(..., dt=0.1)``) and is that of the trapezoidal rule.
-    initial, met, options
-        As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers.
+    initial, met, min_decay, options
+        As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers, and
+        the decay is that of the image, ``-log|z| / T`` for slow poles [rad/s].
 
     Returns
     -------
@@ -127,18 +130,22 @@ def tune_discrete(
     starts = [start_checked(x, structure) for x in initial]
     if isinstance(law, AffineStructure):
         starts = [_parameters_of_image(law, x, dt) for x in starts]
-    found = tune([image_of(m) for m in ready], images, law, initial=starts, met=met, options=options)
+    found = tune(
+        [image_of(m) for m in ready], images, law, initial=starts, met=met, min_decay=min_decay, options=options
+    )
     K = law.sampled(found.x) if isinstance(law, StructureOnImage) else sampled_from_image(found.controller, dt)
     certificate = certified(ready, K, needs, dt)
-    status = found.status
+    status, advice = found.status, found.advice
+    if found.certificate is None and status is TuningStatus.NOT_STABILISED:
+        return replace(found, controller=K)
     stable = bool(np.all(certificate.abscissae < 0.0))
     if stable and not np.allclose(certificate.values, found.values, rtol=AGREEMENT, atol=1e-9):
-        status = TuningStatus.INACCURATE
+        status, advice = TuningStatus.INACCURATE, inaccurate(found.values, certificate.values)
     hard = np.array([r.hard for r in needs])
     return replace(
         found,
         status=status,
-        advice=found.advice if status is found.status else status.advice,
+        advice=advice,
         controller=K,
         x=law.parameters_of(K) if law.order and isinstance(law, AffineStructure) else found.x,
         values=certificate.values,

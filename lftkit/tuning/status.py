@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from enum import Enum
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+FAR = 0.01
+"""Relative difference of a tuned value and its certificate from which on the result is no optimum."""
+
 
 class TuningStatus(str, Enum):
     """Why a tuning run ended and what it promises; :attr:`advice` says what to do."""
@@ -27,6 +33,29 @@ class TuningStatus(str, Enum):
     def advice(self) -> str:
         """What to do about it."""
         return _ADVICE[self.value]
+
+
+def inaccurate(tuned: ArrayLike, certified: ArrayLike) -> str:
+    """Advice where values and certificate differ: both where they differ most, and what follows.
+
+    Parameters
+    ----------
+    tuned, certified : array_like
+        Values of the requirements for each model, of equal shape.
+
+    Examples
+    --------
+    >>> inaccurate([1.0, 3.0], [1.0, 700.0])
+    'a tuned value is 3, its certificate 700: trust the certificate; the result is no optimum: try other starts'
+    """
+    values, right = (np.ravel(np.asarray(given, dtype=float)) for given in (tuned, certified))
+    known = np.isfinite(values) & np.isfinite(right)
+    if not np.any(known):
+        return TuningStatus.INACCURATE.advice
+    apart = np.where(known, np.abs(values - right) / np.maximum(np.abs(right), np.finfo(float).tiny), -1.0)
+    k = int(np.argmax(apart))
+    text = f"a tuned value is {values[k]:.6g}, its certificate {right[k]:.6g}: trust the certificate"
+    return f"{text}; the result is no optimum: try other starts" if apart[k] > FAR else text
 
 
 _ADVICE = {

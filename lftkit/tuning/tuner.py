@@ -25,6 +25,7 @@ from lftkit.tuning.descent.single_start import StartResult, only_point, tune_fro
 from lftkit.tuning.descent.start_runner import CARRIED, FIRST, MAX_BATCHES, StartSearch, ended, run_first, run_starts
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
+from lftkit.tuning.fixed_poles import slow_fixed_pole
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
@@ -32,7 +33,7 @@ from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.rounds import Worse, in_rounds
-from lftkit.tuning.status import TuningStatus
+from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import required_period
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
@@ -174,6 +175,10 @@ def tune(
     ready, needs = resolved(models, requirements)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
+    if (fixed := slow_fixed_pole(problem)) is not None:
+        first = replace(only_point(problem, given[0] if given else None), status=TuningStatus.NOT_STABILISED)
+        found = result_of(problem, [first], time.monotonic() - start_time)
+        return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(min_decay))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         alone = StartSearch((only_point(problem),), True) if not structure.size else None
@@ -328,9 +333,9 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     K = controller(problem.structure, x)
     stable = found.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.given, problem.loop_delay) if stable else None
-    status = best.status
+    status, differ = best.status, ""
     if certificate is not None and not _agree(certificate, values):
-        status = TuningStatus.INACCURATE
+        status, differ = TuningStatus.INACCURATE, inaccurate(values, certificate.values)
     if certificate is not None and not problem.loop_delay:
         # what the tuner has not seen between its frequencies, the certificate has
         gains = np.isin(np.arange(count), problem.hinf)[:, None] & np.isfinite(values)
@@ -340,7 +345,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     at_bounds = _at_bounds(problem, x)
     return TuningResult(
         status,
-        _found(problem, best, status) or _advice(status, at_bounds),
+        _found(problem, best, status) or _advice(status, at_bounds, differ),
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -383,5 +388,6 @@ def _at_bounds(problem: Problem, x: FloatArray) -> tuple[str, ...]:
     return tuple(names[k] for k in numbers)
 
 
-def _advice(status: TuningStatus, at_bounds: tuple[str, ...]) -> str:
-    return f"{status.advice}; at their bounds: {', '.join(at_bounds)}" if at_bounds else status.advice
+def _advice(status: TuningStatus, at_bounds: tuple[str, ...], differ: str = "") -> str:
+    said = differ or status.advice
+    return f"{said}; at their bounds: {', '.join(at_bounds)}" if at_bounds else said

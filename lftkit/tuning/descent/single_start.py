@@ -99,9 +99,9 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
     return _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
 
 
-def only_point(problem: Problem) -> StartResult:
-    """The one controller of a structure without parameters: ``converged`` if it meets all hard requirements."""
-    point = point_at(problem, np.zeros(0))
+def only_point(problem: Problem, x: FloatArray | None = None) -> StartResult:
+    """One controller, that of a structure without parameters: ``converged`` if it meets all hard requirements."""
+    point = point_at(problem, np.zeros(problem.structure.size) if x is None else x)
     if not point.found.abscissa < -problem.min_decay:
         return StartResult(TuningStatus.NOT_STABILISED, point.x, np.inf, np.inf, point.found.abscissa, np.inf, 1, 0)
     status = TuningStatus.CONVERGED if point.feasible else TuningStatus.INFEASIBLE

@@ -40,7 +40,7 @@ def simplex_minimum(H: FloatArray, a: FloatArray, tolerance: float = 1e-14) -> t
     diagonal = np.maximum(np.diag(H), 0.0)
     # pieces much steeper than the others (a boundary close by) get variables of their own scale
     middle = float(np.median(diagonal))
-    e = np.minimum(1.0, np.sqrt(middle / np.maximum(diagonal, 1e-300))) if middle > 0.0 else np.ones(m)
+    e = np.sqrt(middle / np.maximum(diagonal, middle)) if middle > 0.0 else np.ones(m)
     size = max(float((diagonal * e * e).max()), float(np.ptp(a)), 1e-300)
     top = float(a.max())
     Q, c = H * np.outer(e, e) / size, e * (a - top) / size

@@ -1,0 +1,96 @@
+"""Poles that no controller moves: they are named with min_decay, at once, in place of advice that cannot help."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lftkit.systems.system import System
+from lftkit.tuning import HinfGain, TuningOptions, state_space, tune, tune_discrete
+from lftkit.tuning.fixed_poles import slow_fixed_pole
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.status import TuningStatus, inaccurate
+
+LAW = state_space([("y", 1)], [("u", 1)], 1)
+QUICK = TuningOptions(starts=1, iterations=40, seed=0)
+
+
+def weighted(pole: float) -> System:
+    """1 / (s + 1) whose error is weighted by (s + 2) / (2 (s + pole)): the law does not see the weight's state."""
+    A = [[-1.0, 0.0], [-0.5 * (2.0 - pole), -pole]]
+    B = [[0.0, 1.0], [0.5 * (2.0 - pole), 0.0]]
+    C = [[-0.5, 1.0], [0.0, 0.0], [-1.0, 0.0]]
+    D = [[0.5, 0.0], [0.0, 0.1], [1.0, 0.0]]
+    return System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 2), ("y", 1)], "weighted")
+
+
+@pytest.mark.parametrize("pole", [1e-6, 1e-7])
+def test_a_weight_as_slow_as_the_limit_is_named(pole: float) -> None:
+    """Once: not stabilised after 40 s, "raise the order"; the loop is stable with any stable law."""
+    found = tune([weighted(pole)], [HinfGain("w", "z")], LAW, options=QUICK)
+    assert found.status is TuningStatus.NOT_STABILISED and found.certificate is None and found.soft == np.inf
+    assert f"the pole {-pole:.6g} rad/s of weighted" in found.advice
+    assert "min_decay = 1e-06" in found.advice and "order" not in found.advice
+    assert found.evaluations == 1
+
+
+def test_with_a_smaller_least_decay_the_optimum_is_that_of_a_faster_weight() -> None:
+    slow = tune([weighted(1e-7)], [HinfGain("w", "z")], LAW, min_decay=1e-9, options=QUICK)
+    fast = tune([weighted(1e-4)], [HinfGain("w", "z")], LAW, options=QUICK)
+    assert slow.status is not TuningStatus.NOT_STABILISED and slow.certificate is not None
+    assert slow.soft == pytest.approx(fast.soft, rel=1e-3)
+
+
+def test_a_discrete_weight_is_named_and_can_be_admitted() -> None:
+    pole = 1.0 - 1e-8  # -1e-6 rad/s at a period of 0.01 s
+    plant = System(
+        [[0.99, 0.0], [-0.01, pole]],
+        [[0.0, 0.01], [0.01, 0.0]],
+        [[-0.5, 1.0], [0.0, 0.0], [-1.0, 0.0]],
+        [[0.5, 0.0], [0.0, 0.1], [1.0, 0.0]],
+        [("w", 1), ("u", 1)],
+        [("z", 2), ("y", 1)],
+        "sampled",
+        dt=0.01,
+    )
+    named = tune_discrete([plant], [HinfGain("w", "z")], LAW, options=QUICK)
+    assert named.status is TuningStatus.NOT_STABILISED and "the pole -1e-06 rad/s of sampled" in named.advice
+    assert named.soft == np.inf and named.certificate is None
+    admitted = tune_discrete([plant], [HinfGain("w", "z")], LAW, min_decay=1e-9, options=QUICK)
+    assert admitted.status is not TuningStatus.NOT_STABILISED and np.isfinite(admitted.soft)
+
+
+def test_what_does_not_reach_the_pole_is_named() -> None:
+    unreached = System(
+        [[1, 0], [0, -1]],
+        [[1, 0], [0, 1]],
+        [[1, 1], [1, 1]],
+        np.zeros((2, 2)),
+        [("w", 1), ("u", 1)],
+        [("z", 1), ("y", 1)],
+    )
+    found = slow_fixed_pole(Problem([unreached], [HinfGain("w", "z")], LAW))
+    assert found is not None and found.missing == "commands" and found.value == 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_poles_that_a_law_reaches_are_not_fixed_however_slow_or_fast(seed: int) -> None:
+    """Random plants in random coordinates, unstable and slow poles included: none is called fixed."""
+    rng = np.random.default_rng(seed)
+    T = rng.standard_normal((5, 5))
+    A = T @ np.diag([1.0, 0.0, -1e-5, -1e3, -1.0]) @ linalg.inv(T)
+    plant = System(
+        A,
+        rng.standard_normal((5, 2)),
+        rng.standard_normal((2, 5)),
+        np.zeros((2, 2)),
+        [("w", 1), ("u", 1)],
+        [("z", 1), ("y", 1)],
+    )
+    assert slow_fixed_pole(Problem([plant], [HinfGain("w", "z")], LAW)) is None
+
+
+def test_inaccurate_says_both_values() -> None:
+    assert "a tuned value is 3, its certificate 1.9e+06" in inaccurate([[1.0, 3.0]], [[1.0, 1.9e6]])
+    assert "no optimum" in inaccurate([3.0], [705.0]) and "no optimum" not in inaccurate([3.0], [3.005])
