@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fsm_pma_controller.fade import FADE_TICKS, Fade
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant.interface import (
@@ -52,7 +53,8 @@ class FsmPmaController:
     ======== ============ ==== =========================================
 
     **A positive LOS estimate drives the mirror to a negative angle.** Both outputs are saturated at
-    the authority of their actuators. Stages without a loop give zeros on it. A law of the user may read sensors and
+    the authority of their actuators. Stages without a loop give zeros on it. A change of the stage between two steps
+    fades the outputs of a loop in or out, so that no command steps. A law of the user may read sensors and
     command actuators of a telescope's file: their values follow those of the table.
 
     Parameters
@@ -70,6 +72,8 @@ class FsmPmaController:
         (:meth:`titop_plant.interface.DesignBasis.mirror_sensitivity`).
     fsm_authority, pma_authority : float
         Limits per channel [rad], [N].
+    fade_ticks : int
+        Length of the fade after a change of the stage.
 
     Raises
     ------
@@ -100,6 +104,7 @@ class FsmPmaController:
         sensors: Sequence[Port] = (),
         actuators: Sequence[Port] = (),
         actuator_authority: Sequence[float] = (),
+        fade_ticks: int = FADE_TICKS,
     ) -> None:
         if loop not in STAGES:
             raise ValueError(f"loop must be one of {', '.join(STAGES)}, got {loop!r}")
@@ -119,7 +124,8 @@ class FsmPmaController:
         self._limit: FloatArray = np.concatenate([np.zeros(COMMANDS), np.array(actuator_authority, dtype=float)])
         self._negative_limit = -self._limit
         self.limit(fsm_authority, pma_authority)
-        self._pma_closed = False
+        self._mirror_fade, self._force_fade = Fade(fade_ticks), Fade(fade_ticks)
+        self._begun = False
         self.switch(loop)
         self._force = np.zeros(self._limit.size - FORCES.start)
         self._start: FloatArray = np.zeros(k_pma.order)
@@ -137,11 +143,18 @@ class FsmPmaController:
         self._start = np.array(state, dtype=float)
 
     def switch(self, loop: str) -> None:
-        """Close the loops of a stage from the next step on; K_PMA starts from its zero state when its loop closes."""
+        """Close the loops of a stage, from the next step on; K_PMA starts from its zero state when its loop closes.
+
+        Their commands fade in and out, but for a stage that is chosen before the first step.
+        """
         self.loop = loop
-        closed, self._pma_closed = self._pma_closed, loop in FORCE_STAGES
-        self._fsm_closed = loop in MIRROR_STAGES
-        if self._pma_closed and not closed:
+        self._fsm_closed, self._pma_closed = loop in MIRROR_STAGES, loop in FORCE_STAGES
+        self._mirror_fade.turn(self._fsm_closed)
+        self._force_fade.turn(self._pma_closed)
+        if not self._begun:
+            self._mirror_fade.settle()
+            self._force_fade.settle()
+        elif self._pma_closed and self._force_fade.over:
             self.k_pma.reset()
 
     def limit(self, fsm_authority: float | None = None, pma_authority: float | None = None) -> None:
@@ -172,16 +185,28 @@ class FsmPmaController:
 
         Values of further sensors stand behind `accel_Ip` (6,), forces of further actuators at the end of `out`.
         """
-        if self._pma_closed:
-            self.k_pma.step(accel_Ip, self._force)
-        if self._fsm_closed:
+        self._begun = True
+        mirror = 1.0 if self._mirror_fade.whole else self._mirror_fade.weight()
+        force = 1.0 if self._force_fade.whole else self._force_fade.weight()
+        if mirror:
             np.multiply(los_estimate, self._mirror_gain, out=out[MIRROR])
         else:
             out[MIRROR] = 0.0
-        out[FORCES.start :] = self._force if self._pma_closed else 0.0
+        if force:
+            self.k_pma.step(accel_Ip, self._force)
+            out[FORCES.start :] = self._force
+        else:
+            out[FORCES.start :] = 0.0
         np.minimum(out, self._limit, out=out)
         np.maximum(out, self._negative_limit, out=out)
+        if mirror < 1.0:
+            out[MIRROR] *= mirror
+        if force < 1.0:
+            out[FORCES.start :] *= force
 
     def reset(self) -> None:
-        """Back to the start: the zero state, or that of :meth:`start_at`."""
+        """Back to the start: the zero state, or that of :meth:`start_at`; a fade is over."""
         self.k_pma.reset(self._start)
+        self._begun = False
+        self._mirror_fade.settle()
+        self._force_fade.settle()

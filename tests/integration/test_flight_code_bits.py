@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import os
 import shutil
@@ -17,12 +18,22 @@ from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import run_laws
 from los_testbed.run.replay import LAYOUT, controllers
 from los_testbed.run_start import START_FILE, RunStart
-from support.flight_library import LEVELS, LIBRARY, STRICT, FlightController, build, observer_of, same_bits, write
+from support.flight_library import (
+    LEVELS,
+    LIBRARY,
+    STRICT,
+    FlightController,
+    build,
+    observer_of,
+    pointer,
+    same_bits,
+    write,
+)
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import replay
-from titop_plant.interface import COMMANDS, ESTIMATES, PLATFORM, STAGES
+from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, ESTIMATES, PLATFORM, STAGES
 
 BAG = Path(__file__).parents[2] / "bags/reference"
 PATH = Path(__file__).parents[2] / "benchmarks" / "flight_code.py"
@@ -208,3 +219,81 @@ def test_the_rounding_of_a_step_is_within_its_bound(shipped: Path) -> None:
             assert error <= bound
             largest = max(largest, error)
     assert largest > 0  # not all sums are exact
+
+
+OK, NOT_FINITE, SATURATED, FADING, REFUSED = 0, 1, 2, 4, 8
+"""Status of a step, as in los_flight.h."""
+
+
+@with_gcc
+def test_a_step_says_what_fault_handling_needs(shipped: Path) -> None:
+    """Values that are not finite until a reset, commands at their limits, commands on a fade."""
+    library = ctypes.CDLL(str(build(shipped, "gcc", "-O2")))
+    memory, zeros = ctypes.create_string_buffer(1 << 14), np.zeros(22)
+    estimate, command = np.zeros(ESTIMATES), np.zeros(COMMANDS)
+
+    def observer(measurement: FloatArray) -> int:
+        return int(library.los_k_fsm_step(memory, pointer(measurement), pointer(estimate)))
+
+    library.los_k_fsm_init(memory)
+    odd = zeros.copy()
+    odd[0] = np.nan
+    frame = zeros.copy()
+    frame[COLUMNS[CAMERA_PORT]] = np.nan
+    assert [observer(values) for values in (zeros, frame, odd, zeros)] == [OK, OK, NOT_FINITE, NOT_FINITE]
+    library.los_k_fsm_reset(memory)
+    assert observer(zeros) == OK
+
+    def law(angle: float, accel: float = 0.0) -> int:
+        given = np.full(ESTIMATES, angle), np.full(6, accel)
+        return int(library.los_controller_step(memory, *map(pointer, given), pointer(command)))
+
+    library.los_controller_init(memory)
+    assert [law(1e-9), law(1.0), law(np.nan), law(1e-9)] == [OK, SATURATED, NOT_FINITE, OK]
+    assert [law(0.0, np.inf) & NOT_FINITE, law(0.0) & NOT_FINITE] == [NOT_FINITE] * 2, "K_PMA has a state"
+    library.los_controller_reset(memory)
+    assert law(0.0) == OK
+    library.los_controller_switch(memory, STAGES.index("fsm"))
+    assert [law(1e-9) for _ in range(21)] == [*[FADING] * 19, OK, OK]
+
+
+@with_gcc
+def test_arguments_that_cannot_be_are_refused(shipped: Path) -> None:
+    library = ctypes.CDLL(str(build(shipped, "gcc", "-O2")))
+    memory, command = ctypes.create_string_buffer(1 << 14), np.zeros(COMMANDS)
+    library.los_controller_init(memory)
+    for limits in ((np.nan, 1.0), (1.0, np.nan), (0.0, 1.0), (1.0, -1.0)):
+        assert library.los_controller_limit(memory, *map(ctypes.c_double, limits)) == REFUSED
+    given = np.full(ESTIMATES, 1.0), np.zeros(6)
+    assert library.los_controller_step(memory, *map(pointer, given), pointer(command)) == SATURATED
+    assert np.abs(command[:2]).max() == laws_of().authority[0], "the limits are those of before"
+    library.los_fade_weight.restype = ctypes.c_double
+    assert [library.los_fade_weight(place) for place in (-(2**31), -1, 0, 20, 21, 2**31 - 1)] == [0, 0, 0, 1, 0, 0]
+
+
+class Gate(ctypes.Structure):
+    """los_gate of los_flight.h."""
+
+    _fields_ = (
+        ("size", ctypes.c_int),
+        ("limit", ctypes.c_double),
+        ("held", ctypes.c_double * 6),
+        ("last_stamp", ctypes.c_int64),
+        ("ramp", ctypes.c_int),
+    )
+
+
+@with_gcc
+@pytest.mark.parametrize("ramp", [-1, 21, 2**31 - 1, -(2**31)])
+def test_a_place_on_the_fade_that_is_none_gives_zero_and_fades_in(shipped: Path, ramp: int) -> None:
+    """Memory that was changed must not be an index: with sanitizers it would end here."""
+    library = ctypes.CDLL(str(build(shipped, "gcc", "-O1")))
+    gate, tick, applied = Gate(), 1_000_000, np.full(6, 7.0)
+    library.los_gate_init(ctypes.byref(gate), 0, ctypes.c_int64(tick))
+    gate.held[0], gate.ramp = 1e-3, ramp
+    statuses = []
+    for k in range(1, 25):
+        gate.last_stamp = k * tick
+        statuses.append(library.los_gate_step(ctypes.byref(gate), ctypes.c_int64((k + 1) * tick), pointer(applied)))
+        assert k > 1 or 0 <= applied[0] < 1e-5
+    assert statuses == [REFUSED | FADING, *[FADING] * 18, *[OK] * 5] and applied[0] == 1e-3

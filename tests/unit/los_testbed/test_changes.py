@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import build_controller
-from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, Fade, parse_change
+from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, parse_change
 
-from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
+from fsm_pma_controller.fade import FADE_TICKS, Fade
+from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
@@ -158,6 +159,39 @@ def test_frames_are_dropped_from_the_tick_of_the_change_and_a_reset_undoes_it():
         plant.change("seed", 1)
 
 
+def test_a_change_of_the_stage_does_not_step_a_command():
+    """From tick to tick it changes by no more than the steepest part of the fade, and the law's own change."""
+    controller, kept = build_controller(RunConfig()), build_controller(RunConfig())
+    rng = np.random.default_rng(4)
+    found, whole = np.zeros((400, COMMANDS)), np.zeros((400, COMMANDS))
+    for k in range(400):
+        estimate, accel = np.full(2, 1e-5), 1e-3 * np.sin(0.05 * k + np.arange(6))
+        if k % 50 == 25:
+            controller.switch(str(rng.choice(STAGES)))
+        controller.step(estimate, accel, found[k])
+        kept.step(estimate, accel, whole[k])
+    steepest = 0.5 * np.pi / FADE_TICKS
+    for part in (MIRROR, FORCES):
+        steps = np.abs(np.diff(found[:, part], axis=0)).max()
+        assert (
+            0
+            < steps
+            <= 1.01 * (steepest * np.abs(whole[:, part]).max() + np.abs(np.diff(whole[:, part], axis=0)).max())
+        )
+
+
+def test_a_stage_that_is_chosen_before_the_first_step_is_whole_at_once():
+    controller, ours = build_controller(RunConfig()), build_controller(RunConfig(loop="fsm"))
+    u, v = np.zeros(COMMANDS), np.zeros(COMMANDS)
+    for _ in range(2):
+        controller.switch("fsm")
+        controller.step(np.full(2, 1e-5), np.full(6, 1e-3), u)
+        ours.step(np.full(2, 1e-5), np.full(6, 1e-3), v)
+        assert np.array_equal(u, v) and u[0]
+        controller.switch("none")
+        controller.reset()
+
+
 def test_the_controller_opens_and_closes_loops_and_limits_at_the_next_step():
     controller, fresh = build_controller(RunConfig()), build_controller(RunConfig())
     estimate, accel, u, v = np.full(2, 1e-5), np.full(6, 1e-3), np.zeros(COMMANDS), np.zeros(COMMANDS)
@@ -165,13 +199,15 @@ def test_the_controller_opens_and_closes_loops_and_limits_at_the_next_step():
         controller.step(estimate, accel, u)
     assert np.any(u[MIRROR]) and np.any(u[FORCES])
     controller.switch("isolator")
-    controller.step(estimate, accel, u)
+    for _ in range(FADE_TICKS):
+        controller.step(estimate, accel, u)
     assert not np.any(u)
     controller.switch("fsm")
-    controller.step(estimate, accel, u)
+    for _ in range(FADE_TICKS):
+        controller.step(estimate, accel, u)
     assert np.any(u[MIRROR]) and not np.any(u[FORCES])
     controller.switch("fsm+pma")
-    for _ in range(3):
+    for _ in range(FADE_TICKS):
         controller.step(estimate, accel, u)
         fresh.step(estimate, accel, v)
     assert np.array_equal(u, v), "K_PMA starts from its zero state"

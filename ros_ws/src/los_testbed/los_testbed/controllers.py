@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from fsm_pma_controller.fade import FADE_TICKS
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.flight_library import LibraryLaw
@@ -31,7 +32,10 @@ def compare_with_telescope(
 
 
 def assemble_controller(
-    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw], telescope: DesignBasis, loop: str
+    controllers: Mapping[str, SampledSystem | UserBlock | LibraryLaw],
+    telescope: DesignBasis,
+    loop: str,
+    fade_ticks: int = FADE_TICKS,
 ) -> FsmPmaController:
     """Mirror and proof-mass laws.
 
@@ -43,6 +47,8 @@ def assemble_controller(
         With the limits of the run; its sensitivity counts where the file of K_FSM says none.
     loop : str
         Stage.
+    fade_ticks : int
+        Length of the fade after a change of the stage.
 
     Raises
     ------
@@ -62,4 +68,5 @@ def assemble_controller(
         sensors=devices.inputs,
         actuators=devices.outputs,
         actuator_authority=devices.authority,
+        fade_ticks=fade_ticks,
     )

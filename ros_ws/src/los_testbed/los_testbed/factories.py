@@ -330,7 +330,7 @@ class RunParts:
         Its reset leads to the start of the run. ValueError as :meth:`check`.
         """
         self.compare()
-        controller = assemble_controller(self.controllers, self.basis, self.config.loop)
+        controller = assemble_controller(self.controllers, self.basis, self.config.loop, self.config.fade_ticks)
         if self.states is not None:
             controller.start_at(self.states.k_pma)
         return controller

@@ -140,6 +140,7 @@ def render(laws: FlightLaws, names: Sequence[str] = FILES) -> dict[str, str]:
         "commands": COMMANDS,
         "units": UNITS,
         "tables_sha256": common_hash(hashes),
+        "fade_ticks": laws.fade_ticks,
     }
     fill = {
         HEADER: partial(_header, laws),
@@ -171,7 +172,6 @@ def _unit(laws: FlightLaws, unit: str, tables: Tables) -> dict[str, Any]:
     found: dict[str, Any] = {
         "sha256": tables.sha256,
         "tables": "\n".join(tables.declaration(name) for name in tables.values),
-        "fade_ticks": laws.fade_ticks,
     }
     if unit in ("k_fsm", "k_pma"):
         entries = provenance(getattr(laws, unit))

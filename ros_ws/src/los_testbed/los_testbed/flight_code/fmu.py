@@ -22,7 +22,7 @@ from lftkit.systems.ports import Port
 from los_testbed import __version__
 from los_testbed.flight_code.export import FLAGS, TIME_LIMIT_S, compiler, render, template
 from los_testbed.flight_code.laws import FlightLaws
-from los_testbed.flight_code.tables import HEADER, Tables, common_hash
+from los_testbed.flight_code.tables import HEADER, UNITS, Tables, common_hash
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import (
     COLUMNS,
@@ -103,7 +103,7 @@ def variables(ports: Sequence[Port]) -> tuple[tuple[str, str], ...]:
 def law_model(laws: FlightLaws) -> Model:
     """The laws: measurement to command and estimate."""
     inputs, outputs = variables(MEASURED_PORTS), variables((*COMMAND_PORTS, *K_FSM_OUTPUTS))
-    names = (HEADER, "k_fsm.c", "k_pma.c", "controller.c")
+    names = (HEADER, *(f"{unit}.c" for unit in UNITS))
     files = render(laws, names)
     files[f"{LAW}.c"] = template(f"{LAW}.c").render(inputs=inputs, outputs=outputs)
     digest = common_hash({unit: tables.sha256 for unit, tables in laws.tables().items()})

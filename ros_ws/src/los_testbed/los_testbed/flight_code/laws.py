@@ -85,6 +85,7 @@ class FlightLaws:
             los_sensitivity=self.los_sensitivity,
             fsm_authority=mirror,
             pma_authority=force,
+            fade_ticks=self.fade_ticks,
         )
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -202,39 +201,3 @@ class Changes:
             for tick, name, value, by in self._applied
         ]
         return {"changes": json.dumps(rows)} if rows else {}
-
-
-class Fade:
-    """Weight of a node's output: 1 while it is active, else down to 0 along a raised cosine, and back.
-
-    Parameters
-    ----------
-    ticks : int
-        Length of the fade.
-
-    Examples
-    --------
-    >>> fade = Fade(2)
-    >>> fade.turn(False)
-    >>> [round(fade.weight(), 3) for _ in range(3)]
-    [0.5, 0.0, 0.0]
-    """
-
-    def __init__(self, ticks: int) -> None:
-        self._weights = [0.5 - 0.5 * math.cos(math.pi * i / ticks) for i in range(ticks)] + [1.0]
-        self._last = self._at = ticks
-        self._step = 1
-
-    def turn(self, active: bool) -> None:
-        """Fade in, or out, from the next tick on."""
-        self._step = 1 if active else -1
-
-    @property
-    def whole(self) -> bool:
-        """Whether the weight is 1 and stays so."""
-        return self._at == self._last and self._step > 0
-
-    def weight(self) -> float:
-        """Weight of this tick; called once a tick unless it is whole."""
-        self._at = min(max(self._at + self._step, 0), self._last)
-        return self._weights[self._at]

@@ -7,6 +7,7 @@ from collections import Counter
 
 import numpy as np
 
+from fsm_pma_controller.fade import fade_weights
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError
 from los_testbed.loop.source_guard import OURS
@@ -50,7 +51,7 @@ class CommandGate:
         self._held = np.zeros(codec.size)
         self._magnitude = np.zeros(codec.size)
         self._ramp = fade_ticks
-        self._weights = [0.5 - 0.5 * math.cos(math.pi * i / fade_ticks) for i in range(fade_ticks)] + [1.0]
+        self._weights = fade_weights(fade_ticks)
 
     def offer(self, data: bytes, now_ns: int, source: str = OURS) -> bool:
         """Take one message at the tick `now_ns`; True if it is the valid command of an earlier tick.

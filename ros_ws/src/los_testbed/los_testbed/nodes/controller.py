@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fsm_pma_controller.fade import Fade
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_controller
 from los_testbed.law_devices import NO_DEVICES
-from los_testbed.loop.changes import Apply, Fade
+from los_testbed.loop.changes import Apply
 from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node

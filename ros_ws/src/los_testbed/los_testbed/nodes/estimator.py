@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fsm_pma_controller.fade import Fade
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_estimator
-from los_testbed.loop.changes import Fade
 from los_testbed.loop.slow_sensor import SlowSensor
 from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
