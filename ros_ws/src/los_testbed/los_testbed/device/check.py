@@ -281,7 +281,7 @@ def _sensor_rows(
             odd = found.not_finite[sensor.port]
             fault = f"too few samples: {len(times)}" + (f", {odd} not finite" if odd else "")
         elif expected[j] == 0.0:
-            fault = ""
+            fault = _noise_fault(noise[j], low, high)
         else:
             fault = _unknown(sensor, j, matches[j], expected[j])
             if not fault:

@@ -25,6 +25,11 @@ FIRST_NS, DRAIN_NS = 2 * TICK_NS, 5 * TICK_NS
 """Before the first tick what came up to so long before it is left out, and it is read so often."""
 
 
+HELD_WITHOUT = "held_without_samples"
+"""Statistic: ticks that held their command since the one before had no samples of all sensors. The loop has not missed
+them: there was nothing to answer."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node, which has the name of the plant; returns the exit code."""
 
@@ -101,7 +106,9 @@ class DeviceLoop(PlantLoop):
             now, woke = start + k * TICK_NS, time.monotonic_ns()
             self._woke[k % RING] = time.time_ns()
             self._take_commands(now)
-            self.held += not io.fresh(now)
+            if not io.fresh(now):
+                self.held += self._answerable
+                self._unanswerable += not self._answerable
             if k >= total or self._ended:
                 break
             self._advance(now)
@@ -115,6 +122,7 @@ class DeviceLoop(PlantLoop):
             io.publish_samples(now, device.measurement if complete else None, frames, TRUTH_PORT)
             self._frames += len(frames.keys() - {TRUTH_PORT})
             self.ticks += 1
+            self._answerable = complete
             if complete:
                 self._count_sent()
             else:
@@ -128,7 +136,8 @@ class DeviceLoop(PlantLoop):
 
     def _begin_counts(self) -> None:
         super()._begin_counts()
-        self._frames = 0
+        self._frames = self._unanswerable = 0
+        self._answerable = True
         self._acquired = [0] * RING
 
     def _advance(self, now: int) -> None:
@@ -147,7 +156,8 @@ class DeviceLoop(PlantLoop):
         """Counts and times of the loop and of the device."""
         missing = self.ticks // self.device.frame_ticks - self._frames
         frames = {f"{UNSENT}{CAMERA_LOS.name}": str(missing)} if missing > 0 else {}
-        return {**super().statistics(), **frames, **self.device.statistics()}
+        held = {HELD_WITHOUT: str(self._unanswerable)} if self._unanswerable else {}
+        return {**super().statistics(), **held, **frames, **self.device.statistics()}
 
 
 if __name__ == "__main__":
