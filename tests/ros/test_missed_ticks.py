@@ -30,7 +30,9 @@ class Slow(LosEstimator):
 """
 
 
-@pytest.mark.parametrize(("limit", "code"), [((), 4), pytest.param(("--max-missed=100",), 0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("limit", "code"), [(("--mode=realtime",), 4), pytest.param(("--max-missed=100",), 0, marks=pytest.mark.slow)]
+)
 def test_more_missed_ticks_than_the_limit_are_no_success(tmp_path, limit, code):
     write_controllers(tmp_path)
     (tmp_path / "slow.py").write_text(SLOW)

@@ -13,7 +13,7 @@ TOPIC = "/telescope/truth/los"
 def test_messages_that_were_used_are_not_said_to_be_unused(misused):
     runner = Runner(RunConfig(mode="lockstep"))
     event = {"event": "second_publisher", "topic": TOPIC, "publisher": "/stranger"}
-    runner._handle("recorder", event)
+    runner._handle("recorder", event, None)
     used = {f"misused_{TOPIC}": str(misused)} if misused else {}
     runner.results.statistics = {"recorder": {f"foreign_{TOPIC}": "50", **used}}
     runner._tell_counts()

@@ -136,6 +136,10 @@ def image_topic(window: int) -> TopicDefinition:
     return TopicDefinition(IMAGE_NAME, IMAGE, "guide_camera", "plant", IMAGE_VECTOR, columns, CAMERA_PORT, "e-", True)
 
 
+BUNDLES = {"plant": "loop/measurements", "controller": "loop/commands"}
+"""Topic, by its node, of one message with all samples or all commands of a tick; a bag has it not: the topics of the
+table hold the same."""
+
 PLACED = "sensor"
 """Further sensors have their topics below this name."""
 

@@ -11,7 +11,7 @@ from datetime import datetime
 from xml.etree import ElementTree
 
 from los_testbed.run.processes.viewers import LIVE
-from los_testbed.topics import COMMANDED, DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
+from los_testbed.topics import BUNDLES, COMMANDED, DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
 
 CONTROL = "control"
 """Enclave of ``los-testbed control``."""
@@ -39,11 +39,12 @@ def sent_by(name: str, namespace: str) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> [name for name in sent_by("controller", "/telescope") if "command" in name]
+    >>> [name for name in sent_by("controller", "/telescope") if name.endswith("/command")]
     ['rt/telescope/fsm/command', 'rt/telescope/pma/command', 'rt/telescope/actuator/*/command']
     """
     space = namespace.rstrip("/")
     own = [f"rt{topic.path_in(namespace)}" for topic in TOPICS if topic.publisher == name]
+    own += [f"rt{space}/{bundle}" for node, bundle in BUNDLES.items() if node == name]
     if name != CONTROL:
         own += [f"rt{space}/{name}/*", f"rr{space}/{name}/*", f"rt{DIAGNOSTICS_TOPIC}"]
     if name == "plant":

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 
 from los_testbed.bags.cdr import Codec
 from los_testbed.factories import RunParts
-from los_testbed.topics import COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
+from los_testbed.topics import BUNDLES, COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
 from pointing_analysis.read.messages.message_types import JOINT_STATE
 from titop_plant.interface import MEASUREMENTS
-
-MEASUREMENTS_NAME, COMMANDS_NAME = "loop/measurements", "loop/commands"
-"""Topics of the two messages."""
 
 FRAME = "loop"
 
@@ -80,11 +77,11 @@ def measurement_bundle(parts: RunParts) -> Bundle:
             topics.append(shifted(topic, end - topic.columns.start))
             end += topic.size
     slow = [topic.name for topic in topics if topic.framed and topic.every(parts.config.frame_ticks) > 1]
-    return Bundle(MEASUREMENTS_NAME, "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
+    return Bundle(BUNDLES["plant"], "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
 
 
 def command_bundle(parts: RunParts) -> Bundle:
     """The message of the controller: the command, forces of further actuators behind it."""
     topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].actuators))
 
-    return Bundle(COMMANDS_NAME, "controller", tuple(topics), {})
+    return Bundle(BUNDLES["controller"], "controller", tuple(topics), {})
