@@ -58,6 +58,9 @@ class DeviceLoop(PlantLoop):
         It is open.
     """
 
+    _acquired: list[int]
+    _answerable: bool
+
     def __init__(self, context: NodeContext, device: Supervisor) -> None:
         super().__init__(context, device)  # type: ignore[arg-type]  # it is not stepped
         self.device = device

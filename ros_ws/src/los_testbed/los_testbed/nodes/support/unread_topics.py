@@ -6,8 +6,7 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 
-from los_testbed.nodes.support.transport.bundle import COMMANDS_NAME, MEASUREMENTS_NAME
-from los_testbed.topics import SENSORS, TopicDefinition
+from los_testbed.topics import BUNDLES, SENSORS, TopicDefinition
 from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
 
 LISTENERS = ("recorder", "live")
@@ -27,8 +26,8 @@ def unread_in_words(node: Node) -> str:
         The plant's.
     """
     own = [node.resolve_topic_name(topic.name) for topic in SENSORS]
-    bundles = {node.resolve_topic_name(name) for name in (MEASUREMENTS_NAME, COMMANDS_NAME)}
-    composed = bool(_readers(node, node.resolve_topic_name(MEASUREMENTS_NAME)))
+    bundles = {node.resolve_topic_name(name) for name in BUNDLES.values()}
+    composed = bool(_readers(node, node.resolve_topic_name(BUNDLES["plant"])))
     laws = [name for name in LAWS if name in node.get_node_names()]
     sent = [] if composed or not laws else own
     heard: dict[str, str] = {}
