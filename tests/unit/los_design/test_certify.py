@@ -110,6 +110,7 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: Im
     assert found.finished and not found.uncovered and part.file.exists()
     again = prove_part(part)
     assert len(again.strips) == len(found.strips) and again.seconds == found.seconds
+    assert kept_part(dataclasses.replace(part, level=1e-3)) is None, "what is kept is checked again"
     names = tuple(p.name for p in loop.system.parameters)
     proof = LoopProof(part.model, names, part.box, BAND, 1.0, again.strips)
     assert check_loop_proof(proof).windows >= found.windows > 0
