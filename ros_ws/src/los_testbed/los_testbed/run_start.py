@@ -124,7 +124,7 @@ AT_REST = RunStart()
 
 
 def for_nodes(config: RunConfig, start: RunStart) -> bytes:
-    """Content of the file :data:`START_VARIABLE`: the start, and the configuration that it is of."""
+    """Content of the file :data:`START_VARIABLE`: the start, and the configuration that it is of, with its scenario."""
     return json.dumps({"config": _identity(config), "start": start.to_bytes().decode()}).encode()
 
 

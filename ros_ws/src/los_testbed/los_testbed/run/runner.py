@@ -147,6 +147,7 @@ class Runner:
         check_address_space(self._live is not None)
         check_new_bag(self._config.bag)
         parts = RunParts(self._config)
+        self._config = parts.config  # with the scenario that acts, so that the nodes know the start as theirs
         self.results.warnings += parts.check()
         text = parameter_text(self._config).encode()
         start = for_nodes(self._config, parts.start)
