@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import MAT_DEPTH, MAT_ELEMENTS, TABLE, UNPACKED, UNPACKED_RATIO
@@ -110,7 +111,7 @@ class _Walk:
         head = file.read(8)
         if len(head) < 8:
             raise MatStructureError("it is cut short")
-        kind, size = struct.unpack(self.order + "II", head)
+        kind, size = map(int, struct.unpack(self.order + "II", head))
         if kind not in (MATRIX, COMPRESSED) or not 0 < size <= left - 8:
             raise MatStructureError(f"a variable must be a matrix of at most {left - 8} bytes, got {kind} of {size}")
         self.stream = _Stream(file, size, zlib.decompressobj() if kind == COMPRESSED else None)
@@ -263,7 +264,7 @@ class _Walk:
             if size < used[-1] * SIZES[kind] and size < used[-1]:  # of logical values a byte each
                 raise MatStructureError(f"a sparse matrix must have {used[-1]} values, got {size} bytes")
 
-    def indices(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    def indices(self) -> NDArray[np.int64]:
         kind, found = self.content(min(self.most, UNPACKED))
         if kind not in INT32 or len(found) % 4:
             raise MatStructureError(f"indices must be integers of 4 bytes, got the data type {kind}")

@@ -13,7 +13,7 @@ from lftkit.tuning.problem import Problem
 
 ROUNDING = 10 * np.finfo(float).eps
 """Singular value, relative to the norm and per state, that counts as zero."""
-ROOM = 1e-3
+MARGIN = 1e-3
 """Share of the least decay by which a fixed pole must be faster: at the limit itself no step is possible."""
 
 
@@ -64,7 +64,7 @@ def _of(model: System, problem: Problem) -> list[FixedPole]:
     A, B, C = model.A, model.B[:, commands], model.C[measurements]
     found = []
     for value in linalg.eigvals(A):
-        if value.real < -(1.0 + ROOM) * problem.min_decay or value.imag < 0.0:
+        if value.real < -(1.0 + MARGIN) * problem.min_decay or value.imag < 0.0:
             continue
         shifted = A - value * np.eye(len(A))
         for missing, matrix in (("commands", np.hstack([shifted, B])), ("measurements", np.vstack([shifted, C]))):

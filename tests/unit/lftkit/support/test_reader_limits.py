@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import os
 import socket
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from lftkit.support.input_files import InputFileError, check_file, read_bytes, read_text
 from lftkit.support.input_limits import DEPTH, KINDS
-from lftkit.support.structured_text import StructuredTextError, load_json, parse
+from lftkit.support.structured_text import StructuredTextError, load_json
 
 READERS: list[Callable[[Path], object]] = [read_bytes, read_text, lambda path: check_file(path, 1000)]
 
@@ -75,45 +72,3 @@ def test_json_of_any_depth_or_number_is_told() -> None:
         load_json("[" + "0," * KINDS["JSON"].values + "0]", "x")
     with pytest.raises(StructuredTextError, match="integers of at most 300 digits"):
         load_json("[" + "9" * 400 + "]", "x")
-
-
-PARTS = st.lists(st.sampled_from(["a", "'b.c'", '"d.e"', "f-1", '"\\"."', "'#'"]), min_size=1, max_size=70)
-VALUES = st.sampled_from(
-    ["1", "1.5", '"a.b.c"', "'''\n.....\n'''", '"""x\\"""."""', '"""q""""', "'''q''''", '"#"', "[1.5, 2.5]", "{}", '""']
-)
-BLANKS = st.sampled_from(["", " ", "\t ", "  "])
-LINES = st.lists(st.tuples(PARTS, VALUES, BLANKS, st.sampled_from(["", ' # a.b.c \' """ x'])), min_size=1, max_size=5)
-
-
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib is of Python 3.11")
-@given(lines=LINES)
-@settings(max_examples=300, deadline=None)
-def test_names_with_dots_are_counted_as_the_parser_does(lines: list[tuple[list[str], str, str, str]]) -> None:
-    """Strings, comments and blanks hide no dot of a name, and none of theirs is taken for one."""
-    import tomllib
-
-    text = "".join(
-        f"{blank}{f'{blank}.{blank}'.join([f'k{i}', *parts])} = {value}{note}\n"
-        for i, (parts, value, blank, note) in enumerate(lines)
-    )
-    deepest = max(1 + len(parts) for parts, _, _, _ in lines)
-    assert tomllib.loads(text)
-    if deepest <= DEPTH - 1:
-        assert len(parse(text, "x", "TOML", tomllib.loads)) == len(lines)
-    if deepest > DEPTH:
-        called = []
-        with pytest.raises(StructuredTextError, match="x must be nested at most 50 levels deep"):
-            parse(text, "x", "TOML", called.append)
-        assert not called  # before anything is made of it
-
-
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib is of Python 3.11")
-@pytest.mark.parametrize("frame", ["{} = 1", "[{}]", "[[{}]]", "x = {{ {} = 1 }}", 's = """x""""\n{} = 1\n#"'])
-def test_a_name_of_thousands_of_parts_takes_no_memory(frame: str) -> None:
-    import tomllib
-
-    for name in ("a", '"a"', "'a'"):
-        with pytest.raises(StructuredTextError, match="nested at most"):
-            parse(frame.format(" . ".join([name] * 30_000)), "x", "TOML", tomllib.loads)
-    with pytest.raises(StructuredTextError, match="at most 300000 values"):
-        parse("".join(f"[a{i}.b.c.d.e]\n" for i in range(100_000)), "x", "TOML", tomllib.loads)
