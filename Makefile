@@ -18,12 +18,13 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test tests test-further test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, tests of 10 to 20 minutes; at the end what was skipped and how to get it"
 	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
+	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
 	@echo "make attacks MINUTES=10  runs beside random strangers on their domain; CASES=200: so many instead"
@@ -85,6 +86,10 @@ tests: $(EVERYTHING)
 
 test-further: $(EVERYTHING)
 	$(BIN)/pytest $(LANES) -m "further and not slow" tests
+
+# tests/elsewhere.py starts it on machines of other kinds
+test-anywhere: $(EVERYTHING)
+	$(BIN)/pytest $(LANES) -m "not slow" $$($(BIN)/python tests/support/anywhere.py)
 
 test-slow: $(EVERYTHING)
 	$(BIN)/pytest -m slow tests

@@ -22,15 +22,15 @@ from support.unjudged import UnjudgedWarning, unjudged_lines
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
 os.environ.setdefault("LOS_TESTBED_QUIET", "1")  # lines of progress come by the clock: no test may depend on them
 
+from hypothesis import settings
+
+settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
+settings.load_profile("any-machine")
+
 # Who starts the tests may ignore these, and programs inherit it: those of the tests are to end by them.
 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-from hypothesis import settings  # noqa: E402 (the handlers come first)
-
-settings.register_profile("any-machine", deadline=None)  # a test must not depend on the speed of the machine
-settings.load_profile("any-machine")
 
 SKIPPED_VARIABLE = "SKIPPED_TESTS_FILE"
 """Environment variable: a file that the lines are appended to, so that several runs can be summed up."""

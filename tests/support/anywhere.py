@@ -1,0 +1,33 @@
+"""Files of tests that could fail on another machine: clocks, signals, processes, terminals, paths, the last bits.
+
+`make test-anywhere` runs them; `tests/elsewhere.py` makes such machines. As a program: their names, for pytest.
+"""
+
+from __future__ import annotations
+
+import sys
+
+ANYWHERE = (
+    "architecture/test_environment.py",
+    "integration/test_loop_without_ros.py",
+    "integration/test_run_start.py",
+    "ros/test_runs_with_processes.py",
+    "ros/test_told_counts.py",
+    "unit/lftkit/support/test_workers.py",
+    "unit/lftkit/tuning/test_tuner.py",
+    "unit/los_testbed/test_command_line.py",
+    "unit/los_testbed/test_compiled_loop.py",
+    "unit/los_testbed/test_device_faults.py",
+    "unit/los_testbed/test_device_samples.py",
+    "unit/los_testbed/test_exit_codes.py",
+    "unit/los_testbed/test_flight_code.py",
+    "unit/los_testbed/test_interrupts.py",
+    "unit/los_testbed/test_program_start.py",
+    "unit/los_testbed/test_scheduling.py",
+    "unit/los_testbed/test_summary_on_screen.py",
+    "unit/los_testbed/test_unusual_files.py",
+)
+"""Below `tests`."""
+
+if __name__ == "__main__":
+    sys.stdout.write(" ".join(f"tests/{name}" for name in ANYWHERE) + "\n")
