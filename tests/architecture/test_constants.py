@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 from los_testbed.topics import TOPICS
-from support.packages import FOLDERS, ROOT
+from support.packages import FOLDERS, ROOT, files_of
 
 from pointing_analysis.indices.telescope_values import DEFAULTS
 from pointing_analysis.replay.replay import COMMAND, MEASUREMENT
 from titop_plant import interface
 from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
 
-FILES = sorted(path for package in FOLDERS for path in (ROOT / package).rglob("*.py"))
+FILES = sorted(path for package in FOLDERS for path in files_of(ROOT / package))
 HOME = ROOT / "titop_plant/interface.py"
 OF_FOREIGN_BAGS = ROOT / "pointing_analysis/indices/telescope_values.py"
 PERIOD = re.compile(r"^_?(DT|RATE|TICK(_?S|_?NS|_?US)?|SAMPLING|SAMPLE_(TIME|PERIOD)|NOMINAL_HZ|TICK_RATE)$")

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.packages import files_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,7 +28,7 @@ FOLDERS = {
     "pointing_analysis": ROOT / "pointing_analysis",
     "los_testbed": ROOT / "ros_ws/src/los_testbed/los_testbed",
 }
-MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in folder.rglob("*.py"))
+MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in files_of(folder))
 FUNCTION = 60
 
 
@@ -99,7 +100,7 @@ def test_every_package_is_in_one_distribution() -> None:
     found = {
         ".".join([name, *path.parent.relative_to(folder).parts])
         for name, folder in FOLDERS.items()
-        for path in folder.rglob("__init__.py")
+        for path in files_of(folder, "__init__.py")
     }
     assert found == listed
 
@@ -114,7 +115,7 @@ def test_the_library_imports_its_dependencies_only() -> None:
         "lftkit/support/progress.py": {"rich"},
     }
     others = {}
-    for path in FOLDERS["lftkit"].rglob("*.py"):
+    for path in files_of(FOLDERS["lftkit"]):
         nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
         names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
         names |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from support.packages import LIBRARIES, ROOT
+from support.packages import LIBRARIES, ROOT, files_of
 from support.skip_remedies import REMEDIES, remedy
 
 CODE = sorted(
@@ -20,7 +20,7 @@ CODE = sorted(
         "examples",
         "docs",
     )
-    for path in (ROOT / folder).rglob("*.py")
+    for path in files_of(ROOT / folder)
 )
 TEXTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *CODE])
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.followed_page import PackageCopy, section
-from support.packages import LIBRARIES, ROOT
+from support.packages import LIBRARIES, ROOT, files_of
 
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
@@ -252,9 +252,7 @@ def sensor_files() -> set[str]:
     """Files of the packages that name one of the sensors, its noise, its columns or its rate."""
     found = set()
     for package in set(LIBRARIES) - {"lftkit"}:  # which contains no spacecraft
-        found |= {
-            path.relative_to(ROOT) for path in (ROOT / package).rglob("*.py") if SENSOR.search(path.read_text("utf-8"))
-        }
+        found |= {path.relative_to(ROOT) for path in files_of(ROOT / package) if SENSOR.search(path.read_text("utf-8"))}
     ros = ROOT / "ros_ws/src/los_testbed"
     found |= {p.relative_to(ros) for p in (ros / "los_testbed").rglob("*.py") if SENSOR.search(p.read_text("utf-8"))}
     return {path.as_posix() for path in found}

@@ -15,6 +15,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from support.installed_wheel import LFTKIT, ROOT, environment, run, sdist_and_wheel
+from support.packages import files_of
 from support.ros_runs import private_domain
 
 import lftkit
@@ -89,8 +90,8 @@ def test_the_wheel_of_the_library_has_its_files_and_no_other(library: tuple[Path
     folder = ROOT / "lftkit"
     assert inside == {
         f"lftkit/{path.relative_to(folder).as_posix()}"
-        for path in folder.rglob("*")
-        if path.suffix in (".py", ".json", ".typed") and "build" not in path.parts
+        for path in files_of(folder, "*")
+        if path.suffix in (".py", ".json", ".typed")
     }
     with tarfile.open(sdist) as archive:
         names = {name.split("/", 1)[-1] for name in archive.getnames()}
@@ -147,7 +148,7 @@ def test_the_wheel_from_the_sdist_has_every_file_of_the_packages(built: tuple[Pa
     expected = {
         f"{name}/{path.relative_to(folder).as_posix()}"
         for name, folder in folders.items()
-        for path in folder.rglob("*")
+        for path in files_of(folder, "*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert not expected - inside

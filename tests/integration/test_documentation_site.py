@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import yaml
 from support import axe, headless_browser
+from support.packages import files_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,7 +71,7 @@ def public_objects() -> set[str]:
     packages = ("lftkit", "titop_plant", "los_estimator", "fsm_pma_controller", "los_loop", "los_design")
     folders = [ROOT / name for name in (*packages, "pointing_analysis", "ros_ws/src/los_testbed/los_testbed")]
     for folder in folders:
-        for path in folder.rglob("*.py"):
+        for path in files_of(folder):
             parts = path.relative_to(folder.parent).with_suffix("").parts
             name = ".".join(part for part in parts if part != "__init__")
             kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)

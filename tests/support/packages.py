@@ -14,3 +14,8 @@ LIBRARIES = tuple(name for name in NAMES if (ROOT / name).is_dir())
 """Those that lie at the top of the repository."""
 FOLDERS = tuple(name if name in LIBRARIES else f"{ROS_PACKAGE}/{name}" for name in NAMES)
 """All of them, as paths from the repository's root."""
+
+
+def files_of(folder: Path, pattern: str = "*.py") -> list[Path]:
+    """Files of a package in order, without what ``pip install ./lftkit`` leaves in its folder ``build``."""
+    return sorted(path for path in folder.rglob(pattern) if "build" not in path.relative_to(folder).parts)
