@@ -1,4 +1,4 @@
-"""Cases of the campaign on signed bags, among them those in which the reader of 6a8cdd82 took what nobody had signed."""
+"""Cases of the campaign on signed bags, some of which the reader of 6a8cdd82 took though nobody had signed them."""
 
 from __future__ import annotations
 

@@ -58,8 +58,11 @@ class DeviceLoop(PlantLoop):
         It is open.
     """
 
-    _acquired: list[int]
     _answerable: bool
+    """Whether the last tick had samples of all sensors."""
+
+    _acquired: list[int]
+    """Times of acquisition by tick [ns]."""
 
     def __init__(self, context: NodeContext, device: Supervisor) -> None:
         super().__init__(context, device)  # type: ignore[arg-type]  # it is not stepped

@@ -92,7 +92,7 @@ class Runner:
     ) -> None:
         self._tell = tell
         self._watch = AnswerWatch()
-        self._hung: list[str] = []
+        self._not_answering: list[str] = []
         self._live = live
         self._isolated, self._lock_domain = isolated, lock_domain and not isolated
         self._network = Network()
@@ -194,8 +194,8 @@ class Runner:
             self._until("plant", "alone", 30.0)
             for name in list(self._programs)[1:]:
                 self._start(name)
-            begun = None if self._config.wait_for_start else self._config.start_timeout + 120.0
-            self._until("plant", "running", begun, or_kind="too_slow")
+            most = None if self._config.wait_for_start else self._config.start_timeout + 120.0
+            self._until("plant", "running", most, or_kind="too_slow")
             if slow := self._seen.get(("plant", "too_slow")):
                 self.results.too_slow = Exercised(slow["ticks"], slow["late"], slow["lost"], slow["median_us"])
                 return
@@ -213,8 +213,8 @@ class Runner:
 
     def _end_ticks(self) -> None:
         """End a run before its time; a node that was stopped goes on, to its end."""
-        self._hung = [name for name in self._watch.silent() if name in self._nodes]
-        for name in self._hung:
+        self._not_answering = [name for name in self._watch.silent() if name in self._nodes]
+        for name in self._not_answering:
             self._nodes[name].process.send_signal(signal.SIGCONT)
         self._nodes["plant"].interrupt()
         self._ends_in_order("plant")
@@ -248,7 +248,7 @@ class Runner:
         for name in (*laws, *served):
             self._nodes[name].interrupt()
         self._await_exit(("plant", *laws))
-        for name in (name for name in self._hung if name != "recorder"):
+        for name in (name for name in self._not_answering if name != "recorder"):
             self._nodes[name].process.kill()
         for name in NODES[:-1]:
             self.results.statistics[name] = self._seen.get((name, "done"), {}).get("statistics", {})
@@ -257,7 +257,7 @@ class Runner:
         if self._replaced.get("recorder") and ("recorder", "ready") not in self._seen:
             raise RunError("the run was over before another recorder was ready")
         self._nodes["recorder"].interrupt()
-        if "recorder" in self._hung:
+        if "recorder" in self._not_answering:
             self._ends_in_order("recorder", self._config.bag if self._config.bag.is_dir() else None)
         else:
             self._until("recorder", "done", 60.0)
@@ -348,7 +348,7 @@ class Runner:
 
     def _hear(self, name: str) -> None:
         """A program has told something, or a tick was done."""
-        if (line := self._watch.heard(name)) and not self._hung:  # those are woken to their end
+        if (line := self._watch.heard(name)) and not self._not_answering:  # those are woken to their end
             self._tell(line)
             self.results.warnings.append(line)
 
