@@ -81,6 +81,15 @@ def test_a_rig_without_truth_is_flown_and_the_verdict_is_on_its_camera(tmp_path)
     assert said[-1]["applied"] == 0.0
 
 
+def test_a_tick_whose_samples_were_lost_is_not_missed_by_the_loop(tmp_path):
+    """Each of them is followed by one that holds its command for want of anything to answer, and by nothing else."""
+    done, _, bag = fly(tmp_path, 2, "--loss=0.2")
+    assert done.returncode == ExitCode.FINISHED, done.stdout + done.stderr
+    plant = Run.open(bag).parameters["statistics"]["plant"]
+    assert plant["held_without_samples"] == plant["device_absent_accel_Ip"] and int(plant["held_without_samples"]) > 100
+    assert int(plant["missed_ticks"]) + int(plant["held_without_samples"]) <= 2001
+
+
 def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_path):
     done, said, bag = fly(tmp_path, 20, "--fault=frozen", "--fault-at=0.8")
     assert done.returncode == ExitCode.DEVICE, done.stdout + done.stderr
