@@ -4,6 +4,8 @@ A *form* is a function of a value and its name; it returns the value that the pr
 :class:`ProofError`. A truth value is no number, a number no truth value, a whole number with a point no index; of all
 types only an integer passes for another, for a number. Sequences become tuples, tables of numbers arrays.
 
+Examples
+--------
 >>> claim = record({"level": number, "rows": each(index)}, {"note": text})
 >>> claim({"level": 2, "rows": [0, 1]}, "proof")
 {'level': 2.0, 'rows': (0, 1)}
