@@ -154,6 +154,7 @@ def kinds(seconds: float) -> dict[str, Motion]:
     found |= {
         "tone 0.13 Hz": tones(0.13),
         "tone 1.7 Hz, no noise": tones(1.7, noise=0.0),
+        "tone 1.732 Hz, no noise": tones(3.0**0.5, noise=0.0),
         "tone 17 Hz": tones(17.0, noise=0.3),
         "beat of 1 s": tones(10.0, 11.0),
         "beat of 10 s": tones(10.0, 10.1),

@@ -20,6 +20,9 @@ to the next F has come half of the way that is left (what is missing falls as 1 
 Of fewer than `TYPICAL` exceedances the largest `TYPICAL` values are asked as well: a burst of which two samples are
 above the limit has more that are just below it. The few themselves count as they are.
 
+A record that repeats itself exactly (a tone without noise whose period is a whole number of samples) has no more than
+the samples of one period.
+
 **What no estimate sees** are events that are not in the record: of those that are in it k times on average, a part
 :math:`e^{-k}` of the records has none. Nor does one see changes that are slower than the record, or a motion that
 never returns (a random walk).
@@ -51,7 +54,10 @@ TAIL = 0.95
 """Probability of the quantiles by which an uncertain variance is taken larger."""
 
 TYPICAL = 32
-"""Exceedances that tell how long a burst is."""
+"""Exceedances that tell how long a burst is; samples that tell a record that repeats itself."""
+
+SAME = 1e-6
+"""Of the scatter of a record: values that are as near as this are one."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,8 @@ class IndependentSamples:
         known = correlated / float(inflation(correlated - 1.0))
         unit = math.sqrt(power) or 1.0
         factor = block_factor(lambda part: (x[part] - mean) / unit, n, 1.0, n / correlated, math.inf)
-        return cls(x, correlated, max(min(known, n / factor if factor else n, cap), 1.0))
+        most = min(known, n / factor if factor else n, cap, period(x, unit))
+        return cls(x, correlated, max(most, 1.0))
 
     def above(self, limit: float, lower: bool = False) -> float:
         """Independent samples that the exceedances of a limit weigh as much as: at least one, at most `most`.
@@ -196,6 +203,31 @@ def inflation(free: ArrayLike) -> FloatArray:
 
     d = np.maximum(np.asarray(free, dtype=float), 1.0)
     return np.asarray((special.stdtrit(d, TAIL) / special.ndtri(TAIL)) ** 2)
+
+
+def period(values: FloatArray, size: float) -> int:
+    """Samples after which a record repeats itself to 1e-6 of its size; all of them where it does not.
+
+    A tone without noise whose period is so many samples is seen at so many phases, however often.
+
+    Examples
+    --------
+    >>> tone = np.cos(2.0 * np.pi * 1.7e-3 * np.arange(20_000))
+    >>> period(tone, 0.7), period(tone + 1e-3 * np.sin(np.arange(20_000) ** 2), 0.7)
+    (10000, 20000)
+    """
+    n, allowed = len(values), SAME * size
+    if n < 2 * TYPICAL:
+        return n
+    near = [np.flatnonzero(np.abs(values[part] - values[0]) <= allowed) + part.start for part in parts(n)]
+    found = np.concatenate(near)
+    found = found[(found > 0) & (found <= n // 2)]
+    for k in range(1, TYPICAL):
+        found = found[np.abs(values[found + k] - values[k]) <= allowed]
+    for lag in found[:TYPICAL].tolist():
+        if all(np.abs(values[lag:][part] - values[:-lag][part]).max() <= 4.0 * allowed for part in parts(n - lag)):
+            return int(lag)
+    return n
 
 
 def _ranked(values: FloatArray, sign: float) -> float:

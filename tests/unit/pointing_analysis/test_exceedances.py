@@ -62,6 +62,15 @@ def test_signs_scales_gaps_and_constants() -> None:
         assert 1.0 <= IndependentSamples.of(noise(few)).above(0.0) <= few
 
 
+def test_a_record_that_repeats_itself_is_one_period() -> None:
+    """Of 600 s of a tone of 1.7 Hz at 100 Hz there are 500 phases of its size: none may be in a tenth of a per cent."""
+    phase = 2.0 * np.pi * 0.017 * np.arange(60_000)
+    size = np.abs(np.cos(phase + 0.3))
+    assert IndependentSamples.of(size).above(0.9999) <= 500
+    assert IndependentSamples.of(np.abs(np.cos(3.0**0.5 / 1.7 * phase))).most > 10_000
+    assert IndependentSamples.of(np.round(np.abs(noise(5000)), 1)).most > 4000, "values of few digits do not repeat"
+
+
 def test_blocks_of_a_long_record_are_those_of_a_short_one() -> None:
     """Record by record and in parts: the sums of squares are those of the blocks."""
     for n in (1, 5, 64, 1000, 300_001):
