@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np  # scipy where it computes: see pointing_analysis.indices.confidence
 from numpy.typing import ArrayLike
 
-from pointing_analysis.arrays import FloatArray
+from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.read.mapped_arrays import PART, parts, present
 
@@ -220,7 +220,7 @@ def period(values: FloatArray, size: float) -> int:
     if n < 2 * TYPICAL:
         return n
     near = [np.flatnonzero(np.abs(values[part] - values[0]) <= allowed) + part.start for part in parts(n)]
-    found = np.concatenate(near)
+    found: IntArray = np.concatenate(near)
     found = found[(found > 0) & (found <= n // 2)]
     for k in range(1, TYPICAL):
         found = found[np.abs(values[found + k] - values[k]) <= allowed]
@@ -232,7 +232,7 @@ def period(values: FloatArray, size: float) -> int:
 
 def _ranked(values: FloatArray, sign: float) -> float:
     """The `TYPICAL`-th largest value, signed."""
-    top = np.empty(0)
+    top: FloatArray = np.empty(0)
     for part in parts(len(values)):
         top = np.concatenate([top, sign * values[part]])
         if len(top) > TYPICAL:

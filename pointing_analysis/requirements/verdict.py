@@ -245,11 +245,9 @@ def _of_pairs(values: FloatArray, rows: int, most: float, requirement: Requireme
     beyond = beyond_limit(values, requirement).reshape(rows, -1)
     share = float(beyond.mean())
     variance = share * (1.0 - share)
-    parts_of_one = 0.0
-    for axis in (0, 1):
-        own = beyond.mean(axis=axis) - share
-        parts_of_one += block_factor(lambda part, own=own: own[part], len(own), variance, 0.0) / len(own)
-    return max(min(most, 1.0 / parts_of_one if parts_of_one else most), 1.0)
+    shares = [np.asarray(beyond.mean(axis=axis) - share) for axis in (0, 1)]
+    one = sum(block_factor(own.__getitem__, len(own), variance, 0.0) / len(own) for own in shares)
+    return max(min(most, 1.0 / one if one else most), 1.0)
 
 
 def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
