@@ -62,7 +62,7 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
         return None
     stream.seek(size - _TAIL)
     tail = stream.read(_TAIL)
-    start, offsets, checksum = _FOOTER.unpack_from(tail, RECORD.size)
+    start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
     if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or not 0 < start < size - _TAIL:
         return None
     if size - start > MAX_SUMMARY or not checksum:
@@ -72,9 +72,8 @@ def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection
     if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
         return None
     found, at = SummarySection(at=start), 0
-    stop = offsets - start if offsets else len(data)
     try:
-        while at + RECORD.size <= stop:
+        while at + RECORD.size <= len(data):  # also behind the place of the offsets: other readers do not stop there
             op, length = RECORD.unpack_from(data, at)
             body = data[at + RECORD.size : at + RECORD.size + length]
             if op in (OP_SCHEMA, OP_CHANNEL, OP_STATISTICS):

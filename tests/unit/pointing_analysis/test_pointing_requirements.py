@@ -215,6 +215,7 @@ def test_what_cannot_be_judged_says_why(noise_run, tmp_path) -> None:
     ask = "prob(|{}| < 1 mas) >= 0.9 at 90 % confidence".format
     for text, message in (
         (ask("RPE(5 s)"), "at least as long as the window"),
+        (ask("RPE(1.5 ms)"), "two samples of 1 ms or more"),
         (ask("AKE"), "must hold the topic los_estimate"),
         (ask("PDE(1 s, 1 s)"), "window"),
     ):

@@ -15,8 +15,8 @@ from los_testbed.run.summary.screen import Screen, say
 
 REPAIR_EXAMPLES = """Make a readable bag from one whose recorder was killed or whose file is damaged.
 
-It copies everything that a checksum proves right, says of each topic what is missing and where, and marks the new bag:
-every later verdict about it repeats this.
+It copies everything that a checksum proves right, and counts apart what none proves where the file was cut off. It says
+of each topic what is missing and where, and marks the new bag: every later verdict about it repeats this.
 
 **Example**
 
