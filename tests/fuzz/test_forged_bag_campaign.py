@@ -1,4 +1,4 @@
-"""Cases of the campaign on signed bags, some of which the reader of 6a8cdd82 took though nobody had signed them."""
+"""Cases of the campaign on signed bags, among them those in which an old reader took what nobody had signed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fuzz.forged_bag_campaign import KINDS, TOLD, Signed, case, make_signed
 from pointing_analysis.read.mcap.records import OP_CHUNK, OP_MESSAGE
 
 FOUND = (408, 412, 444, 646, 744)
-"""Messages and chunks in front of the first manifest, which were read without a contradiction."""
+"""Messages and chunks in front of the first manifest, which 6a8cdd82 read without a contradiction."""
 
 
 @pytest.fixture(scope="module")
