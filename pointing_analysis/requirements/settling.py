@@ -4,7 +4,8 @@ For each requirement the level of its index (the square of its samples, in `BLOC
 one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
 left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
-half of the record, or a tone still changes, the requirement is not judged: a longer run, or a start in the steady
+half of the record, or a tone still changes, the requirement is not judged unless a falling level keeps its limit
+anyway: a longer run, or a start in the steady
 state, decides.
 """
 
@@ -70,6 +71,9 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         return Settled(judge(requirement, [run], None))  # which says why
     whole = series.start + series.duration
     if seconds > 0.5 * whole:
+        usual = judge(requirement, [run], None)
+        if math.isfinite(seconds) and (usual.status == "compliant" or usual.keeps):
+            return Settled(usual)  # what falls keeps the limit with its start-up as well
         known = f"about {seconds:.0f} s" if math.isfinite(seconds) else "more than it"
         why = f"not settled: its start-up takes {known} of {whole:g} s (a longer run, or --transient SECONDS)"
         return Settled(not_judged(requirement, why))
@@ -109,6 +113,8 @@ def start_up(series: ErrorSeries, requirement: Requirement, tones: Sequence[floa
 def decay(squares: FloatArray, seconds: float) -> float:
     """Seconds until an exponential in a level is below `PART` of what is left of it; 0 where there is none.
 
+    Infinite for a level that rises through the whole record: how far, it does not tell.
+
     Parameters
     ----------
     squares : ndarray, shape (n,)
@@ -130,7 +136,8 @@ def decay(squares: FloatArray, seconds: float) -> float:
     left = float(blocks[-BLOCKS // 4 :].mean())
     if abs(size) <= SIGNIFICANT * error or abs(size) <= PART * left:
         return 0.0
-    return max(0.0, tau * math.log(abs(size) / (PART * left)))
+    found = max(0.0, tau * math.log(abs(size) / (PART * left)))
+    return found if size > 0.0 or found < 0.5 * seconds else math.inf
 
 
 def _fit(blocks: FloatArray, time: FloatArray, tau: float) -> tuple[float, float, float, float]:
@@ -161,9 +168,11 @@ def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArr
         found = _amplitudes(e, dt, n, omega)
         beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds) for k in OFFSETS]
         noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
-        half = SEGMENTS // 2
-        change = float(np.sqrt(np.square(np.abs(found[half:].mean(axis=0) - found[:half].mean(axis=0))).sum()))
-        error = noise * math.sqrt(2.0 / half)
+        # of sizes: the phase of a cooler wanders; their scatter in each half is an error, too
+        halves = np.sqrt(np.square(np.abs(found)).sum(axis=1)).reshape(2, -1)
+        change = abs(float(np.diff(halves.mean(axis=1))[0]))
+        scatter = math.sqrt(float(halves.var(axis=1, ddof=1).sum()))
+        error = max(noise * math.sqrt(2.0), scatter) / math.sqrt(SEGMENTS / 2)
         if weight * change > math.sqrt(PART) / 3.0 * level * math.sqrt(2.0) and change > SIGNIFICANT * error:
             return True
     return False

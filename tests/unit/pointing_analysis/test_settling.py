@@ -79,6 +79,27 @@ def test_tones_in_their_steady_state_are_settled(seed: int) -> None:
     assert start_up(series(values), APE, omega) == start_up(series(values), RPE, omega) == 0.0
 
 
+@pytest.mark.parametrize("linewidth", [0.02, 0.5])
+def test_a_tone_whose_phase_wanders_is_settled(linewidth: float) -> None:
+    """In at most one of forty records, 15 s each."""
+    found = []
+    for seed in range(40):
+        steps = np.sqrt(2 * np.pi * linewidth * DT) * np.random.default_rng(seed).standard_normal(15_000)
+        phase = 2 * np.pi * 47.0 * DT * np.arange(15_000) + np.cumsum(steps)
+        values = np.column_stack([5.0 * np.sin(phase), 2.0 * np.cos(phase)])
+        found.append(start_up(series(values), RPE, [2 * np.pi * 47.0]))
+    assert np.count_nonzero(found) <= 1
+
+
+def test_a_level_that_still_falls_and_keeps_its_limit_is_judged(tmp_path: Path) -> None:
+    t = DT * np.arange(30_000)
+    values = np.exp(-t / 60.0)[:, None] * np.array([1.0, 0.5])
+    found = judge_settled(APE, bag(tmp_path / "a", values, start_up=MEASURED))
+    assert found.verdict.keeps and found.verdict.status != "not judged"
+    rising = bag(tmp_path / "b", np.array([1.0, 0.5]) - values, start_up=MEASURED)
+    assert judge_settled(APE, rising).verdict.status == "not judged"
+
+
 def bag(folder: Path, values: FloatArray, **parameters: object) -> Run:
     requirements = [{"name": one.index, "text": str(one)} for one in (APE, RPE)]
     parameters = {"requirements": requirements, **parameters}
