@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from pathlib import Path
 
@@ -50,6 +51,21 @@ def read_parquet(path: Path) -> Table:
     return Table(path, "Parquet", found, units)
 
 
+def _check_shapes(archive: zipfile.ZipFile) -> None:
+    """Numpy takes memory for the shape that an array of an archive declares, which may be any."""
+    for entry in archive.infolist():
+        if not entry.filename.endswith(".npy"):
+            continue
+        with archive.open(entry) as file:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(file)
+        if math.prod(shape) * dtype.itemsize > entry.file_size:
+            raise ValueError(
+                f"{entry.filename} must have the numbers of its shape {shape}, got {entry.file_size} bytes"
+            )
+
+
 def read_numpy(path: Path) -> Table:
     """Columns of the arrays of a ``.npz`` file, of a record array, or of an array (n, 2 to 12).
 
@@ -62,6 +78,7 @@ def read_numpy(path: Path) -> Table:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
                 check_unpacked(path, sum(entry.file_size for entry in archive.infolist()))
+                _check_shapes(archive)
             found = Gathered()
             with np.load(path, allow_pickle=False) as content:
                 for name in content.files:
