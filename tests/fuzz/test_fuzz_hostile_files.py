@@ -60,8 +60,8 @@ def check(folder: Path, line: str, name: str = "file") -> None:
     assert "Traceback" not in end.err and "unexpected" not in end.err and "memory" not in end.err, (line, end)
     assert end.memory < hostile.MEMORY, (line, end)
     if end.code == 2:
-        *warnings, last = end.err.splitlines()
-        assert last.startswith("los-testbed: ") and all(text.startswith("warning: ") for text in warnings), (line, end)
+        last = [text for text in end.err.splitlines() if text.startswith("los-testbed: ")]
+        assert len(last) == 1 and end.err.endswith(f"{last[0]}\n"), (line, end)
 
 
 def written(folder: Path, content: bytes | str, name: str = "file") -> Path:

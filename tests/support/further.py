@@ -9,6 +9,7 @@ from __future__ import annotations
 FURTHER = {
     "fuzz/test_end_of_fuzzing.py": "the fuzzing itself",
     "fuzz/test_fuzz_bags.py": "damaged bags: unit/pointing_analysis/test_foreign_bags.py",
+    "fuzz/test_fuzz_hostile_files.py": "hostile files: unit/los_testbed/test_unusual_files.py",
     "fuzz/test_fuzz_records.py": "damaged records: unit/los_testbed/test_bag_repair_records.py",
     "fuzz/test_repair_keeps_analysis.py": "repair: unit/los_testbed/test_bag_repair.py",
     "integration/test_campaign_commands.py": "campaigns: unit/los_testbed/test_campaign_*.py",
