@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,12 +54,13 @@ def read_parquet(path: Path) -> Table:
 
 def _check_shapes(archive: zipfile.ZipFile) -> None:
     """Numpy takes memory for the shape that an array of an archive declares, which may be any."""
+    heads: Any = np.lib.format
     for entry in archive.infolist():
         if not entry.filename.endswith(".npy"):
             continue
         with archive.open(entry) as file:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+            version = heads.read_magic(file)
+            read = heads.read_array_header_1_0 if version[0] == 1 else heads.read_array_header_2_0
             shape, _, dtype = read(file)
         if math.prod(shape) * dtype.itemsize > entry.file_size:
             raise ValueError(
