@@ -241,6 +241,9 @@ NODES: dict[str, Any] = {"plant": PlantTimer, "estimator": Estimator, "controlle
 
 
 def main() -> int:
+    if len(sys.argv) < 3:
+        print(__doc__)
+        return 0 if "--help" in sys.argv else 2
     name, kind, *arguments = sys.argv[1:]
 
     if kind != "events-real-time":

@@ -47,7 +47,7 @@ def main() -> None:
     system = telescope().system[OUTPUTS, INPUTS]
     seconds, errors, points = {"ours": 0.0, "control": 0.0}, {"ours": 0.0, "control": 0.0}, 0
     for values in system.sample_values(np.random.default_rng(0), args.samples):
-        data, member = system.at(values), system.at(values)
+        data, member = system.at(values), system.at(values).to_control()
         omega = frequency_grid(np.linalg.eigvals(data.A), 1e-2, 1e4)
         points += omega.size
         chosen = np.linspace(0, omega.size - 1, CHECKED).astype(int)

@@ -64,7 +64,7 @@ def rpe(parts: RunParts, ticks: int, delay: int, loss: float, old: str) -> float
         if k in pending:
             acquired, values = pending.pop(k)
             stamp = (first + acquired) * TICK_NS
-            if camera.note(stamp, stamp, (first + k) * TICK_NS):
+            if camera.note(stamp, stamp, now := (first + k) * TICK_NS, now):
                 camera.offer(stamp, values, (first + k - 1) * TICK_NS)
             camera.place(given, (first + k) * TICK_NS, measurement[acquired])
         estimator.step(given, los)
