@@ -32,6 +32,9 @@ signal.signal(signal.SIGTERM, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+collect_ignore = ["support/without_linux"]
+"""It changes the platform of the program that imports it, and doctests import all."""
+
 SKIPPED_VARIABLE = "SKIPPED_TESTS_FILE"
 """Environment variable: a file that the lines are appended to, so that several runs can be summed up."""
 

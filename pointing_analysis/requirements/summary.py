@@ -466,15 +466,7 @@ def summarise(
     problems += [text for text in (damaged, unusable, *dict.fromkeys(one.remark for one in settled)) if text]
     if not judged:
         problems.append(f"no RPE of {1e3 * WINDOW:g} ms: shorter than two samples of {1e3 * series.dt:.6g} ms")
-    if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
-        problems.append(
-            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
-            f"{SETTLING:g} s (--transient SECONDS)"
-        )
-    if run.parameters.get("mode") == "replay":
-        problems.append(
-            "a replay: estimates and commands are replayed, the true line of sight is that of the recording"
-        )
+    problems += _of_start(run, series, transient)
     return Summary(
         path=run.path,
         loop=str(run.parameters.get("loop", "")),
@@ -503,6 +495,19 @@ def summarise(
         sampling=str(run.parameters.get(SAMPLING, "")),
         conditions=conditions_of(run),
     )
+
+
+def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> list[str]:
+    """Sentences on a start-up that is shorter than usual, and on a replay."""
+    found = []
+    if transient is None and "transient_s" not in run.parameters and series.start + 0.51 * series.dt < SETTLING:
+        found.append(
+            f"a run shorter than {2 * SETTLING:g} s: only {series.start:g} s of start-up is left out, not "
+            f"{SETTLING:g} s (--transient SECONDS)"
+        )
+    if run.parameters.get("mode") == "replay":
+        found.append("a replay: estimates and commands are replayed, the true line of sight is that of the recording")
+    return found
 
 
 def _star(run: Recording, series: ErrorSeries) -> tuple[StarExposures | None, str]:
