@@ -20,6 +20,7 @@ from ros_faults import run_with_fault
 from ros_runs import PLANT, config_for, topic_hashes
 from user_node import UserNode
 
+from fsm_pma_controller.fade import FADE_TICKS
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
@@ -124,10 +125,15 @@ def test_changes_apply_at_the_tick_that_the_bag_names(controlled):
     command, truth = run["fsm/command"], run["truth/los"]
     tick = (command.stamp - truth.stamp[0]) // TICK_NS
     switched = changes["loop", "isolator"]
-    assert np.all(command.values[tick >= switched, :2] == 0.0)
+    assert np.all(command.values[tick >= switched + FADE_TICKS - 1, :2] == 0.0)
+    steps = np.abs(np.diff(command.values[:, :2], axis=0)).max(axis=1) / np.diff(tick)
+    largest = np.abs(command.values[:, :2]).max()
+    assert steps[tick[1:] >= switched].max() < 0.2 * largest, "over 20 ticks, not at once"
     assert np.any(command.values[(tick < switched) & (tick > switched - 50), :2] != 0.0)
     assert found["after"] == "isolator", "the parameter follows"
-    quiet = truth.values[(truth.stamp - truth.stamp[0]) // TICK_NS >= max(switched, changes["disturbance", False]) + 50]
+    quiet = truth.values[
+        (truth.stamp - truth.stamp[0]) // TICK_NS >= max(switched, changes["disturbance", False]) + 50 + FADE_TICKS
+    ]
     assert len(quiet) > 100
     assert np.abs(quiet).max() < 1e-7
 
@@ -155,8 +161,9 @@ def test_a_change_at_a_tick_gives_the_same_bits_twice_in_lockstep(tmp_path):
     assert not results.interrupted and not results.failures
     run = Run.open(results.bag)
     zero = np.all(run["fsm/command"].values[:, :2] == 0.0, axis=1)
-    assert np.flatnonzero(zero)[-200:].tolist() == list(range(500, 700))
-    assert not zero[300:500].any()
+    last = 500 + FADE_TICKS - 1  # of the fade, at zero
+    assert np.flatnonzero(zero)[last - 700 :].tolist() == list(range(last, 700))
+    assert not zero[300:last].any()
 
 
 def test_without_a_run_the_control_says_so(tmp_path):

@@ -50,7 +50,7 @@ def stage(
     namespace: Namespace = NAMESPACE,
     timeout: Timeout = 10.0,
 ) -> None:
-    """Close the loops of another stage at one tick."""
+    """Close the loops of another stage from one tick on; commands fade in and out within fade_ticks."""
     RunConfig(loop=loop)
     with _remote(domain, namespace, timeout, at) as remote:
         remote.change("stage", loop, at)
