@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.transforms import Bbox
 
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
@@ -29,6 +30,7 @@ LIMIT = "#b00020"
 SMALLEST_LINE = 1e-3
 """Smallest disturbance line in the picture of all runs [mas rms]: what is below are digits of the recording."""
 LOADS = {"fsm/command": "mirror", "pma/command": "forces"}
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "pointing_analysis",
@@ -76,15 +78,58 @@ class Picture:
 
 
 class LaidOutFigure(Figure):
-    """A figure that is drawn once: to lay it out, matplotlib would draw all of it a first time into nothing."""
+    """A figure that is drawn once: to lay it out, matplotlib would draw all of it a first time into nothing.
+
+    What stands around each pair of axes is measured once: matplotlib would do so again where it has moved them.
+    """
 
     def draw(self, renderer: RendererBase) -> None:
         """Lay the figure out where it has yet to be done, else draw it."""
         engine = self.get_layout_engine()
         if isinstance(engine, ConstrainedLayoutEngine):  # while it is saved it has none, once it is laid out
+            for axes in self.axes:
+                axes.get_tightbbox = _measured_once(axes)  # type: ignore[method-assign]
             engine.execute(self)
         else:
             super().draw(renderer)
+
+
+def _measured_once(axes: Axes) -> Callable[..., Bbox | None]:
+    """The box around axes and their lettering; from the second time on with the margins of the first."""
+    measure, margins = axes.get_tightbbox, list[FloatArray]()
+
+    def box(*arguments: Any, **options: Any) -> Bbox | None:
+        if not margins:
+            found = measure(*arguments, **options)
+            if found is None:
+                return None
+            margins.append(found.get_points() - axes.bbox.get_points())
+        return Bbox(axes.bbox.get_points() + margins[0])
+
+    return box
+
+
+def _power_of_ten(value: float, _: object = None) -> str:
+    """Label of a decade in plain letters, which are laid out in a tenth of the time of a formula.
+
+    Examples
+    --------
+    >>> _power_of_ten(1e-12), _power_of_ten(100.0), _power_of_ten(20.0)
+    ('10⁻¹²', '10²', '')
+    """
+    exponent = round(math.log10(value)) if value > 0.0 else 0
+    exact = value > 0.0 and math.isclose(value, 10.0**exponent, rel_tol=1e-6)
+    return "10" + str(exponent).translate(_RAISED) if exact else ""
+
+
+def _letter_decades(figure: Figure) -> None:
+    """Plain letters on logarithmic axes that span more than a decade; below, minor ticks have labels, too."""
+    for axes in figure.axes:
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            usual = type(axis.get_major_formatter()) is LogFormatterSciNotation and min(low, high) > 0.0
+            if usual and abs(math.log10(high / low)) > 2.0:
+                axis.set_major_formatter(FuncFormatter(_power_of_ten))
+                axis.set_minor_formatter(NullFormatter())
 
 
 def _svg(figure: Figure) -> bytes:
@@ -99,6 +144,7 @@ def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figu
     with mpl.rc_context(settings):
         figure = LaidOutFigure(figsize=(WIDTH, height), layout="constrained")
         draw(figure)
+        _letter_decades(figure)
         return Picture(name, title, alt, _svg(figure))
 
 
