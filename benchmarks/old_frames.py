@@ -63,10 +63,10 @@ def rpe(parts: RunParts, ticks: int, delay: int, loss: float, old: str) -> float
                 given[CAMERA] = np.nan
         if k in pending:
             acquired, values = pending.pop(k)
-            stamp = (first + acquired) * TICK_NS
-            if camera.note(stamp, stamp, now := (first + k) * TICK_NS, now):
+            stamp, now = (first + acquired) * TICK_NS, (first + k) * TICK_NS
+            if camera.note(stamp, stamp, now, now):
                 camera.offer(stamp, values, (first + k - 1) * TICK_NS)
-            camera.place(given, (first + k) * TICK_NS, measurement[acquired])
+            camera.place(given, now, lambda tick: measurement[tick // TICK_NS - first])
         estimator.step(given, los)
         controller.step(los, given[PLATFORM], command)
     found = windows(seen[ticks // 3 :], DT, 0.02).rpe_rms
