@@ -18,7 +18,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks forgeries faults lint style types types-of-tests stages reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -28,8 +28,9 @@ help:
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
 	@echo "make attacks MINUTES=10  runs beside random strangers on their domain; CASES=200: so many instead"
+	@echo "make forgeries MINUTES=10  files of proofs and signed bags that are forged, and whether anything false is said"
 	@echo "make faults MINUTES=10  runs with signals, full disks, too little memory ..., and what is left of them"
-	@echo "                SEED=N repeats what one of these three has found: they print it"
+	@echo "                SEED=N repeats what one of these four has found: they print it"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
@@ -99,6 +100,10 @@ fuzz: $(EVERYTHING)
 
 attacks: $(EVERYTHING)
 	PYTHONPATH=tests $(BIN)/python tests/support/attack_campaign.py $(or $(CASES:%=--cases=%),--minutes=$(MINUTES)) $(SEED:%=--seed=%)
+
+forgeries: $(EVERYTHING)
+	$(BIN)/python tests/fuzz/forge_proofs.py --minutes=$(MINUTES) $(SEED:%=--seed=%)
+	$(BIN)/python tests/fuzz/forged_bag_campaign.py --minutes=$(MINUTES) $(SEED:%=--seed=%)
 
 faults: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)

@@ -14,7 +14,7 @@ from support import headless_browser
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from pointing_analysis.report import distribution_figure
+from pointing_analysis.report import distribution_figure, figures
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import LaidOutFigure, by_line
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
