@@ -22,7 +22,7 @@ SHOW = (
 
 def shown(*kinds: str) -> dict[str, Any]:
     """What a command sees on such a machine."""
-    program = [sys.executable, ROOT / "tests/elsewhere.py", *kinds, "--", "python3", "-c", SHOW]
+    program = [sys.executable, str(ROOT / "tests/elsewhere.py"), *kinds, "--", "python3", "-c", SHOW]
     done = subprocess.run(program, capture_output=True, text=True, timeout=300, stdin=subprocess.PIPE)
     if done.returncode and "unshare" in done.stderr + done.stdout:
         pytest.skip("time namespaces are not permitted")
@@ -57,7 +57,7 @@ def test_a_machine_that_was_just_started() -> None:
 
 
 def test_the_exit_code_is_that_of_the_command() -> None:
-    program = [sys.executable, ROOT / "tests/elsewhere.py", "pipe", "--", "sh", "-c", "exit 7"]
+    program = [sys.executable, str(ROOT / "tests/elsewhere.py"), "pipe", "--", "sh", "-c", "exit 7"]
     assert subprocess.run(program, stdout=subprocess.DEVNULL, timeout=120).returncode == 7
     refused = subprocess.run([*program[:2], "mars"], capture_output=True, text=True, timeout=120)
     assert refused.returncode == 2 and "invalid choice: 'mars'" in refused.stderr
