@@ -149,6 +149,7 @@ class FsmPmaController:
         """
         self.loop = loop
         self._fsm_closed, self._pma_closed = loop in MIRROR_STAGES, loop in FORCE_STAGES
+        self._whole = False
         self._mirror_fade.turn(self._fsm_closed)
         self._force_fade.turn(self._pma_closed)
         if not self._begun:
@@ -186,8 +187,9 @@ class FsmPmaController:
         Values of further sensors stand behind `accel_Ip` (6,), forces of further actuators at the end of `out`.
         """
         self._begun = True
-        mirror = 1.0 if self._mirror_fade.whole else self._mirror_fade.weight()
-        force = 1.0 if self._force_fade.whole else self._force_fade.weight()
+        mirror = force = 1.0
+        if not self._whole:
+            mirror, force = self._weights()
         if mirror:
             np.multiply(los_estimate, self._mirror_gain, out=out[MIRROR])
         else:
@@ -204,9 +206,17 @@ class FsmPmaController:
         if force < 1.0:
             out[FORCES.start :] *= force
 
+    def _weights(self) -> tuple[float, float]:
+        """Weights of mirror and forces at this tick, where one of them is not whole."""
+        fades = self._mirror_fade, self._force_fade
+        mirror, force = (1.0 if fade.whole else fade.weight() for fade in fades)
+        self._whole = all(fade.whole for fade in fades)
+        return mirror, force
+
     def reset(self) -> None:
         """Back to the start: the zero state, or that of :meth:`start_at`; a fade is over."""
         self.k_pma.reset(self._start)
         self._begun = False
         self._mirror_fade.settle()
         self._force_fade.settle()
+        self._whole = False

@@ -82,7 +82,7 @@ def modules() -> dict[str, Path]:
     for package, folder in PACKAGES.items():
         for path in sorted(folder.rglob("*.py")):
             parts = [package, *path.relative_to(folder).with_suffix("").parts]
-            if "build" in parts:  # which `pip install ./lftkit` leaves behind
+            if "build" in parts[:-1]:  # which `pip install ./lftkit` leaves behind
                 continue
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             if not any(part.startswith("_") for part in name.split(".")) and (public_names(path) or exported(path)):

@@ -37,6 +37,7 @@ SHORTEST: dict[str, str] = {
     "tick": "--ticks 500 --durations 1,2 --member 1 --json",
     "time_grid": "--seconds 3",
     "tuning": "--plants AC4 --seconds 1 --methods ours --json",
+    "verdict_coverage": "--scale 0.02 --lengths 10 --kinds white --json",
     "verification": "--points 2 --json",
     "viewers": "--seconds 2 --json",
 }

@@ -300,7 +300,10 @@ def test_client_killed_and_resumed(undisturbed: ResultFolder, tmp_path: Path) ->
         (["--duration", "0.015"], "duration must be at least the window of 0.02 s, got 0.015 s"),
         (["--resume"], "--output must be given with --resume, got none"),
         (["--loop", "open"], "loop must be one of"),
-        (["--scenario", "ramp"], "scenario must be unit_norm, design, imbalance or worst_case in a campaign, got ramp"),
+        (
+            ["--scenario", "ramp"],
+            "scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp",
+        ),
         (["--designs", "no_such_folder"], "designs must hold k_fsm.json and k_pma.json, got no no_such_folder"),
     ],
 )

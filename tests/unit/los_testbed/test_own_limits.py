@@ -73,7 +73,7 @@ def test_the_bag_is_judged_by_its_telescope(
     (own / "elsewhere.toml").rename(own / "mine.toml")
     (table,) = screen_rows(told.err)
     fine = next(row for row in table if row[2] == "9.99972 mas")
-    assert fine[0] == "rms RPE(20 ms), 99.7 %" and fine[4] == "not compliant"
+    assert fine[0] == "RPE, finest: rms RPE(20 ms), 99.7 %" and fine[4] == "not compliant"
     assert not any("40 mas" in cell for row in table for cell in row)
     found = {row["name"]: row for row in json.loads(told.out.splitlines()[-1])["requirements"]}
     assert found["RPE, finest"]["status"] == "not compliant" and found["RPE, finest"]["quantile"] > 20

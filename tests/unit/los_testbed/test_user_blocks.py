@@ -279,7 +279,7 @@ def test_the_tone_of_a_run_with_code_is_that_of_the_stage_without_it(module: str
     isolator = RunParts(RunConfig(loop="isolator", start="rest", scenario="worst_case")).start
     assert code.tone is not None and isolator.tone is not None
     assert code.tone.omega == isolator.tone.omega
-    assert RunParts(RunConfig(disturbance_source="mine:Wind", scenario="worst_case")).start.tone is None
+    assert RunParts(RunConfig(disturbance_source="mine:Wind", scenario="none")).start.tone is None
 
 
 MODELS = """

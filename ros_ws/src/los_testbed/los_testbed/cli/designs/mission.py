@@ -134,7 +134,7 @@ def sources_of_mission(parameters: str | None) -> tuple[str, ...]:
     ValueError
         A source that cannot be used in a run of `SECONDS`.
     """
-    config = with_scenario(RunConfig(parameters=parameters, duration=SECONDS))
+    config = with_scenario(RunConfig(parameters=parameters, duration=SECONDS, loop=OPENED))
     return tuple(one.name for one in RunParts(config).sources) if config.scenario == NO_SCENARIO else ()
 
 
@@ -154,7 +154,8 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
     from titop_plant.telescope.layout import mirror_stages
 
     settings = of_designs(str(folder))
-    base = with_scenario(RunConfig.from_mapping({**settings, "mode": "inprocess", "duration": SECONDS}))
+    given = {**settings, "mode": "inprocess", "duration": SECONDS, "loop": OPENED}  # a stage that every telescope has
+    base = with_scenario(RunConfig.from_mapping(given))
     parts = RunParts(base)
     if base.scenario != NO_SCENARIO or not parts.sources:
         return Mission()

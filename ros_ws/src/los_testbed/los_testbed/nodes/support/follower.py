@@ -265,9 +265,10 @@ class Follower:
 
     def _drain(self) -> None:
         """Take what has come; the topic that wakes the loop last, so that it completes the tick."""
-        synchronizer, clock, steady = self._synchronizer, self._clock, time.monotonic_ns()
+        synchronizer, clock = self._synchronizer, self._clock
         for index, subscription in enumerate(self._subscriptions):
             while (taken := subscription.take()) is not None:
+                steady = time.monotonic_ns()  # of this sample: a step before it may have taken long
                 source = subscription.sort(taken, steady)
                 if clock is not None:
                     stamp = stamp_of(taken.data) if len(taken.data) >= 12 and not source else HOLD_STAMP
