@@ -158,7 +158,7 @@ def final_metadata(
     record |= {**proof_of(parts, statistics), BUDGET: json.dumps(budget)}
     plant = dict(statistics.get("plant", {}))
     if "plant" in plant:  # an object of a program, of which it is not known what acts
-        record |= {key: "" for key in conditions(parts, start)}
+        record |= dict.fromkeys(conditions(parts, start), "")
     for name in ("plant", "tones_rad_s", "motion", "plant_parameters_hash"):
         if name in plant:
             record[name] = plant.pop(name)
