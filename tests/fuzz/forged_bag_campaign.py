@@ -170,10 +170,10 @@ def made_up(rng: random.Random, signed: Signed, op: int) -> list[Record]:
         return [(op, body + struct.pack("<I", zlib.crc32(body)))]
     if not own:
         return [(op, rng.randbytes(rng.choice((0, 4, 20))))]
-    body = bytearray(rng.choice(own))
-    if op in (OP_INDEX, OP_STATISTICS) and len(body) > 20:
-        struct.pack_into("<Q", body, len(body) - 8, rng.choice((0, 1, 77, 1000)))
-    return [(op, bytes(body))]
+    changed = bytearray(rng.choice(own))
+    if op in (OP_INDEX, OP_STATISTICS) and len(changed) > 20:
+        struct.pack_into("<Q", changed, len(changed) - 8, rng.choice((0, 1, 77, 1000)))
+    return [(op, bytes(changed))]
 
 
 def altered_message(rng: random.Random, body: bytes) -> bytes:

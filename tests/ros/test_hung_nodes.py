@@ -16,7 +16,8 @@ pytestmark = pytest.mark.ros
 
 def run_that_hangs(config, node):
     """Results of a run in which this node is stopped after 200 ticks, and the lines that were told meanwhile."""
-    told, stopped = [], []
+    told: list[str] = []
+    stopped: list[int] = []
 
     def progress(ticks):
         if ticks >= 200 and not stopped:

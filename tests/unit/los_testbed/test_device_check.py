@@ -151,7 +151,7 @@ def test_of_a_camera_that_fits_no_motion_no_gain_is_printed(model):
         shifts = {"camera_los": int(rng.integers(0, 150) * TICK_NS)}
         return [Sample(s.port, s.acquired_ns - shifts.get(s.port, 0), s.values) for s in read(now_ns)]
 
-    bench.read, bench.now = jumping, 10**9
+    bench.read, bench.now = jumping, 10**9  # type: ignore[method-assign]
     rows = [row for row in checked(model, bench) if row.part == "camera_los"]
     assert all(row.fault.startswith("fits no motion: ") for row in rows)
     assert all(np.isnan(row.gain) and np.isnan(row.delay_ms) for row in rows)
@@ -166,11 +166,11 @@ def test_samples_that_are_not_finite_are_not_called_few_or_none(model):
     def half(now_ns):
         return [Sample(s.port, now_ns, s.values * (np.nan if s.port in odd else 1.0)) for s in read(now_ns)]
 
-    bench.read = half
+    bench.read = half  # type: ignore[method-assign]
     assert "accel_M1: too few samples: 0, 4500 not finite" in faults(checked(model, bench))
     bench, odd[:] = Bench(), MEASURED
     read = bench.read
-    bench.read = lambda now: [one for one in half(now) if one.port != "camera_los"]
+    bench.read = lambda now: [one for one in half(now) if one.port != "camera_los"]  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="accel_Ip, accel_M1, accel_M2, fsm_angle not finite, no other sample for"):
         checked(model, bench)
 

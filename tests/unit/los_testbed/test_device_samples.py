@@ -116,7 +116,7 @@ def test_a_sensor_without_finite_values_and_one_without_samples_are_told_apart(o
         found = [Sample(port, now_ns, device.noise(port) * (np.nan if port in odd else 1.0)) for port in EVERY_TICK]
         return [sample for sample in found if sample.port not in quiet]
 
-    device.read = read
+    device.read = read  # type: ignore[method-assign]
     for _ in range(140):
         supervisor.read(time.monotonic_ns())
     with pytest.raises(DeviceError, match=f"my:Rig: {said}; "):

@@ -95,7 +95,7 @@ def test_no_packet_that_anyone_can_send_ends_a_rig(values):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e300])
 def test_no_answer_about_the_clock_ends_the_host(value):
     rig = PacketRig()
-    rig._line = Answers([encode(Kind.SYNC_REPLY, 1, 5, np.array([value, 3.0]), rig.key)])
+    rig._line = Answers([encode(Kind.SYNC_REPLY, 1, 5, np.array([value, 3.0]), rig.key)])  # type: ignore[assignment]
     assert list(rig.read(0)) == [] and not rig.clock.known
 
 

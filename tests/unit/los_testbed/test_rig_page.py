@@ -36,7 +36,7 @@ class Clock:
 def rig(monkeypatch):
     """The driver of the page and its clock."""
     clock, module = Clock(), ModuleType("my_rig")
-    exec(re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], module.__dict__)
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], module.__dict__)
     monkeypatch.setattr(module.__dict__["time"], "monotonic_ns", lambda: clock.now)
     np.random.seed(3)  # noqa: NPY002 - the page's driver draws from it
     return module.Rig(), clock

@@ -49,8 +49,9 @@ def drawn(module: Any, draw: Any, monkeypatch: pytest.MonkeyPatch) -> dict[str, 
 
 def marks(axis: Axes) -> set[tuple[float, float]]:
     """Points of the limits in a picture."""
-    points = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT and len(line.get_xdata()) == 1]
-    return {(round(float(p.get_xdata()[0]), 6), round(float(p.get_ydata()[0]), 6)) for p in points}
+    points = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT and np.size(line.get_xdata()) == 1]
+    places = [np.asarray(p.get_xydata(), dtype=float)[0] for p in points]
+    return {(round(float(x), 6), round(float(y), 6)) for x, y in places}
 
 
 def test_each_distribution_has_the_limits_on_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,7 +94,8 @@ def test_limits_over_the_exposure_are_on_the_curve_of_their_part(run: Run, monke
     assert marks(axis) == {(20.0, 40.0), (20.0, 30.0), (50.0, 60.0)}
     curves = [line for line in axis.get_lines() if len(line.get_xdata()) > 2]
     for requirement, curve in ((REQUIREMENTS[0], curves[0]), (REQUIREMENTS[1], curves[1])):
-        at = float(np.interp(20.0, *(np.asarray(data, dtype=float) for data in curve.get_data())))
+        xs, ys = (np.asarray(data, dtype=float) for data in curve.get_data())
+        at = float(np.interp(20.0, xs, ys))
         assert at == pytest.approx(judge(requirement, [run]).quantile.value / RAD_PER_MAS, rel=0.05)
 
 
@@ -101,7 +103,7 @@ def test_limits_over_time_are_those_of_its_windows(run: Run, monkeypatch: pytest
     made = drawn(moving_tones, lambda: moving_tones.error_over_time([view(run, "run")], REQUIREMENTS), monkeypatch)
     (axis,) = made.values()
     lines = [line for line in axis.get_lines() if line.get_color() == figures.LIMIT]
-    assert sorted(float(line.get_ydata()[0]) for line in lines) == pytest.approx([30.0, 40.0])
+    assert sorted(float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in lines) == pytest.approx([30.0, 40.0])
 
 
 def test_the_circle_of_the_limit_has_the_unit_of_the_axes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

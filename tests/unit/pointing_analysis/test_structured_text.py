@@ -31,7 +31,7 @@ def test_names_with_dots_are_counted_as_the_parser_does(lines: list[tuple[list[s
     if deepest <= DEPTH - 1:
         assert len(load_toml(text, "x")) == len(lines)
     if deepest > DEPTH:
-        called = []
+        called: list[object] = []
         with pytest.raises(StructuredTextError, match="x must be nested at most 50 levels deep"):
             parse(text, "x", "TOML", called.append)
         assert not called  # before anything is made of it

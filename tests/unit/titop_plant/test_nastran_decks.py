@@ -191,8 +191,8 @@ def test_a_pipe_or_device_is_no_deck_and_no_result(tmp_path: Path) -> None:
         for pair in ((file, tmp_path / "crane.op2"), (tmp_path / "crane.bdf", file)):
             with pytest.raises(ValueError, match="not an ordinary file"):
                 read_nastran(*pair, name="x", parent=("a", 1), ports={"e": 4})
-    with (tmp_path / "crane.bdf").open("a") as file:
-        file.write("INCLUDE 'pipe'\n")
+    with (tmp_path / "crane.bdf").open("a") as deck:
+        deck.write("INCLUDE 'pipe'\n")
     with pytest.raises(ValueError, match="not an ordinary file"):
         load(tmp_path)
 
