@@ -528,7 +528,7 @@ def scenario_of(run: Recording) -> str:
     sources = run.parameters.get("disturbances")  # of bags from before they said what acts
     if isinstance(sources, list) and sources:
         return ", ".join(str(source.get("name")) for source in sources if isinstance(source, dict))
-    given = (run.parameters.get(name) for name in ("plant", "disturbance_source", "scenario"))
+    given = (run.parameters.get(name) for name in ("disturbance_source", "plant", "scenario"))
     return next((str(name) for name in given if name), "")
 
 

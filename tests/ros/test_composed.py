@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-from bystander import Bystander
+from bystander import Bystander, middleware
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
 from los_testbed.config import RunConfig
@@ -96,10 +96,10 @@ def test_a_node_that_is_shut_down_leaves_the_other_one(tmp_path, name):
 
     def shut_down(runner):
         from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
 
-        with remote_control(runner.domain, "/telescope", 10.0) as control:
-            from lifecycle_msgs.srv import ChangeState
-
+        # it chooses the middleware by the environment, which the programs of later tests inherit
+        with middleware(), remote_control(runner.domain, "/telescope", 10.0) as control:
             request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN))
             assert control._call(ChangeState, f"{name}/change_state", request).success
 
