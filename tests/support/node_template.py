@@ -224,7 +224,8 @@ class TracingLibrary:
     def __init__(self) -> None:
         self._signals = ctypes.create_string_buffer(1024)  # a `sigset_t`: signals wait while it holds its locks
         self._call = lambda moment: None
-        for path in {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if "/" in line}:
+        mapped = [line for line in Path("/proc/self/maps").read_text().splitlines() if "/" in line]
+        for path in {line.split(maxsplit=5)[-1] for line in mapped}:
             library = ctypes.CDLL(path) if Path(path).name.startswith("liblttng-ust") else None
             begin = next((b for b in ("lttng_ust_", "ust_") if hasattr(library, f"{b}before_fork")), "")
             if begin:

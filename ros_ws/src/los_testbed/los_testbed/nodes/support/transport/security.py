@@ -23,7 +23,8 @@ def refuse_missing_security() -> None:
     """
     if not security_is_asked_for():
         return
-    libraries = {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if ".so" in line}
+    lines = [line for line in Path("/proc/self/maps").read_text().splitlines() if ".so" in line]
+    libraries = {line.split(maxsplit=5)[-1] for line in lines}  # a path may hold spaces
     for library in sorted(libraries):
         name = Path(library).name
         if name.startswith("librmw_fastrtps_shared_cpp") and _MISSING in Path(library).read_bytes():
