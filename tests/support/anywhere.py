@@ -16,6 +16,7 @@ ANYWHERE = (
     "unit/lftkit/analysis/test_discrete_norm.py",
     "unit/lftkit/analysis/test_hinf_norm.py",
     "unit/lftkit/support/test_workers.py",
+    "unit/lftkit/tuning/test_tuner.py",
     "unit/los_testbed/test_command_line.py",
     "unit/los_testbed/test_compiled_loop.py",
     "unit/los_testbed/test_device_faults.py",
