@@ -166,7 +166,10 @@ def test_the_wheel_runs_outside_the_tree_without_ros(without_ros: Path, tmp_path
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["ticks"] == 2000
     assert (tmp_path / "bag" / "report.html").stat().st_size > 100_000
-    missing = run(program, "run", "--duration", "1", folder=tmp_path)
+    chosen = run(program, "run", "--duration", "1", folder=tmp_path)
+    assert chosen.returncode == 0, chosen.stderr
+    assert chosen.stderr.startswith("auto: ROS 2 is not installed in this environment: run in one process\n")
+    missing = run(program, "run", "--mode", "realtime", "--duration", "1", folder=tmp_path)
     assert missing.returncode == 2 and "pip install 'los-testbed[ros]'" in missing.stderr
     where = run(without_ros / "python", "-c", "import lftkit, los_testbed; print(lftkit.__file__)", folder=tmp_path)
     assert str(without_ros.parent) in where.stdout
