@@ -47,7 +47,7 @@ def main() -> None:
             columns["cyclictest"] = cyclictest(args.seconds)
         print(json.dumps({"edges_us": EDGES_US, **columns}) if args.json else histogram(columns))
         return
-    print(json.dumps(found) if args.json else sentence(found))
+    print(json.dumps({"processors": found}) if args.json else sentence(found))
 
 
 def wait_only(seconds: float, processor: int) -> dict[str, Any]:
