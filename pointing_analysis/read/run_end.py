@@ -1,4 +1,4 @@
-"""How a recorded run ended: by its plan, or before."""
+"""How a recorded run ended, by its plan or before, and which part of its ticks was missed."""
 
 from __future__ import annotations
 
@@ -44,6 +44,33 @@ def early_end(parameters: Mapping[str, Any]) -> str:
     if planned is None or done >= planned:
         return ""
     return f"the run ended before its plan: after {done} of {planned} ticks"
+
+
+def missed_share(plant: Mapping[str, Any]) -> float:
+    """Missed ticks of a run in real time, of all of its periods [%].
+
+    A missed tick is one with an older command, or a period that the plant lost: at most all.
+
+    Parameters
+    ----------
+    plant : statistics of the plant
+
+    Raises
+    ------
+    ValueError
+        A count that is none.
+
+    Examples
+    --------
+    >>> missed_share({"ticks": "9990", "missed_ticks": "129", "skipped_periods": "10"})
+    1.29
+    """
+    names = "missed_ticks", "ticks", "skipped_periods"
+    counts = {name: _count(plant.get(name, 0)) for name in names}
+    missed, ticks, skipped = (counts[name] for name in names)
+    if missed is None or ticks is None or skipped is None:
+        raise ValueError(f"counts of ticks must be whole numbers, got {[str(plant.get(name))[:20] for name in names]}")
+    return 100.0 * missed / max(ticks + skipped, 1)
 
 
 def _by_duration(duration: object, rate: object) -> int | None:

@@ -28,7 +28,7 @@ from pointing_analysis.read.mcap.records import BagError, RefutedBagError
 from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.read.run_end import early_end
+from pointing_analysis.read.run_end import early_end, missed_share
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
@@ -322,13 +322,11 @@ def beside_of(run: Recording, requirement: Requirement) -> Beside:
 
 def _disturbed(run: Recording) -> str:
     """Ticks that were missed in real time, where they were more than the run permits; empty elsewhere."""
-    plant = _plant_statistics(run)
     try:
-        missed, ticks = (int(plant.get(name, 0)) for name in ("missed_ticks", "ticks"))
+        share = missed_share(_plant_statistics(run))
         most = float(run.parameters.get("max_missed", math.inf))
     except (TypeError, ValueError):
         return ""
-    share = 100.0 * missed / max(ticks, 1)
     if run.parameters.get("mode") != "realtime" or not share > most:
         return ""
     return f"{share:.3g} % of the ticks were missed"

@@ -113,7 +113,9 @@ def test_a_run_that_missed_too_many_ticks_is_disturbed() -> None:
     assert row.verdict_text.startswith("disturbed: 0.6 % of the ticks were missed; ")
     assert row.as_dict()["disturbed"] == "0.6 % of the ticks were missed"
     assert overall([verdict], "0.6 %") == DISTURBED
+    skipped = {"plant": {"ticks": "1000", "missed_ticks": "6", "skipped_periods": "200"}}  # 0.5 % of 1200 periods
     others: list[dict[str, Any]] = [{"mode": "lockstep"}, {"max_missed": 0.6}, {"statistics": {}}, {"max_missed": "x"}]
+    others.append({"statistics": skipped})
     for other in others:
         found = beside_of(
             recorded(**{"mode": "realtime", "max_missed": 0.5, "statistics": statistics, **other}), requirement

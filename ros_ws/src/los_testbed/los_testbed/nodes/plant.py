@@ -43,7 +43,7 @@ from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.run.results import Exercised, check_missed, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.user_blocks import BlockFailedError, beyond, watched
-from pointing_analysis.read.run_end import PLANNED
+from pointing_analysis.read.run_end import PLANNED, missed_share
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH
 
@@ -183,7 +183,7 @@ class PlantLoop:
         if beyond(self._truth).any():
             raise LoopDivergedError(f"the loop diverged within the first {self.ticks} ms")
         if not context.process.tells:  # a runner, where there is one, judges the run by its record
-            check_missed(100.0 * self.missed / max(self.ticks, 1), context.config)
+            check_missed(missed_share(self.statistics()), context.config)
         return 0
 
     def _keeps_pace(self) -> bool:

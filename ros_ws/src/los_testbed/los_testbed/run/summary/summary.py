@@ -21,6 +21,7 @@ from los_testbed.run.summary.source_shares import as_rows, source_shares
 from los_testbed.topics import UNSENT_TICKS
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.indices.errors import on_camera
+from pointing_analysis.read import run_end
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
@@ -270,8 +271,7 @@ def missed_share(metrics: Mapping[str, Any]) -> float:
     """
     if metrics["mode"] != "realtime" or metrics["missed_ticks"] is None:
         return 0.0
-    # a missed tick is a held command or a lost period: at most all
-    return 100.0 * float(metrics["missed_ticks"]) / max(float(metrics["periods"]), 1.0)
+    return run_end.missed_share({"missed_ticks": metrics["missed_ticks"], "ticks": metrics["periods"]})
 
 
 def print_summary(console: Console, results: RunSummaries) -> None:
