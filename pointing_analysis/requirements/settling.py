@@ -5,8 +5,7 @@ one decaying exponential, the slowest decay that is seen. Until the exponential 
 left, the run starts up. A tone of the disturbance may build up more slowly than the noise beside it lets the level
 show: so its amplitude is compared between the halves of the record, too. Where the start-up reaches into the second
 half of the record, or a tone still changes, the requirement is not judged unless a falling level keeps its limit
-anyway: a longer run, or a start in the steady
-state, decides.
+anyway: a longer run, or a start in the steady state, decides.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from pointing_analysis.requirements.verdict import Verdict, index_samples, judge
 from pointing_analysis.spectra.tone_budget import named_tones
 
 BLOCKS = 60
+"""Into which the samples of an index are cut."""
 PART = 0.1
 """Part of the level, a square, at which the rest of a decay is small: 5 % of the amplitude."""
 SIGNIFICANT = 4.0
@@ -38,8 +38,9 @@ DECAYS: FloatArray = np.asarray(np.geomspace(1.0 / BLOCKS, 3.0, 33), dtype=float
 SHORTEST = 4.0
 """[s] In a shorter record no start-up is measured."""
 SEGMENTS = 8
-"""In which the amplitude of a tone is found; each holds so many periods of it at least: """
+"""Parts of the record, in each of which the amplitude of a tone is found."""
 PERIODS = 2.0
+"""Fewest periods of a tone in a segment; slower ones are not compared."""
 OFFSETS = (-5, -4, -3, 3, 4, 5)
 """Bins of a segment beside a tone at which the noise of its amplitude is found."""
 
@@ -164,7 +165,7 @@ def _tone_changes(series: ErrorSeries, requirement: Requirement, tones: FloatArr
             continue  # not resolved in a segment: their beat is no change
         weight = 1.0
         if requirement.of_windows or requirement.of_image or requirement.index in ("RPE", "RKE"):
-            weight = float(rpe_discrete(np.array([omega]), max(2, round(requirement.times[0] / dt)), dt)[0])
+            weight = float(rpe_discrete(np.array([omega]), metrics.samples_or_one(requirement.times[0], dt), dt)[0])
         found = _amplitudes(e, dt, n, omega)
         beside = [_amplitudes(e, dt, n, omega + 2.0 * math.pi * k / seconds) for k in OFFSETS]
         noise = math.sqrt(np.median([np.square(np.abs(one)).sum(axis=1).mean() for one in beside]))
