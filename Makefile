@@ -22,7 +22,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
-	@echo "make test       style, types, tests of 10 to 20 minutes; at the end what was skipped and how to get it"
+	@echo "make test       style, types, tests of some 10 minutes; at the end what was skipped and how to get it"
 	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
 	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"

@@ -64,7 +64,7 @@ def _distribution(views: Sequence[RunView], quantity: str, own: Sequence[Require
     unit, scale = ("arcsec", RAD_PER_ARCSEC) if requirement.index in ABSOLUTE else ("mas", RAD_PER_MAS)
     try:
         values = [index_samples(view.series, requirement)[0] for view in views]
-    except ValueError:  # a window that is longer than the run, or no whole number of its samples
+    except ValueError:  # a window that is longer than the run, or shorter than two of its samples
         return None
     if not all(map(len, values)):
         return None
