@@ -47,6 +47,7 @@ from pointing_analysis.requirements.settling import judge_settled
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
+from pointing_analysis.spectra.tone_budget import PART as BUDGET_PART
 from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_budget
 
 METADATA = "requirements"
@@ -448,18 +449,18 @@ def summarise(
             raise RefutedBagError(f"{refusal}; the bag contradicts its own digests: {run.contradictions[0]}") from None
         raise
     error, budget = Performance.of(series.values, series.dt), None
-    judged = metrics.holds(WINDOW, series.dt)
+    judged, asked = metrics.holds(WINDOW, series.dt), applicable(known or (), run)
     found: tuple[FoundLine, ...] = ()
     if judged and series.duration >= WINDOW and motion_of(run) is None:
         budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
-        if requirements is not None and tuple(requirements) != (_recorded(run)[0] or ()):
+        others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
+        if others or not _of_budget(asked):
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
     elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
     lost, problems, dropped = _integrity(run)
     star, unusable = _star(run, series) if metrics.is_whole(WINDOW, series.dt) else (None, "")
-    asked = applicable(known or (), run)
     settled = [judge_settled(r, run, transient) for r in asked]
     problems += [text for text in (damaged, unusable, *dict.fromkeys(one.remark for one in settled)) if text]
     if not judged:
@@ -493,6 +494,16 @@ def summarise(
         sampling=str(run.parameters.get(SAMPLING, "")),
         conditions=conditions_of(run),
     )
+
+
+def _of_budget(requirements: Sequence[Requirement]) -> bool:
+    """Whether the allowances of a bag are parts of a limit on what its budget shows: 99.7 % of the windows of 20 ms.
+
+    They are parts of the smallest limit on windows.
+    """
+    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
+    finest = min(own, key=lambda r: r.limit, default=None)
+    return finest is None or (finest.times == (WINDOW,) and abs(finest.probability - BUDGET_PART) < 1e-9)
 
 
 def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> list[str]:

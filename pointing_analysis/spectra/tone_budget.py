@@ -31,6 +31,8 @@ from pointing_analysis.spectra.sidebands import FoundLine
 BAND_EDGE = 85.0
 """Between slow and fast tones [rad/s] where the bag does not say."""
 
+PART = 0.997
+"""Part of the windows that keeps the total."""
 PARTS = ("noise", "slow", "fast", "total")
 UNTOLD = "tones cannot be told from the rest, with which they would exceed the whole (a drift or a pulse?)"
 

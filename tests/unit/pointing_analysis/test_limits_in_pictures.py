@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import distribution_figure, exposure_figure, figures, moving_tones
 from pointing_analysis.report.report import view
-from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.summary import summarise
+from pointing_analysis.requirements.text import Requirement, entries, parse
 from pointing_analysis.requirements.verdict import judge
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -113,3 +115,21 @@ def test_the_circle_of_the_limit_has_the_unit_of_the_axes(run: Run, monkeypatch:
     circle = next(line for line in axis.get_lines() if line.get_color() == figures.LIMIT)
     scale = 1.0 if "[arcsec]" in axis.get_xlabel() else 1000.0
     assert np.hypot(*circle.get_data()) == pytest.approx(0.2 * scale)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence", True),
+        ("prob(rms RPE(35 ms) < 40 mas) >= 0.997 at 95 % confidence", False),
+        ("prob(rms RPE(20 ms) < 40 mas) >= 0.95 at 95 % confidence", False),
+        ("prob(|APE| < 1 arcsec) >= 0.95 at 95 % confidence", True),  # on no windows: nothing is said of them
+    ],
+)
+def test_the_budget_has_the_limit_of_its_own_windows_and_part(tmp_path: Path, text: str, shown: bool) -> None:
+    """Its total is of 20 ms and 99.7 %: a limit for others beside it would be a comparison of two things."""
+    los = 30.0 * RAD_PER_MAS * np.random.default_rng(0).standard_normal((3000, 2))
+    parameters = {"rpe_budget_mas": {"total": 40.0}, "requirements": entries([parse(text)]), "transient_s": 0}
+    summary = summarise(Run.open(write_bag(tmp_path / "bag", {"truth/los": los}, parameters=parameters)))
+    assert summary.requirements_known and summary.budget is not None
+    assert (" of 40" in str(summary.budget)) == shown and bool(summary.budget.allowances) == shown
