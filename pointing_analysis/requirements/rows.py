@@ -297,7 +297,7 @@ def _remark(v: Verdict) -> str:
         needed = (
             "no length of run decides it"
             if math.isinf(v.seconds_needed)
-            else f"{math.ceil(v.seconds_needed)} s would {'prove it' if v.keeps else 'decide'}"
+            else f"not yet demonstrated: needs {math.ceil(v.seconds_needed)} s"
         )
     return ". ".join(part for part in (needed, v.note) if part)
 

@@ -119,10 +119,10 @@ def test_remarks() -> None:
     def remark(**changes: Any) -> str:
         return RequirementRow.of(replace(OPEN, **changes)).remark
 
-    assert remark() == "13 s would prove it"
-    assert remark(exceeding=0.5) == "13 s would decide"
+    assert remark() == "not yet demonstrated: needs 13 s"
+    assert remark(exceeding=0.5) == "not yet demonstrated: needs 13 s"
     assert remark(seconds_needed=math.inf) == "no length of run decides it"
-    assert remark(note="cut off") == "13 s would prove it. cut off"
+    assert remark(note="cut off") == "not yet demonstrated: needs 13 s. cut off"
     assert RequirementRow.of(verdict(note="2 of 9 are missing")).remark == "2 of 9 are missing"
     no_bound = RequirementRow.of(replace(OPEN, quantile=replace(OPEN.quantile, upper=math.inf)))
     assert no_bound.bound_text == "none: too short a record" and no_bound.as_dict()["upper_bound"] is None
