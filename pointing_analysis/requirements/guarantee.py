@@ -13,6 +13,7 @@ from typing import Any
 
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
+from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.text import Requirement
 from pointing_analysis.rounding import at_most
 
@@ -23,6 +24,10 @@ ABSOLUTE, SLOW, FAST, BOTH = "APE", "slow", "fast", "both"
 """What a bound is of: the absolute error; the relative error of slow, of fast, of tones of both kinds."""
 
 NO_PROOF = "no proof for this loop"
+OTHER_DISTURBANCE = "no proof for what acts"
+OTHER_QUANTITY = "no proof of this quantity"
+NOISE = "proof_noise"
+"""Key of a bag whose loop has a proof with noise, whatever acts."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,16 @@ def proven_bound(run: Recording, requirement: Requirement) -> ProvenBound | None
     if not (0.0 < value < math.inf and requirement.probability <= probability <= 1.0):
         return None
     return ProvenBound(value, probability, str(found.get("condition", "")))
+
+
+def without_bound(run: Recording) -> str:
+    """What is said of a requirement of which no bound is proven; empty for a recording that names no loop."""
+    if "loop" not in run.parameters:
+        return ""
+    if run.parameters.get(METADATA):
+        return OTHER_QUANTITY
+    proven = any(run.parameters.get(key) for key in (NOISE, PROOF_RPE))
+    return OTHER_DISTURBANCE if proven else NO_PROOF
 
 
 def _kind(run: Recording, found: Mapping[str, Any], requirement: Requirement) -> str:

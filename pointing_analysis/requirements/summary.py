@@ -32,7 +32,7 @@ from pointing_analysis.read.run_end import early_end, missed_share
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
-from pointing_analysis.requirements.guarantee import NO_PROOF, proven_bound
+from pointing_analysis.requirements.guarantee import proven_bound, without_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import (
     Beside,
@@ -317,7 +317,7 @@ def applicable(requirements: Sequence[Requirement], run: Recording) -> tuple[Req
 def beside_of(run: Recording, requirement: Requirement) -> Beside:
     """What a recording says of a requirement beside its samples: a proven bound, ticks that were missed."""
     proven = proven_bound(run, requirement)
-    unproven = {"unproven": NO_PROOF} if "loop" in run.parameters else {}
+    unproven = {"unproven": text} if (text := without_bound(run)) else {}
     return Beside(proven, disturbed=_disturbed(run), **unproven)
 
 

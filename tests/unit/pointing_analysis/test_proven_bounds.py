@@ -101,6 +101,22 @@ def test_two_requirements_on_one_quantity_are_told_apart_by_their_names() -> Non
     assert rows_of(verdicts[:1], ())[0].label == "rms RPE(20 ms), 99.7 %"
 
 
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"proof_bounds": ""}, "no proof for this loop"),
+        ({"proof_bounds": "", "proof_noise": "with noise, proven: ..."}, "no proof for what acts"),
+        ({"proof_bounds": "", "proof_rpe": {"rms_rad": 1e-7, "exposure_s": 0.02}}, "no proof for what acts"),
+        ({}, "no proof of this quantity"),
+    ],
+)
+def test_a_table_without_a_bound_says_what_there_is_no_proof_of(more: dict[str, Any], text: str) -> None:
+    """A loop with a proof has one, though not of this quantity or of what acts: the remarks of the run say so."""
+    other = parse(RPE.replace("20 ms", "50 ms"), "RPE")
+    short = decide(other, 25.0 * MAS * np.ones(50), 50.0, 1.0)
+    assert rows_of([short], [beside_of(recorded(**more), other)])[0].bound_text == text
+
+
 def test_a_run_that_missed_too_many_ticks_is_disturbed() -> None:
     """In real time, at the limit that the run had; the words stand in every output."""
     statistics = {"plant": {"ticks": "1000", "missed_ticks": "6"}}

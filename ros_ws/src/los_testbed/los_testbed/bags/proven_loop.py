@@ -55,7 +55,7 @@ JUDGED = frozenset(
 )
 """Settings that a proof admits with some values, see :func:`reasons_against`; any other must have its default."""
 
-PROOF_KEYS = ("proof", "proof_noise", PROOF_RPE, PROOF_BOUNDS)
+PROOF_KEYS = ("proof", guarantee.NOISE, PROOF_RPE, PROOF_BOUNDS)
 """Keys of a bag's metadata that :func:`proof_of` makes."""
 
 OTHER_LOOP = ("loop", "camera_dropout", "fsm_authority", "pma_authority")
@@ -94,7 +94,7 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
     bounds = _bounds(parts, found, missed)
     if late:
         return {"proof": f"no proof of this run: {late[0]}", **bounds}
-    said = bounds | {"proof": found.text} | ({"proof_noise": found.noise_text} if found.noise_text else {})
+    said = bounds | {"proof": found.text} | ({guarantee.NOISE: found.noise_text} if found.noise_text else {})
     if found.relative is None:
         return said
     window = float(parts.parameters["weights"]["rpe_window"])
@@ -102,11 +102,11 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
 
 
 def _bounds(parts: RunParts, found: Statement, missed: int) -> dict[str, str]:
-    """Bounds with noise, for the tone of norm 1 that the scenario makes; nothing for other disturbances."""
+    """Bounds with noise, for the tone of norm 1 that the scenario makes, or for none; nothing for others."""
     from los_design.verification.error_sum import WITH_NOISE
 
     config = parts.config
-    if not found.sums or not (config.scenario == "worst_case" or not config.disturbance):
+    if not found.sums or not (config.scenario == "worst_case" or not config.scenario_acts):
         return {}
     kinds = {
         "APE": guarantee.ABSOLUTE,
