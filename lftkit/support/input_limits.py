@@ -56,6 +56,19 @@ KINDS: Mapping[str, TextLimit] = MappingProxyType(
 
 UNPACKED, UNPACKED_RATIO = 200 * MB, 100
 """A compressed table may unpack to this many bytes, or to this many times its size, whichever is more."""
+
+
+def most_unpacked(size: int) -> int:
+    """Bytes that a compressed table of so many bytes may unpack to.
+
+    Examples
+    --------
+    >>> most_unpacked(1000), most_unpacked(3_000_000)
+    (200000000, 300000000)
+    """
+    return max(UNPACKED, UNPACKED_RATIO * size)
+
+
 MAT_DEPTH = 32
 """Deepest nesting of cells and structures in a .mat file."""
 MAT_ELEMENTS = 1_000_000

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.support.input_files import check_file
-from lftkit.support.input_limits import MAT_DEPTH, MAT_ELEMENTS, TABLE, UNPACKED, UNPACKED_RATIO
+from lftkit.support.input_limits import MAT_DEPTH, MAT_ELEMENTS, TABLE, UNPACKED, most_unpacked
 
 MATRIX, COMPRESSED = 14, 15
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 16: 1, 17: 2, 18: 4}
@@ -294,7 +294,7 @@ def check_mat(path: str | os.PathLike[str]) -> None:
         order = "<" if mark == b"IM" else ">"
         if struct.unpack(order + "H", head[124:126])[0] >> 8 != 1:
             raise MatStructureError("its version must be 4 to 7.2, got another (HDF5 is read elsewhere)")
-        walk, at = _Walk(order, max(UNPACKED, UNPACKED_RATIO * size)), 128
+        walk, at = _Walk(order, most_unpacked(size)), 128
         while at < size:
             walk.elements += 1
             file.seek(at)

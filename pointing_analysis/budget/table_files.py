@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from lftkit.support.input_files import check_file
-from lftkit.support.input_limits import LINES, TEXT, UNPACKED, UNPACKED_RATIO
+from lftkit.support.input_limits import LINES, TEXT
 from pointing_analysis.budget.sources import BudgetError
 from pointing_analysis.files.atomic_output import atomic_file, write_text
 from pointing_analysis.files.structured_text import read_text
+from pointing_analysis.read.tables.table import TableError, check_unpacked
 
 WORKBOOK = ".xlsx"
 ENDINGS = (".csv", WORKBOOK)
@@ -66,7 +67,9 @@ def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tu
 def _lines_of_workbook(path: Path) -> list[list[str]]:
     openpyxl = _openpyxl(path)
     try:
-        _check_workbook(path, check_file(path, TEXT))
+        check_file(path, TEXT)
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked(path, sum(entry.file_size for entry in archive.infolist()))
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             rows = book.worksheets[0].iter_rows(values_only=True, max_row=MAX_ROWS)
@@ -75,6 +78,8 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
             book.close()
     except (BudgetError, MemoryError):
         raise
+    except TableError as error:
+        raise BudgetError(str(error)) from None
     except OSError as error:
         raise BudgetError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # of a damaged file openpyxl raises a dozen kinds
@@ -83,14 +88,6 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
     while lines and not any(lines[-1]):
         lines.pop()
     return lines
-
-
-def _check_workbook(path: Path, size: int) -> None:
-    """Refuse a workbook that unpacks to too much."""
-    with zipfile.ZipFile(path) as archive:
-        unpacked = sum(entry.file_size for entry in archive.infolist())
-    if unpacked > max(UNPACKED, UNPACKED_RATIO * size):
-        raise BudgetError(f"{path} must unpack to at most {UNPACKED / 1e6:g} MB, got {unpacked / 1e6:.0f}")
 
 
 def _text(cell: Any) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lftkit.support.input_limits import UNPACKED, UNPACKED_RATIO
+from lftkit.support.input_limits import UNPACKED, UNPACKED_RATIO, most_unpacked
 from pointing_analysis.arrays import FloatArray, IntArray
 
 Column = FloatArray | IntArray | NDArray[np.datetime64]
@@ -149,7 +149,7 @@ class Table:
 
 def check_unpacked(path: Path, size: int) -> None:
     """Some kilobytes can stand for any number of rows: the declared size is checked before memory is taken."""
-    if size > max(UNPACKED, UNPACKED_RATIO * path.stat().st_size):
+    if size > most_unpacked(path.stat().st_size):
         raise TableError(
             f"{path}: table must unpack to at most {UNPACKED / 1e6:g} MB or {UNPACKED_RATIO} times its size, "
             f"got {size / 1e6:.0f} MB"
