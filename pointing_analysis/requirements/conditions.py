@@ -68,7 +68,7 @@ def conditions_of(run: Recording) -> Conditions:
 def differences(runs: Sequence[Recording]) -> tuple[str, ...]:
     """For each run a sentence on what acted otherwise than in the first one; empty where nothing did, or is not known.
 
-    Figures of such runs do not compare their controllers.
+    Figures of such runs do not compare their controllers. What acted stands beside it (:attr:`Conditions.lines`).
     """
     found = [conditions_of(run) for run in runs]
     return tuple(_difference(found[0], one, runs[0].path.name) for one in found)
@@ -76,9 +76,9 @@ def differences(runs: Sequence[Recording]) -> tuple[str, ...]:
 
 def _difference(first: Conditions, other: Conditions, name: str) -> str:
     pairs = {
-        "disturbance": ("; ".join(first.acting), "; ".join(other.acting)),
+        "disturbance": (first.acting, other.acting),
         "member": (first.member, other.member),
-        "telescope": (first.telescope[:12], other.telescope[:12]),
+        "telescope": (first.telescope, other.telescope),
     }
-    told = [f"{what} {b}, in {name} {a}" for what, (a, b) in pairs.items() if a and b and a != b]
-    return f"not the conditions of {name}, so no comparison of controllers: {'; '.join(told)}" if told else ""
+    told = [what for what, (a, b) in pairs.items() if a and b and a != b]
+    return f"{' and '.join(told)} other than in {name}: no comparison of controllers" if told else ""

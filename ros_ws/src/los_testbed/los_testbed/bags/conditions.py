@@ -26,7 +26,10 @@ def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
     config, found = parts.config, []
     if config.scenario_acts:
         tone = start.tone
-        text = "" if tone is None else f"tone of {tone.omega / (2 * math.pi):.4g} Hz, worst for the {tone.index}"
+        text = ""
+        if tone is not None:
+            index = f"{tone.index} tones" if tone.index in ("slow", "fast") else tone.index
+            text = f"tone of {tone.omega / (2 * math.pi):.4g} Hz, worst for the {index}"
         found.append({"name": str(config.scenario), "kind": "scenario", "what": text})
     if config.disturbance and config.disturbance_source:
         found.append({"name": config.disturbance_source, "kind": "code", "what": "code of the user"})
