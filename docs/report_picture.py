@@ -12,7 +12,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from headless_browser import Page, browser
 
-WIDTH, HEIGHT, BORDER = 1280, 2230, 4
+WIDTH, HEIGHT, BORDER = 1280, 1950, 4
 
 BOX = (
     "(() => {{ const box = document.querySelector({!r}).getBoundingClientRect(); "
@@ -30,5 +30,5 @@ left, top, right, bottom = (
     if part is None
     else (round(part[0]) - BORDER, round(part[1]) - BORDER, round(part[2]) + BORDER, round(part[3]) + BORDER)
 )
-picture.convert("RGB").crop((left, top, right, bottom)).quantize(64).save(sys.argv[2], optimize=True)
+picture.convert("RGB").crop((left, top, right, bottom)).quantize(48).save(sys.argv[2], optimize=True)
 sys.stdout.write(f"{sys.argv[2]}: {Path(sys.argv[2]).stat().st_size // 1000} kB\n")
