@@ -167,7 +167,7 @@ class PlantTimer:
         if self.k and min(self.newest.values()) < stamp - TICK_NS:
             self.held += 1
         if self.k == self.context.config.ticks or self.context.stop:
-            self.context.stop = True
+            self.context.end()
             return
         self.core.step(self.command, self.measurement, self.truth)
         self.send(stamp)
