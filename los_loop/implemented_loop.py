@@ -25,9 +25,10 @@ from scipy import linalg
 from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_triples, singular_values, solve
 from lftkit.arrays import ComplexArray, FloatArray
-from los_loop.figures_of_merit import gain_figures
+from los_loop.figures_of_merit import FigureOfMerit, gain_figures
 from los_loop.open_loop import OpenLoop, closed_lft
 from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.spec import (
     DISTURBANCE,
     LINE_OF_SIGHT,
@@ -88,8 +89,9 @@ def loop_metrics(
     stage: str,
     within: tuple[float, float] = (LOWEST, HIGHEST),
     placed: Placed = NO_DEVICES,
+    rows: Sequence[FigureOfMerit] | None = None,
 ) -> dict[str, LoopMetric]:
-    """Gains that a stage must keep, by name, in their bands within some frequencies [rad/s]."""
+    """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s]."""
     return {
         row.name: LoopMetric(
             row.name,
@@ -99,7 +101,7 @@ def loop_metrics(
             row.within(*within),
             row.relative,
         )
-        for row in gain_figures(stage)
+        for row in (gain_figures(stage) if rows is None else rows)
     }
 
 
@@ -191,6 +193,19 @@ class ImplementedLoop:
             ClosedAt(float(w), T[:q, :q], T[rows, :q], T[:q, q:], T[rows, q:], own, law)
             for w, T, own, law in zip(omega, whole, lft, K)
         ]
+
+    def metrics(self) -> dict[str, LoopMetric]:
+        """Gains that the loop must keep, by name."""
+        return loop_metrics(self.parameters, self.stage, placed=self.placed)
+
+    def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
+        """Normalised gain of a disturbance by the periodic solution, with the sidebands; None for other inputs."""
+        if not metric.disturbed:
+            return None
+        plant, closed = self.sampled_at(values)
+        response, relative = weighted_gains(closed, plant, self.parameters, np.array([omega]))
+        gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
+        return gain / metric.limit
 
     def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
         """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency."""

@@ -6,6 +6,8 @@ the LFT exactly; the images at ``w + k 2 pi / dt`` reach the samples through the
 
 Of the channels of Delta those of the arrays' angle are half as many as the telescope has
 (:mod:`los_loop.angle_channels`): 32 in place of 48.
+
+In the paper's problem commands are not held: the LFT is that of the continuous telescope.
 """
 
 from __future__ import annotations
@@ -42,12 +44,20 @@ class OpenLoop:
         Keep Delta real, with all channels of the arrays' angle.
     placed : Placed
         Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
+    held : bool
+        Whether commands are held for a tick; otherwise they act as they are, in continuous time.
     """
 
     def __init__(
-        self, system: System, parameters: Parameters, *, real: bool = False, placed: Placed = NO_DEVICES
+        self,
+        system: System,
+        parameters: Parameters,
+        *,
+        real: bool = False,
+        placed: Placed = NO_DEVICES,
+        held: bool = True,
     ) -> None:
-        self.placed = placed
+        self.placed, self.held = placed, held
         self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)
@@ -115,11 +125,12 @@ class OpenLoop:
         G = self._response.at(omega)
         out = np.empty((len(omega), q + self.placed.measurements + TRUTH, q + m + self.placed.commands), complex)
         size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
-        images, holds = self._images(omega), _hold(omega)
+        images, holds = (self._images(omega), _hold(omega)) if self.held else (None, np.ones(len(omega)))
         for k, hold in enumerate(holds):
             held = G[k][:, self._u] * hold
-            # images of the held command through the nominal telescope; the direct path is sampled as it is
-            held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * self._D
+            if images is not None:
+                # images of the held command through the nominal telescope; the direct path is sampled as it is
+                held[q:] += (self._left * images[k]) @ self._right + (1.0 - hold) * self._D
             out[k, :, :q] = G[k][:, :q]
             out[k, :, q : q + m] = G[k][:, self._u.stop :] * size[k]
             out[k, :, q + m :] = held
@@ -135,16 +146,20 @@ class OpenLoop:
         omega : ndarray, shape (N,)
         rows, columns : ndarray, complex, shapes (N, channels + 24) and (N, channels + m + 8)
         """
-        q, m, hold = self.channels, self.disturbances, _hold(omega)
+        q, m = self.channels, self.disturbances
+        hold = _hold(omega) if self.held else np.ones(len(omega))
         commands, plain = columns[:, q + m :], rows[:, q:]
         into = np.empty((columns.shape[1], len(omega)), complex)
         into[:q] = columns[:, :q].T
         into[self._u] = commands.T * hold
         into[self._u.stop :] = columns[:, q : q + m].T * weight_amplitudes(self.parameters, omega).T
-        images = np.sum(self._images(omega) * (plain @ self._left) * (commands @ self._right.T), axis=1)
-        direct = np.sum((plain @ self._D) * commands, axis=1)
         turned = 1j * np.sum(rows[:, :q][:, self.angle] * columns[:, :q][:, self.angle], axis=1)
-        return np.asarray(self._response.between(omega, rows, into) + images + (1.0 - hold) * direct - turned)
+        found = self._response.between(omega, rows, into)
+        if self.held:
+            images = np.sum(self._images(omega) * (plain @ self._left) * (commands @ self._right.T), axis=1)
+            direct = np.sum((plain @ self._D) * commands, axis=1)
+            found = found + images + (1.0 - hold) * direct
+        return np.asarray(found - turned)
 
     def _images(self, omega: FloatArray) -> ComplexArray:
         """Factors of the nominal telescope's modes in the images of held commands, shape (N, modes)."""

@@ -26,8 +26,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.sampled_loop_norms import weighted_gains
+from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from titop_plant.telescope.budget import BAND_EDGE
 
 Pair = tuple[float, FloatArray]
@@ -142,7 +141,7 @@ class Search:
     def __init__(self, loop: ImplementedLoop, options: SearchOptions | None = None) -> None:
         self.loop = loop
         self.options = options or SearchOptions()
-        self.metrics = loop_metrics(loop.parameters, loop.stage, placed=loop.placed)
+        self.metrics = loop.metrics()
 
     def run(
         self,
@@ -359,11 +358,8 @@ class Search:
         """The point with its value by the periodic solution; not `exactly`: by the LFT."""
         loop, values = self.loop, self.loop.values(point)
         gamma, left, right = loop.singular_vectors(loop.at(omega), metric, point)
-        if metric.disturbed and exactly:
-            plant, closed = loop.sampled_at(values)
-            response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
-            gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
-            gamma = gain / metric.limit
+        if exactly and (exact := loop.exact_gain(metric, omega, values)) is not None:
+            gamma = exact
         return WorstPoint(loop.stage, metric.name, gamma, metric.limit, omega, values, right, left)
 
 

@@ -19,7 +19,9 @@ class DesignOptions:
         0: the paper's continuous problem; otherwise the implemented one, with sensor noise and a zero-order-hold
         camera [s].
     starts : int
-        Number of random starts.
+        Random starts of K_PMA in the paper's problem.
+    order : int
+        Of the controller that is tuned, in the paper's problem.
     seed : int
         Seed of the starts and of the worst-case search.
     wall_limit : float
@@ -34,7 +36,8 @@ class DesignOptions:
 
     nominal: bool = False
     loop_delay: float = LOOP_DELAY
-    starts: int = 0
+    starts: int = 8
+    order: int = 4
     seed: int = 0
     wall_limit: float = 1800.0
     workers: int = 1

@@ -23,7 +23,7 @@ from lftkit.tuning.responses import ResponseLook, ResponseProblem, ResponseSourc
 from lftkit.tuning.rounds import Worse, in_rounds
 from los_design.search.worst_case_search import SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
-from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, limits, named, pair_problem
+from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, named
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Kept, Outcome, RoundState
 from los_design.synthesis.task import Task, first_points, sample_around, stable_point
@@ -115,8 +115,7 @@ class _Design:
     @cached_property
     def problem(self) -> ResponseProblem:
         """With the samples that are active."""
-        task = self.task
-        return pair_problem(task.samples, task.stages, task.tuned, task.workers.count)
+        return self.task.problem()
 
     def tuned(self, number: int) -> Descent[ResponseLook]:
         """The descent of a round; the one that is kept if its searches were not all made."""
@@ -145,7 +144,7 @@ class _Design:
     def worse(self, number: int, tuned: Descent[ResponseLook], last: bool) -> Worse[WorstPoint]:
         """Worst points above what the descent reached."""
         ended = tuned.status not in (TuningStatus.OUT_OF_TIME, TuningStatus.ITERATIONS)
-        unfinished = tuned.point.value > 1.0 and not ended
+        unfinished = tuned.point.value > self.problem.least_level and not ended
         searches = _searches(self.effort, self.state.searched, last, unfinished)
         self.found, new = _searched(self.task, self.state, self.problem, searches, self.kept)
         line = _line(number + 1, self.problem, tuned, *_worst(self.task, self.found), self._seconds())
@@ -231,7 +230,7 @@ def _searched(
         if state.exceeded and not final:
             near = {name: name in state.exceeded for name in near}
         found = _search(task, state.x, options, state.known, state.number, near)
-        if new := _new(task, found, descent):
+        if new := _new(task, found, problem, descent.point):
             return found, new
         if not final:
             state.searched = k + 1
@@ -285,7 +284,7 @@ def _search(
         seed = options.seed + 1000 * number + task.seed
         search = task.search(x, stage, replace(options, seed=seed))
         starts = [p for points in known.values() for p in points if p.stage == STAGE_NAMES[stage]]
-        names = [n for n in limits(search.loop.parameters, stage) if n in search.metrics and near[named(n, stage)]]
+        names = [n for n in task.limits(stage) if n in search.metrics and near[named(n, stage)]]
         found.update({named(name, stage): points for name, points in search.run(names, starts, task.workers).items()})
     return found
 
@@ -296,7 +295,7 @@ def _stage(point: WorstPoint) -> tuple[int, ...]:
 
 def _value(task: Task, name: str, point: WorstPoint) -> float:
     """Value of a worst point, 1 being the share or limit that is tuned for."""
-    share = limits(task.samples.open_loop.parameters, _stage(point))[point.requirement]
+    share = task.limits(_stage(point))[point.requirement]
     return point.gamma * point.limit / share
 
 
@@ -305,12 +304,29 @@ def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[
     return worst, {name: _value(task, name, point) for name, point in worst.items()}
 
 
-def _new(task: Task, found: Mapping[str, Sequence[WorstPoint]], descent: Descent[ResponseLook]) -> list[WorstPoint]:
-    """Worst points above what the descent reached, the largest first; none if none of them is above 1."""
-    values = [(_value(task, name, point), point) for name, points in found.items() for point in points]
-    if not any(value > max(1.0, descent.point.value) * (1.0 + SLACK) for value, _ in values):
+def reached(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
+    """What a point reaches, by requirement: the largest value of all gains and noises.
+
+    Where soft gains are to be as small as hard ones allow: the largest soft value, and for a hard gain its limit or
+    its own value above it.
+    """
+    if problem.least_level:
+        return {gain.name: look.value for gain in problem.gains}
+    soft = max(float(look.values[~problem.hard].max()), float(look.noise.max(initial=0.0)))
+    return {
+        gain.name: max(1.0, float(value)) if gain.hard else soft for gain, value in zip(problem.gains, look.values)
+    }
+
+
+def _new(
+    task: Task, found: Mapping[str, Sequence[WorstPoint]], problem: ResponseProblem, look: ResponseLook
+) -> list[WorstPoint]:
+    """Worst points above what the descent reached, the largest first; none if none of them is above the least level."""
+    levels, least = reached(problem, look), problem.least_level
+    values = [(_value(task, name, point), levels[name], point) for name, points in found.items() for point in points]
+    if not any(value > max(least, level) * (1.0 + SLACK) for value, level, _ in values):
         return []
-    excess = [entry for entry in values if entry[0] > descent.point.value * (1.0 + UNSEEN)]
+    excess = [(value, point) for value, level, point in values if value > level * (1.0 + UNSEEN)]
     new: list[WorstPoint] = []
 
     def pair(point: WorstPoint) -> tuple[float, FloatArray]:

@@ -9,6 +9,7 @@ a 25th or four times of the stiffness, 200 kg more in the payload.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ControllerBlock, ResponseProblem, ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.pair_problem import ACTUATORS, Samples, blocks, pair_problem
+from los_design.synthesis.pair_problem import ACTUATORS, blocks
 from los_design.synthesis.rounds import TOLERANCE
 from los_design.synthesis.starts import random_law, stored_start
 from los_design.synthesis.store import continuous, load_designs
@@ -137,10 +138,9 @@ def _kalman(telescope: Telescope, parameters: Parameters, options: DesignOptions
 
 def _best(task: Task, found: Mapping[str, FloatArray], count: int, report: Report) -> FloatArray:
     """The start with the lowest largest value after a short descent at few points."""
-    samples, points = Samples(task.samples.open_loop), first_points(task, count)
-    samples.add(np.array(points))
-    problem = pair_problem(samples, task.stages, task.tuned, task.workers.count)
-    at = [samples.open_loop.values(point) for point in points]
+    points = first_points(task, count)
+    problem = at_points(task, points).problem()
+    at = [task.samples.open_loop.values(point) for point in points]
     values = {name: largest(problem, x) for name, x in found.items()}
     reached: list[tuple[float, FloatArray]] = []
     for name in sorted(found, key=lambda name: values[name])[:COMPARED]:
@@ -153,6 +153,13 @@ def _best(task: Task, found: Mapping[str, FloatArray], count: int, report: Repor
         if value < GOOD:
             break
     return min(reached, key=lambda entry: entry[0])[1]
+
+
+def at_points(task: Task, points: Sequence[FloatArray]) -> Task:
+    """The same task with samples at some points alone."""
+    samples = type(task.samples)(task.samples.open_loop)
+    samples.add(np.array(points))
+    return replace(task, samples=samples)
 
 
 def descended(task: Task, problem: ResponseProblem, x: FloatArray) -> FloatArray:

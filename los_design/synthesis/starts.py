@@ -87,12 +87,12 @@ def zero_controller(kind: str) -> SampledSystem:
     return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
 
 
-def random_law(seed: int, gain: float = START_GAIN) -> System:
-    """A stable random K_PMA of order 4 with small gain: poles spread over the isolator's band."""
+def random_law(seed: int, gain: float = START_GAIN, order: int = ACTUATOR_ORDER) -> System:
+    """A stable random K_PMA with small gain: poles spread over the isolator's band."""
     rng = np.random.default_rng(seed)
-    poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
-    B = rng.standard_normal((ACTUATOR_ORDER, 6))
-    C = gain * rng.standard_normal((6, ACTUATOR_ORDER))
+    poles = -np.geomspace(*START_POLES, order)
+    B = rng.standard_normal((order, 6))
+    C = gain * rng.standard_normal((6, order))
     return System(np.diag(poles), B, C, np.zeros((6, 6)), *design_ports("k-pma"), f"start {seed}")
 
 

@@ -28,8 +28,7 @@ BANDS = {figure(name).band: name for name in ("slow", "fast")}
 def paper_requirements(parameters: Parameters, stage: str) -> tuple[Requirement, ...]:
     """What the paper's problem asks of K_FSM (stage ``fsm``) or of K_PMA (``fsm+pma``), in the order of its gammas."""
     return tuple(
-        requirement(row, parameters, stage, row.allowed * float(row.limit(parameters, stage)))
-        for row in paper_figures(stage)
+        requirement(row, parameters, stage, float(row.limit(parameters, stage))) for row in paper_figures(stage)
     )
 
 
@@ -40,10 +39,10 @@ def observer_requirements(parameters: Parameters) -> tuple[Requirement, ...]:
     RPE differ in it by a factor of 50.
     """
     stage, row = MIRROR_STAGES[0], figure("noise -> APE")
-    allowed, every = row.allowed * float(row.limit(parameters, stage)), ACCELEROMETER_NOISE
+    limit, every = float(row.limit(parameters, stage)), ACCELEROMETER_NOISE
     own = sum(port.size for port in K_PMA_INPUTS)
     platform = static_gain(np.eye(every.size, own), [Port("platform_noise", own)], [every])
-    noise = H2Gain((every.name,), (row.output,), allowed, weight_in=platform, hard=row.hard, name=row.name)
+    noise = H2Gain((every.name,), (row.output,), limit, weight_in=platform, hard=row.hard, name=row.name)
     return (*paper_requirements(parameters, stage), noise)
 
 

@@ -1,8 +1,8 @@
 """Synthesis of the two controllers: design problem, tuner, sampled controller with its provenance.
 
-Designs of the implemented loop are tuned on its frequency responses, in rounds (:mod:`los_design.synthesis.rounds`):
-tune, search the sampled loop for worse parameters, add them. Those of the paper's continuous problem use the tuner of
-:mod:`lftkit.tuning` and its scheme.
+Designs are tuned on frequency responses, in rounds (:mod:`los_design.synthesis.rounds`): tune, search the loop for
+worse parameters, add them. The loop is the implemented one, or that of the paper's continuous problem
+(:mod:`los_design.synthesis.paper_problem`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from fsm_pma_controller.problem import ORDER, actuator_plant, actuator_structure, sampled_controller
-from lftkit import SampledSystem, System, state_space
+from fsm_pma_controller.problem import sampled_controller
+from lftkit import SampledSystem, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
-from lftkit.tuning import TuningOptions, TuningResult, WorstCaseOptions, tune, tune_robust
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
@@ -34,34 +33,22 @@ from los_design.synthesis.pair_problem import (
     Samples,
     blocks,
 )
-from los_design.synthesis.provenance import commit
+from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask, no_pair
+from los_design.synthesis.paper_start import choose_paper_start
 from los_design.synthesis.round_state import Kept, Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
-from los_design.synthesis.starts import random_start, screened, zero_controller
-from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
+from los_design.synthesis.starts import zero_controller
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.synthesis.task import Task
 from los_estimator.kalman import sampled_observer
-from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from los_loop.continuous_loop import continuous_open_loop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.layout import control_stages
-from titop_plant.telescope.parameters import Parameters, design_basis, parameter_box, uncertain_parameters
-
-START_SEEDS = (2,)
-MAX_ITERATIONS, MAX_ROUNDS, MAX_NOMINAL_ITERATIONS = 40, 12, 1000
-"""Effort of a robust design of the paper's problem (iterations in each round) and of a nominal one. These limits end a
-design, not the wall limit: otherwise the result would depend on the speed of the machine."""
-MET = 0.05
-"""Part of its limit at which a figure of the paper's problem counts as met, so that nothing more is asked: without a
-delay, a hold and noise the figures fall on as the gains grow, and the infimum may be zero."""
-MET_BY_MODELS = 0.8
-"""Part of this value that the models of a robust design are tuned to: the rest is for the parameters between them."""
-WORST_CASE_SEARCH = {"samples": 32, "climbs": 1, "iterations": 4}
-"""Effort of the worst-case search of the paper's problem, see :class:`lftkit.tuning.WorstCaseOptions`."""
+from titop_plant.telescope.parameters import Parameters, design_basis
 
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6, confirmed=0.8)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6, confirmed=0.8)
@@ -72,6 +59,8 @@ SHORT_SEARCH = SearchOptions(
 SHORT_EFFORT = Effort(rounds=8, points=12, first=60, iterations=24, target=0.97, searches=(SHORT_SEARCH,))
 NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0, searches=())
 """Effort of a design of the implemented loop: robust, for trials, and on the nominal model alone."""
+PAPER_EFFORT = Effort(rounds=30, points=30, first=150, iterations=60, target=0.0, searches=(QUICK, THOROUGH))
+"""Effort of a robust design of the paper's problem, whose largest soft value is minimised."""
 
 Report = Callable[[str], None]
 
@@ -97,7 +86,7 @@ def design_observer(
     report : callable
         Receives one line for each step.
     kept : (Path, mapping), optional
-        As in :func:`los_design.synthesis.rounds.design_in_rounds`; of no use without a loop delay.
+        As in :func:`los_design.synthesis.rounds.design_in_rounds`.
 
     Returns
     -------
@@ -105,15 +94,7 @@ def design_observer(
         K_FSM with the washout, ports of :mod:`los_estimator.runtime`; its provenance holds command, commit, parameters
         hash, seed, status, tuned values and the continuous controller.
     """
-    if options.implemented:
-        return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], kept=kept)[0]
-    plant = observer_plant(telescope, parameters)
-    structure = observer_structure(plant)
-    starts = [kalman_start(structure, telescope, parameters)]
-    active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
-    requirements = observer_requirements(parameters)
-    result = _run(plant, requirements, structure, starts, active, parameters, options)
-    return _sampled("k-fsm", result.controller.matrices, parameters, options, _provenance("k-fsm", result, options))
+    return _designed(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], kept=kept)[0]
 
 
 def design_actuators(
@@ -136,22 +117,14 @@ def design_actuators(
     report : callable
         Receives one line for each step.
     kept : (Path, mapping), optional
-        As in :func:`los_design.synthesis.rounds.design_in_rounds`; of no use without a loop delay.
+        As in :func:`los_design.synthesis.rounds.design_in_rounds`.
 
     Returns
     -------
     SampledSystem
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
-    if options.implemented:
-        return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept)[1]
-    plant = actuator_plant(telescope, parameters, continuous(observer))
-    structure = actuator_structure(plant)
-    starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
-    requirements = paper_requirements(parameters, STAGE_NAMES[BOTH])
-    active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
-    result = _run(plant, requirements, structure, starts, active, parameters, options)
-    return _sampled("k-pma", result.controller.matrices, parameters, options, _provenance("k-pma", result, options))
+    return _designed(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept)[1]
 
 
 def design_pair(
@@ -188,13 +161,13 @@ def design_pair(
     kinds = ["k-fsm", "k-pma"]
     if STAGE_NAMES[BOTH] in control_stages(parameters):
         tuned = (OBSERVER, ACTUATORS)
-        return _implemented(telescope, parameters, options, report, tuned, kinds, kept=kept, workers=workers)
-    k_fsm, _ = _implemented(telescope, parameters, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
+        return _designed(telescope, parameters, options, report, tuned, kinds, kept=kept, workers=workers)
+    k_fsm, _ = _designed(telescope, parameters, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
     made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
 
-def _implemented(
+def _designed(
     telescope: Telescope,
     parameters: Parameters,
     options: DesignOptions,
@@ -205,13 +178,17 @@ def _implemented(
     kept: Kept | None = None,
     workers: Workers | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
-    """Design some of the controllers of the implemented loop in rounds; the others stay as they are."""
+    """Design some of the controllers in rounds; the others stay as they are."""
     begin = time.monotonic()
-    effort = NOMINAL_EFFORT if options.nominal else SHORT_EFFORT if options.short else EFFORT
+    compared: list[dict[str, Any]] = []
     with Workers(options.workers) as own:
-        task = _task(telescope, parameters, options, tuned, workers or own)
-        start = partial(choose_start, task, telescope, parameters, options, observer, report)
-        outcome = design_in_rounds(task, start, effort, report, kept)
+        if options.implemented:
+            task = _task(telescope, parameters, options, tuned, workers or own)
+            start = partial(choose_start, task, telescope, parameters, options, observer, report)
+        else:
+            task = _paper_task(telescope, parameters, options, tuned, workers or own, observer)
+            start = partial(choose_paper_start, task, telescope, options, observer, report, compared)
+        outcome = design_in_rounds(task, start, _effort(options), report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": ", ".join(outcome.commits),
@@ -221,14 +198,40 @@ def _implemented(
         "seconds": round(time.monotonic() - begin, 1),
         "active_models": outcome.active,
     }
+    if compared:
+        common["starts"] = compared
     found = []
     placed = task.samples.open_loop.placed
-    matrices_of = gain_matrices(blocks(parameters, tuned, placed), outcome.x)
-    for stage, system, M in zip((ALONE, BOTH), task.sampled(outcome.x), matrices_of, strict=True):
-        A, B, C, D = _state_space(_in_newton(M, placed) if stage == BOTH else M)
+    for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
+        A, B, C, D = _state_space(kind, _in_newton(M, placed) if stage == BOTH else M, placed)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
-        found.append(replace(system, provenance={**common, **_values(outcome, stage), "continuous": matrices}))
+        provenance = {**common, **_values(outcome, stage), "continuous": matrices}
+        found.append(_sampled(kind, (A, B, C, D), parameters, options, provenance, placed))
     return found[0], found[1]
+
+
+def _effort(options: DesignOptions) -> Effort:
+    if options.nominal:
+        return NOMINAL_EFFORT
+    if not options.implemented:
+        return PAPER_EFFORT
+    return SHORT_EFFORT if options.short else EFFORT
+
+
+def _paper_task(
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    tuned: tuple[int, ...],
+    workers: Workers,
+    observer: SampledSystem | None,
+) -> PaperTask:
+    """The task of the paper's problem, with no parameter points yet."""
+    samples = PaperSamples(continuous_open_loop(telescope, parameters), options.workers)
+    given = ORDERS[0] if observer is None else continuous(observer).order
+    orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
+    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,)}[tuned]
+    return PaperTask(samples, stages, tuned, no_pair, options.seed, options.wall_limit, workers, orders=orders)
 
 
 def _task(
@@ -244,7 +247,7 @@ def _task(
 
     def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
         k_fsm, k_pma = (
-            _sampled(kind, _state_space(M), parameters, options, None, placed)
+            _sampled(kind, _state_space(kind, M, placed), parameters, options, None, placed)
             for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(parameters, tuned, placed), x)))
         )
         return k_fsm, k_pma
@@ -280,8 +283,10 @@ def _in_newton(M: FloatArray, placed: Placed) -> FloatArray:
     return size[:, None] * M
 
 
-def _state_space(M: FloatArray) -> Matrices:
-    return M[:ORDER, :ORDER], M[:ORDER, ORDER:], M[ORDER:, :ORDER], M[ORDER:, ORDER:]
+def _state_space(kind: str, M: FloatArray, placed: Placed) -> Matrices:
+    """The matrices in a gain matrix."""
+    n = len(M) - sum(port.size for port in design_ports(kind, placed)[1])
+    return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
 
 
 def _sampled(
@@ -301,76 +306,9 @@ def _sampled(
     return sample(system, washout, name=name, basis=basis, provenance=provenance)
 
 
-def _tuning(options: DesignOptions, iterations: int) -> TuningOptions:
-    return TuningOptions(
-        starts=options.starts,
-        seed=options.seed,
-        wall_limit=options.wall_limit,
-        workers=options.workers,
-        iterations=iterations,
-        tolerance=1e-3,
-        target=-np.inf if options.nominal else MET_BY_MODELS * MET,
-        progress=options.progress,
-    )
-
-
-def _run(
-    plant: Any,
-    requirements: Any,
-    structure: Any,
-    starts: Sequence[Any],
-    active: Sequence[Mapping[str, float]],
-    parameters: Parameters,
-    options: DesignOptions,
-) -> TuningResult:
-    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
-    tuning = _tuning(options, MAX_NOMINAL_ITERATIONS if options.nominal else MAX_ITERATIONS)
-    if options.nominal:
-        models: list[System] = [plant(nominal)]
-        return tune(models, requirements, structure, initial=starts, loop_delay=options.delay, met=MET, options=tuning)
-    search = WorstCaseOptions(**WORST_CASE_SEARCH, seed=options.seed)
-    return tune_robust(
-        plant,
-        parameter_box(parameters),
-        requirements,
-        structure,
-        nominal=nominal,
-        active=active,
-        initial=starts,
-        loop_delay=options.delay,
-        met=MET,
-        max_rounds=MAX_ROUNDS,
-        options=tuning,
-        search=search,
-    )
-
-
 def _command(kind: str, options: DesignOptions) -> str:
     flags = (" --nominal" if options.nominal else "") + f" --loop-delay {options.loop_delay:g} --seed {options.seed}"
     if kind == "all":
         flags = " --nominal" if options.nominal else ""
         flags += f" --seed {options.seed}" + (" --effort short" if options.short else "")
     return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
-
-
-def _provenance(kind: str, result: TuningResult, options: DesignOptions) -> dict[str, Any]:
-    """How a design of the paper's problem was made, for its file."""
-    content: dict[str, Any] = {
-        "command": _command(kind, options),
-        "commit": commit(),
-        "seed": options.seed,
-        "loop_delay": options.loop_delay,
-        "status": str(result.status),
-        "seconds": round(result.seconds, 1),
-        "tuned_values": {
-            name: float(f"{value:.6g}") for name, value in zip(result.requirement_names, result.values.max(axis=1))
-        },
-        "continuous": {key: getattr(result.controller, key).tolist() for key in "ABCD"},
-    }
-    if result.active:
-        content["active_models"] = [dict(values) for values in result.active]
-        content["worst_cases"] = [
-            {"requirement": w.requirement, "value": w.value, "omega": w.omega, "parameters": dict(w.parameters)}
-            for w in result.worst
-        ]
-    return content

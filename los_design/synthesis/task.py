@@ -10,9 +10,10 @@ import numpy as np
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
+from lftkit.tuning.responses import ControllerBlock, ResponseProblem
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.search.worst_points import WorstPoint
-from los_design.synthesis.pair_problem import STAGE_NAMES, Samples
+from los_design.synthesis.pair_problem import STAGE_NAMES, Samples, blocks, limits, pair_problem
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import sampled_loop
 
@@ -50,6 +51,19 @@ class Task:
     wall_limit: float = np.inf
     workers: Workers = field(default_factory=Workers)
     known: tuple[WorstPoint, ...] = ()
+
+    @property
+    def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
+        """The controllers."""
+        return blocks(self.samples.open_loop.parameters, self.tuned, self.samples.open_loop.placed)
+
+    def problem(self) -> ResponseProblem:
+        """What is tuned, on the samples that there are."""
+        return pair_problem(self.samples, self.stages, self.tuned, self.workers.count)
+
+    def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
+        """What a gain of 1 stands for in a stage: what is tuned for."""
+        return limits(self.samples.open_loop.parameters, stage)
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""

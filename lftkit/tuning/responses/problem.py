@@ -106,6 +106,9 @@ class ResponseProblem:
     noises : sequence of ResponseNoise
     threads : int
         The result does not depend on their number.
+    least_level : float
+        Below this largest soft gain hard ones count as they are: 1 where soft gains are to be met, 0 where they are to
+        be as small as hard ones allow.
 
     Raises
     ------
@@ -118,6 +121,7 @@ class ResponseProblem:
     gains: tuple[ResponseGain, ...]
     noises: tuple[ResponseNoise, ...] = ()
     threads: int = 1
+    least_level: float = 1.0
     scales: FloatArray = field(init=False, repr=False)
     _index: IntArray = field(init=False, repr=False)
     _factors: tuple[BlockFactors, ...] = field(init=False, repr=False)

@@ -32,6 +32,8 @@ OTHER_METRIC = 4
 """Working sets that are descended on in the metric of the entries' sizes where a minimum is confirmed."""
 RANDOM_DIRECTIONS, STEP_LENGTHS = 100, (1e-3, 1e-2, 1e-1)
 """Directions that are tried at a local minimum, and the lengths of the steps, of the entries' sizes."""
+FEASIBLE, RESTORING = 1e-6, 1.05
+"""Excess over 1 that a hard gain may have; factor by which soft ones may rise in a step that lowers a violated one."""
 SHARPNESS = 6.0
 RIDGE, PROPORTION = 1e-4, 1e-2
 
@@ -93,7 +95,7 @@ class ResponseSource:
     def look(self, x: FloatArray) -> ResponseLook:
         """Values at all pairs."""
         raw, noise = self.problem.values(x), self.problem.noise(x)
-        return ResponseLook(x, (0.0, _merit(self.problem, raw, noise)), raw.max(axis=1), noise, raw)
+        return ResponseLook(x, _merit(self.problem, raw, noise), raw.max(axis=1), noise, raw)
 
     def note(self, look: ResponseLook, level: float) -> None:
         """Add the pairs above a part of the level to those of the next working sets."""
@@ -175,8 +177,8 @@ class PairsModel:
     def __init__(self, working: PairsWorkingSet, x: FloatArray, raw: FloatArray) -> None:
         self._working, self._problem, self._x = working, working.problem, x
         noise, self._noise_gradients = self._problem.noise_slopes(x)
-        self._noise, self._level = noise, _level(self._problem, raw, noise)
-        self._lifted = _lifted(self._problem, raw, self._level)
+        self._noise, self._lift = noise, _lift(self._problem, raw, noise)
+        self._lifted = _lifted(self._problem, raw, self._lift)
         self.reached: tuple[FloatArray, Merit] = x, (0.0, np.inf)
 
     @cached_property
@@ -185,7 +187,7 @@ class PairsModel:
         entries = np.argwhere(lifted > NEAR * lifted.max())
         order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
         values, gradients, owners = problem.slopes(self._x, entries[order])
-        lift = np.where(problem.hard[owners], max(self._level, 1.0), 1.0)
+        lift = np.where(problem.hard[owners], self._lift, 1.0)
         f = np.concatenate([values * lift, self._noise])
         own = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
         G = np.vstack([own, self._noise_gradients / self._noise[:, None]])
@@ -222,17 +224,20 @@ class PairsModel:
         x = with_least_decay(self._problem.blocks, x)
         raw, current = self._problem.values(x), float(self.values.max())
         self._working.known = x, raw
-        found = np.concatenate([_lifted(self._problem, raw, self._level).ravel(), self._problem.noise(x)])
+        found = np.concatenate([_lifted(self._problem, raw, self._lift).ravel(), self._problem.noise(x)])
         value = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
         self.reached = x, (0.0, value)
         admitted = value < current - ACCEPTED * predicted and self._working.stable(x)
         return current - value if admitted else -np.inf
 
 
-def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
-    """Largest value, hard gains lifted."""
-    level = _level(problem, raw, noise)
-    return max(float(_lifted(problem, raw, level).max()), float(noise.max(initial=0.0)))
+def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> Merit:
+    """Largest value, hard gains lifted; where soft gains are minimised, hard ones above 1 are a violation."""
+    if problem.least_level:
+        found = _lifted(problem, raw, _lift(problem, raw, noise))
+        return 0.0, max(float(found.max()), float(noise.max(initial=0.0)))
+    hard = _hard(problem, raw)
+    return 0.0 if hard <= 1.0 + FEASIBLE else hard, _level(problem, raw, noise)
 
 
 def _level(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
@@ -241,6 +246,23 @@ def _level(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> floa
     return max(float(soft.max(initial=0.0)), float(noise.max(initial=0.0)))
 
 
-def _lifted(problem: ResponseProblem, raw: FloatArray, level: float) -> FloatArray:
-    """Hard gains as much above the largest soft value as they are above 1."""
-    return np.asarray(np.where(problem.hard[:, None], raw * max(level, 1.0), raw))
+def _hard(problem: ResponseProblem, raw: FloatArray) -> float:
+    """Largest hard value."""
+    return float(raw[problem.hard].max(initial=0.0))
+
+
+def _lift(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
+    """Factor of hard gains in a step: as much above the largest soft value as they are above 1.
+
+    With the factor of the point that a step begins at, a step keeps hard gains that are met below 1. Where they are
+    violated and soft ones are minimised, these may rise by :data:`RESTORING`.
+    """
+    level = _level(problem, raw, noise)
+    if problem.least_level:
+        return max(level, problem.least_level)
+    return level * (RESTORING if _hard(problem, raw) > 1.0 + FEASIBLE else 1.0)
+
+
+def _lifted(problem: ResponseProblem, raw: FloatArray, lift: float) -> FloatArray:
+    """Gains, hard ones times `lift`."""
+    return np.asarray(np.where(problem.hard[:, None], raw * lift, raw))

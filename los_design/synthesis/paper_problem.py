@@ -1,0 +1,199 @@
+"""The paper's problem on responses: continuous controllers, no delay, the paper's goals.
+
+The loop is :class:`los_loop.continuous_loop.ContinuousLoop`; samples, descents, searches and rounds are those of the
+implemented loop (:mod:`los_design.synthesis.pair_problem`, :mod:`los_design.synthesis.rounds`). What is asked:
+
+================  ====  ========================================================================================
+APE               soft  normalised disturbances make the limit of the absolute error
+RPE               soft  they make that of the relative error, 100 mas of K_FSM and 40 mas of K_PMA in the paper
+noise -> APE      soft  noise of the platform's accelerometers makes the limit of the absolute error, rms
+mirror            hard  disturbances ask for the authority of the mirror; of K_FSM
+force             hard  disturbances ask for that of the proof-mass actuators; of K_PMA
+================  ====  ========================================================================================
+
+The paper asks the noise of K_PMA alone. Here K_FSM is asked for it, too: K_PMA cannot change what the observer makes of
+that noise, and designs of K_FSM with the same APE and RPE differ in it by a factor of 50.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit import SampledSystem
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.tuning.responses import ControllerBlock, PlantSamples, ResponseGain, ResponseNoise, ResponseProblem
+from lftkit.tuning.responses.blocks import gain_matrices
+from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.synthesis.pair_problem import (
+    ACTUATORS,
+    COMMAND_COLUMNS,
+    LEAST_DECAY,
+    LOWEST,
+    OBSERVER,
+    STAGE_NAMES,
+    Samples,
+    named,
+    noise_frequencies,
+    sample,
+)
+from los_design.synthesis.task import Task
+from los_estimator.problem import ORDER as OBSERVER_ORDER
+from los_loop.continuous_loop import ContinuousLoop, paper_gains
+from los_loop.figures_of_merit import FigureOfMerit, figure
+from los_loop.implemented_loop import HIGHEST
+from los_loop.open_loop import OpenLoop
+from titop_plant.interface import COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.sensors import sensors
+from titop_plant.telescope.weights import rpe_weight
+
+ORDERS = OBSERVER_ORDER, ACTUATOR_ORDER
+UPPERMOST, ABOVE, ABOVE_FOR_NOISE = 1e5, 60, 300
+"""Highest frequency of the samples [rad/s]; samples of the nominal telescope above those of the implemented loop, and
+those of the noise above half of its sampling rate."""
+NOISE = figure("noise -> APE")
+
+
+def paper_blocks(
+    parameters: Parameters, tuned: Sequence[int], orders: tuple[int, int] = ORDERS
+) -> tuple[ControllerBlock, ControllerBlock]:
+    """The two continuous controllers; all entries of those in `tuned` are free."""
+    mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
+
+    def variable(omega: FloatArray) -> ComplexArray:
+        return np.asarray(1j * omega)
+
+    def block(
+        name: str, order: int, measured: slice, command: slice, gain: float, number: int
+    ) -> ControllerBlock:
+        inputs, outputs = measured.stop - measured.start, command.stop - command.start
+        return ControllerBlock(
+            name,
+            order,
+            measured,
+            command,
+            variable,
+            lambda omega: np.ones((len(omega), inputs), complex),
+            lambda omega: np.full(len(omega), gain, complex),
+            np.full((order + outputs, order + inputs), number in tuned),
+            LEAST_DECAY,
+        )
+
+    return (
+        block("K_FSM", orders[0], slice(0, MEASUREMENTS), MIRROR, mirror, OBSERVER),
+        block("K_PMA", orders[1], PLATFORM, FORCES, 1.0, ACTUATORS),
+    )
+
+
+def paper_limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
+    """What a gain of 1 stands for."""
+    return {row.name: float(row.limit(parameters, STAGE_NAMES[stage])) for row in paper_gains(STAGE_NAMES[stage])}
+
+
+def response_gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
+    """The gains that are asked of the stages."""
+    window = parameters["weights"]["rpe_window"]
+
+    def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
+        limit = float(row.limit(parameters, STAGE_NAMES[stage]))
+
+        def scale(omega: FloatArray) -> FloatArray:
+            weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
+            return np.asarray(np.where(omega >= LOWEST, weight / limit, 0.0))
+
+        return ResponseGain(named(row.name, stage), stage, COMMAND_COLUMNS.get(row.output), None, scale, row.hard)
+
+    return tuple(gain(stage, row) for stage in stages for row in paper_gains(STAGE_NAMES[stage]))
+
+
+def response_noises(samples: PaperSamples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
+    """Noise of the platform's accelerometers, behind their washout, in the line of sight of the nominal telescope."""
+    parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
+    omega, density = nominal.omega, np.zeros((len(nominal), MEASUREMENTS))
+    for sensor in sensors(parameters):
+        if sensor.port.name in NOISE.inputs:
+            size = np.abs(1j * omega / (1j * omega + sensor.washout))
+            density[:, COLUMNS[sensor.port.name]] = size[:, None] * sensor.noise
+    step = np.gradient(omega) * (DT / np.pi)
+
+    def noise(stage: tuple[int, ...]) -> ResponseNoise:
+        limit = float(NOISE.limit(parameters, STAGE_NAMES[stage]))
+        return ResponseNoise(named(NOISE.name, stage), stage, nominal, density, step, limit)
+
+    return tuple(noise(stage) for stage in stages)
+
+
+def no_pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
+    """The paper's problem has no sampled controllers."""
+    raise NotImplementedError("the paper's problem is continuous")
+
+
+class PaperSamples(Samples):
+    """Samples up to frequencies at which only direct paths are left, at the nominal point."""
+
+    def __init__(self, open_loop: OpenLoop, threads: int = 1) -> None:
+        super().__init__(open_loop, threads)
+        above: FloatArray = np.asarray(np.geomspace(HIGHEST, UPPERMOST, ABOVE), dtype=float)
+        self._samples.append(sample(open_loop, above, open_loop.point({})[None]))
+
+    @property
+    def at_noise_frequencies(self) -> PlantSamples:
+        """Samples of the nominal point at the frequencies of :func:`response_noises`."""
+        if "noise" not in vars(self):
+            below = noise_frequencies()
+            above = np.geomspace(below[-1], UPPERMOST, ABOVE_FOR_NOISE)[1:]
+            omega: FloatArray = np.asarray(np.concatenate([below, above]), dtype=float)
+            self.noise = sample(self.open_loop, omega, self.open_loop.point({})[None])
+        return self.noise
+
+
+@dataclass(frozen=True)
+class PaperTask(Task):
+    """What is designed in the paper's problem.
+
+    Parameters
+    ----------
+    orders : (int, int)
+        Of K_FSM and K_PMA.
+    """
+
+    orders: tuple[int, int] = ORDERS
+
+    @property
+    def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
+        """The controllers."""
+        return paper_blocks(self.samples.open_loop.parameters, self.tuned, self.orders)
+
+    def problem(self) -> ResponseProblem:
+        """What is tuned, on the samples that there are."""
+        assert isinstance(self.samples, PaperSamples)
+        parameters = self.samples.open_loop.parameters
+        return ResponseProblem(
+            self.blocks,
+            self.samples.all(),
+            response_gains(parameters, self.stages),
+            response_noises(self.samples, self.stages),
+            self.workers.count,
+            least_level=0.0,
+        )
+
+    def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
+        """What a gain of 1 stands for in a stage."""
+        return paper_limits(self.samples.open_loop.parameters, stage)
+
+    def loop(self, x: FloatArray, stage: tuple[int, ...]) -> ContinuousLoop:
+        """The loop of a stage."""
+        return ContinuousLoop(self.samples.open_loop, *gain_matrices(self.blocks, x), STAGE_NAMES[stage])
+
+    def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
+        """Search of a stage with the controllers of `x`."""
+        return Search(self.loop(x, stage), options)
+
+    def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
+        """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
+        return all(self.loop(x, stage).decay(values or {}) < 0.0 for stage in self.stages)
+

@@ -1,0 +1,123 @@
+"""Starts of a design of the paper's problem: the Kalman observer for K_FSM, random laws for K_PMA.
+
+Random laws are compared after a short descent at few parameter points, and the best of them is designed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from lftkit import SampledSystem
+from lftkit.arrays import FloatArray, Matrices
+from lftkit.tuning import DescentOptions, descend
+from lftkit.tuning.responses import ResponseSource, parameters_of
+from lftkit.tuning.structures.structures import gain_matrix_of
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.pair_problem import OBSERVER
+from los_design.synthesis.paper_problem import PaperTask
+from los_design.synthesis.rounds import TOLERANCE
+from los_design.synthesis.start_choice import at_points, largest
+from los_design.synthesis.starts import random_law
+from los_design.synthesis.store import continuous
+from los_design.synthesis.task import first_points
+from los_estimator.kalman import kalman_observer
+from titop_plant.telescope.assembly import Telescope
+
+Report = Callable[[str], None]
+GAINS = 100.0, 10.0, 1.0, 0.1, 0.0
+"""Of a random law: the largest of these at which the loop is stable at the points of the comparison."""
+POINTS, STEPS = 4, 40
+"""Random points of a comparison beside the nominal one, and steps of its descents."""
+FURTHER_POLES = 20.0, 400.0
+"""Of further states of an observer of higher order [rad/s]."""
+
+
+def choose_paper_start(
+    task: PaperTask,
+    telescope: Telescope,
+    options: DesignOptions,
+    observer: SampledSystem | None,
+    report: Report,
+    compared: list[dict[str, Any]],
+) -> FloatArray:
+    """Entries of both gain matrices that a design begins with.
+
+    Parameters
+    ----------
+    task : PaperTask
+    telescope : Telescope
+    options : DesignOptions
+    observer : SampledSystem or None
+        K_FSM that is given, if it is not tuned.
+    report : callable
+        Receives one line for each start that is compared.
+    compared : list of dict
+        Gets the value of each start before and after its descent.
+
+    Raises
+    ------
+    ValueError
+        No start stabilises the telescope.
+    """
+    if OBSERVER in task.tuned:
+        x = parameters_of(task.blocks, [_observer(task, telescope), _law(task, 0, 0.0)])
+        if not task.stable(x):
+            raise ValueError("the Kalman observer must stabilise the telescope, got a loop that is not stable")
+        return x
+    assert observer is not None
+    mirror = gain_matrix_of(continuous(observer).at({}))
+    points = first_points(task, 0 if options.nominal else POINTS)
+    small, at = at_points(task, points), [task.samples.open_loop.values(point) for point in points]
+    assert isinstance(small, PaperTask)
+    problem, reached = small.problem(), list[tuple[float, FloatArray]]()
+    for seed in range(max(1, options.starts)):
+        laws = (parameters_of(task.blocks, [mirror, _law(task, options.seed + seed, gain)]) for gain in GAINS)
+        x = next((law for law in laws if all(task.stable(law, values) for values in at)), None)
+        if x is None:
+            raise ValueError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
+        first = largest(problem, x)
+        found = descend(ResponseSource(problem, task.stable), x, DescentOptions(STEPS, TOLERANCE, 0.0)).x
+        found = found if all(task.stable(found, values) for values in at) else x
+        reached.append((largest(problem, found), found))
+        compared.append({"seed": options.seed + seed, "first": first, "reached": reached[-1][0]})
+        report(f"random K_PMA, seed {options.seed + seed}: {first:.4g}, after a short descent {reached[-1][0]:.4f}")
+    return min(reached, key=lambda entry: entry[0])[1]
+
+
+def _observer(task: PaperTask, telescope: Telescope) -> FloatArray:
+    """Gain matrix of the Kalman observer; of another order with its states truncated, or with further ones."""
+    system = kalman_observer(task.samples.open_loop.parameters, telescope.bodies[1]).at({})
+    order, own = task.orders[0], system.order
+    if order < own:
+        A, B, C, D = _truncated(system.matrices, order)
+        return np.block([[A, B], [C, D]])
+    K, further = gain_matrix_of(system), order - own
+    M = np.zeros((len(K) + further, K.shape[1] + further))
+    kept = np.r_[0:own, order : len(M)]
+    M[np.ix_(kept, np.r_[0:own, order : M.shape[1]])] = K
+    M[own:order, own:order] = -np.diag(np.geomspace(*FURTHER_POLES, further))
+    size = np.sqrt(np.mean(K[:own, own:] ** 2))
+    M[own:order, order:] = size * np.random.default_rng(0).standard_normal((further, M.shape[1] - order))
+    return M
+
+
+def _truncated(matrices: Matrices, order: int) -> Matrices:
+    """Balanced truncation of a stable system (Moore 1981), with its poles of the largest Hankel singular values."""
+    A, B, C, D = matrices
+    size = np.maximum(np.abs(B).max(axis=0), 1e-300)  # metres per second squared beside radians
+    reach = linalg.solve_continuous_lyapunov(A, -(B / size) @ (B / size).T)
+    seen = linalg.solve_continuous_lyapunov(A.T, -C.T @ C)
+    R, L = (linalg.cholesky(P + 1e-14 * np.trace(P) * np.eye(len(P)), lower=True) for P in (reach, seen))
+    U, hankel, Vh = linalg.svd(L.T @ R)
+    root = np.sqrt(hankel[:order])
+    T, inverse = R @ Vh[:order].T / root, (U[:, :order] / root).T @ L.T
+    return inverse @ A @ T, inverse @ B, C @ T, D
+
+
+def _law(task: PaperTask, seed: int, gain: float) -> FloatArray:
+    """Gain matrix of a random law of the task's order."""
+    return gain_matrix_of(random_law(seed, gain, task.orders[1]))

@@ -1,0 +1,129 @@
+"""The loop of the paper's problem: continuous, without delay, hold and frames; fractional in the parameters.
+
+The plant is :func:`titop_plant.telescope.control_plant.control_plant`, whose measurements are behind the washout and
+the camera's low-pass. Responses, gradients and searches are those of :class:`los_loop.implemented_loop.ImplementedLoop`
+with other responses of the commands; what is asked is :func:`los_loop.figures_of_merit.paper_figures`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import linalg
+
+from lftkit import System
+from lftkit.analysis.batched_linalg import solve
+from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.tuning.gains.loop import extended_plant
+from los_loop.figures_of_merit import FigureOfMerit, paper_figures
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
+from los_loop.open_loop import OpenLoop
+from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MEASUREMENTS, MIRROR, PLATFORM
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.control_plant import control_plant, disturbances_of
+from titop_plant.telescope.parameters import Parameters
+
+
+def continuous_plant(telescope: Telescope, parameters: Parameters) -> System:
+    """Commands and disturbances to measurements, behind washout and low-pass, and line of sight."""
+    plant = control_plant(telescope.system, parameters)
+    return plant.select(inputs=(*COMMANDED, *disturbances_of(plant)), outputs=(*MEASURED, "los_controlled"))
+
+
+def continuous_open_loop(telescope: Telescope, parameters: Parameters) -> OpenLoop:
+    """The telescope's LFT with commands that are not held."""
+    return OpenLoop(continuous_plant(telescope, parameters), parameters, held=False)
+
+
+def paper_gains(stage: str) -> tuple[FigureOfMerit, ...]:
+    """What the paper's problem asks of the controller of a stage, but for the noise."""
+    return tuple(row for row in paper_figures(stage) if not row.is_noise)
+
+
+class ContinuousLoop(ImplementedLoop):
+    """The loop of one stage with continuous controllers.
+
+    Parameters
+    ----------
+    open_loop : OpenLoop
+        Of :func:`continuous_open_loop`.
+    k_fsm, k_pma : ndarray
+        Gain matrices ``[[A, B], [C, D]]``, shapes (n + 2, n + 22) and (m + 6, m + 6): from the measurements behind
+        their washout to the estimate [rad], from the platform's accelerations to the forces [N].
+    stage : {"fsm", "fsm+pma"}
+    """
+
+    def __init__(self, open_loop: OpenLoop, k_fsm: FloatArray, k_pma: FloatArray, stage: str) -> None:
+        self.open, self.system, self.parameters = open_loop, open_loop.system, open_loop.parameters
+        self.stage, self.names, self.placed = stage, open_loop.names, open_loop.placed
+        self.matrices = mirror_law(k_fsm, float(self.parameters["fsm"]["los_sensitivity"])), k_pma
+
+    def metrics(self) -> dict[str, LoopMetric]:
+        """Gains that the paper's problem asks for, by name."""
+        return loop_metrics(self.parameters, self.stage, rows=paper_gains(self.stage))
+
+    def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
+        """None: the response of the LFT is that of the loop."""
+        return None
+
+    def controls(self, omega: FloatArray) -> ComplexArray:
+        """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22)."""
+        k_fsm, k_pma = self.matrices
+        out = np.zeros((len(omega), self.placed.commands, MEASUREMENTS), complex)
+        out[:, MIRROR] = _responses(k_fsm, MIRROR.stop - MIRROR.start, 1j * omega)
+        if self.stage in FORCE_STAGES:
+            forces = self.placed.force_columns
+            out[:, forces, PLATFORM] = _responses(k_pma, forces.stop - forces.start, 1j * omega)
+        return out
+
+    def decay(self, values: Mapping[str, float]) -> float:
+        """Largest real part of the poles of the closed loop at parameter values [rad/s]; infinite without a loop."""
+        model = self.system.at(dict(values))
+        controller = joint_gain_matrix(*self.matrices, forces=self.stage in FORCE_STAGES)
+        order = len(controller) - self.placed.commands
+        try:
+            A = extended_plant(model, MEASURED, COMMANDED, order).closed(controller).A
+        except linalg.LinAlgError:
+            return np.inf
+        return float(linalg.eigvals(A).real.max()) if np.isfinite(A).all() else np.inf
+
+
+def mirror_law(k_fsm: FloatArray, sensitivity: float) -> FloatArray:
+    """K_FSM with the mirror turned against its estimate: the last two rows over minus the sensitivity."""
+    law = np.array(k_fsm, dtype=float)
+    law[-2:] /= -sensitivity
+    return law
+
+
+def joint_gain_matrix(mirror: FloatArray, force_law: FloatArray, *, forces: bool) -> FloatArray:
+    """Both controllers as one, from all measurements to all commands; without `forces` these are zero."""
+    n, commands, count = len(mirror) - 2, len(force_law) - 6, PLATFORM.stop - PLATFORM.start
+    m = commands if forces else 0
+    K = np.zeros((n + m + 8, n + m + MEASUREMENTS))
+    own = np.r_[0:n, n + m : n + m + 2]
+    K[np.ix_(own, np.r_[0:n, n + m : n + m + MEASUREMENTS])] = mirror
+    if forces:
+        rows = np.r_[n : n + m, n + m + 2 : n + m + 8]
+        K[np.ix_(rows, np.r_[n : n + m, n + m + PLATFORM.start : n + m + PLATFORM.start + count])] = force_law
+    return K
+
+
+def _responses(K: FloatArray, outputs: int, s: ComplexArray) -> ComplexArray:
+    """``D + C (s I - A)^-1 B`` of a gain matrix at N values of s, shape (N, outputs, inputs)."""
+    n = len(K) - outputs
+    A, B, C, D = K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:]
+    if n == 0:
+        return np.broadcast_to(D, (len(s), *D.shape)).astype(complex)
+    entered = np.broadcast_to(B.astype(complex), (len(s), *B.shape))
+    return np.asarray(D + C @ solve(s[:, None, None] * np.eye(n) - A, entered))
+
+
+__all__ = [
+    "ContinuousLoop",
+    "continuous_open_loop",
+    "continuous_plant",
+    "joint_gain_matrix",
+    "mirror_law",
+    "paper_gains",
+]
