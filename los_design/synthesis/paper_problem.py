@@ -55,6 +55,8 @@ ORDERS = OBSERVER_ORDER, ACTUATOR_ORDER
 UPPERMOST, ABOVE, ABOVE_FOR_NOISE = 1e5, 60, 300
 """Highest frequency of the samples [rad/s]; samples of the nominal telescope above those of the implemented loop, and
 those of the noise above half of its sampling rate."""
+TUNED = 0.999
+"""Part of a hard limit that is tuned for: the rest is for the parameters between the samples."""
 NOISE = figure("noise -> APE")
 
 
@@ -99,7 +101,7 @@ def response_gains(parameters: Parameters, stages: Sequence[tuple[int, ...]]) ->
     window = parameters["weights"]["rpe_window"]
 
     def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
-        limit = float(row.limit(parameters, STAGE_NAMES[stage]))
+        limit = (TUNED if row.hard else 1.0) * float(row.limit(parameters, STAGE_NAMES[stage]))
 
         def scale(omega: FloatArray) -> FloatArray:
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))

@@ -34,7 +34,8 @@ MAX_NEW = 16
 SLACK = 3e-3
 """A worst point counts only if it exceeds 1, or what the descent reached above 1, by more than this part."""
 UNSEEN = 0.01
-"""Where there is one, all points that exceed what the descent reached by this part are added."""
+"""Where there is one, all points that exceed what the descent reached by this part are added; by :data:`SLACK` where
+soft gains are minimised."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
 TOLERANCE = 2e-3
@@ -307,15 +308,12 @@ def _worst(task: Task, found: Mapping[str, Sequence[WorstPoint]]) -> tuple[dict[
 def reached(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
     """What a point reaches, by requirement: the largest value of all gains and noises.
 
-    Where soft gains are to be as small as hard ones allow: the largest soft value, and for a hard gain its limit or
-    its own value above it.
+    Where soft gains are to be as small as hard ones allow: the largest soft value, and for a hard gain its limit.
     """
     if problem.least_level:
         return {gain.name: look.value for gain in problem.gains}
     soft = max(float(look.values[~problem.hard].max()), float(look.noise.max(initial=0.0)))
-    return {
-        gain.name: max(1.0, float(value)) if gain.hard else soft for gain, value in zip(problem.gains, look.values)
-    }
+    return {gain.name: 1.0 if gain.hard else soft for gain in problem.gains}
 
 
 def _new(
@@ -326,7 +324,8 @@ def _new(
     values = [(_value(task, name, point), levels[name], point) for name, points in found.items() for point in points]
     if not any(value > max(least, level) * (1.0 + SLACK) for value, level, _ in values):
         return []
-    excess = [(value, point) for value, level, point in values if value > level * (1.0 + UNSEEN)]
+    unseen = UNSEEN if least else SLACK
+    excess = [(value, point) for value, level, point in values if value > level * (1.0 + unseen)]
     new: list[WorstPoint] = []
 
     def pair(point: WorstPoint) -> tuple[float, FloatArray]:
