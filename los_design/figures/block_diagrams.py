@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
+from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
+from matplotlib.path import Path
 
 Point = tuple[float, float]
 
@@ -70,15 +71,12 @@ def draw_diagram(figure: Figure, diagram: Diagram) -> Axes:
     axes.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, ls="--", lw=0.9, ec="#555555"))
     axes.text(left + 2.0, top - 2.0, diagram.name, ha="left", va="top", fontsize=11)
     for points, arrow in diagram.wires:
-        axes.plot(*zip(*(points[:-1] if arrow else points)), color="black", lw=0.9, solid_joinstyle="miter", zorder=2)
-        if arrow:
-            head = {"arrowstyle": "-|>", "lw": 0.9, "color": "black", "shrinkA": 0.0, "shrinkB": 0.0}
-            axes.annotate("", points[-1], points[-2], arrowprops=head, zorder=2)
+        style = {"arrowstyle": "-|>", "mutation_scale": 9.0} if arrow else {"arrowstyle": "-"}
+        line = FancyArrowPatch(path=Path(points), color="black", lw=0.9, joinstyle="miter", **style)
+        axes.add_patch(line)
     for (x, y), (width, height), text, colour in diagram.blocks:
         corner = (x - width / 2.0, y - height / 2.0)
-        axes.add_patch(
-            FancyBboxPatch(corner, width, height, boxstyle="square,pad=0", fc=colour, ec="black", lw=0.9, zorder=3)
-        )
+        axes.add_patch(Rectangle(corner, width, height, fc=colour, ec="black", lw=0.9, zorder=3))
         axes.text(x, y, text, ha="center", va="center", zorder=4)
     for x, y in diagram.sums:
         axes.add_patch(Circle((x, y), RADIUS, fc="white", ec="black", lw=0.9, zorder=3))
@@ -95,13 +93,12 @@ def fsm_synthesis() -> Diagram:
     found = Diagram(
         120.0, (16.0, 23.0, 168.0, 117.0), r"$\mathcal{P}(s, \Delta_\Omega, \Delta_\tau, \Delta_{A_\bullet})$"
     )
-    columns = _telescope(found, 0.0, r"$W_{RPE}$", r"$e_{RPE}$")
     top, left = 14.0, 94.0
+    columns = _telescope(found, 0.0, "$W_{RPE}$", "$e_{RPE}$", top)
     found.block(
         ((left + 158.0) / 2.0, 9.0), (158.0 - left, 2.0 * (top - 9.0)), r"$K_{FSM}(s)$, $2 \times 22$", CONTROLLER
     )
     for x, name in columns.items():
-        found.wire((x, 26.0), (x, top))
         found.text((x + 1.5, 17.0), name, "left")
     _mirror_law(found, (38.0, 36.0), 50.0, (left, 9.0))
     found.dots.append((38.0, 50.0))
@@ -118,13 +115,12 @@ def pma_synthesis() -> Diagram:
     found = Diagram(
         142.0, (16.0, 22.0, 168.0, 139.0), r"$\mathcal{Q}(s, \Delta_\Omega, \Delta_\tau, \Delta_{A_\bullet})$"
     )
-    columns = _telescope(found, up, "$W_{RPE}^f$", "$e_{RPE}^f$")
     top, left, middle = 36.0, 98.0, 31.0
+    columns = _telescope(found, up, "$W_{RPE}^f$", "$e_{RPE}^f$", top)
     found.block(
         ((left + 158.0) / 2.0, middle), (158.0 - left, 2.0 * (top - middle)), r"$K_{FSM}(s)$, $2 \times 22$", CONTROLLER
     )
     for x, name in columns.items():
-        found.wire((x, 26.0 + up), (x, top))
         found.text((x + 1.5, 38.0), name, "left")
     _mirror_law(found, (44.0, 36.0 + up), 48.0 + up, (left, middle))
     platform, branch, row, low = min(columns), 91.0, 58.0 + up, 11.0
@@ -143,8 +139,8 @@ def pma_synthesis() -> Diagram:
     return found
 
 
-def _telescope(found: Diagram, up: float, relative_weight: str, relative_error: str) -> dict[float, str]:
-    """What both problems share; the columns of the measured signals, whose wires end at y = 26 + up."""
+def _telescope(found: Diagram, up: float, weight: str, error: str, end: float) -> dict[float, str]:
+    """What both problems share; the columns of the measured signals, whose wires end at a height."""
     found.block((76.0, 68.0 + up), (36.0, 48.0), "telescope\n$\\mathcal{M}^{ST}(s)$\n\n204 states", PLANT)
     uncertain = r"$\Delta_\Omega, \Delta_\tau, \Delta_{A_\bullet}$"
     found.block((76.0, 104.0 + up), (30.0, 8.0), uncertain, UNCERTAIN)
@@ -156,8 +152,8 @@ def _telescope(found: Diagram, up: float, relative_weight: str, relative_error: 
         found.wire((46.0, y), (58.0, y))
         found.text((9.0, y + 1.0), rf"$\tilde w_{{{kind}}}$")
         found.text((52.0, y + 1.0), f"$w_{{{kind}}}$")
-    _errors(found, up, relative_weight, relative_error)
-    return _sensors(found, up)
+    _errors(found, up, weight, error)
+    return _sensors(found, up, end)
 
 
 def _errors(found: Diagram, up: float, relative_weight: str, relative_error: str) -> None:
@@ -165,16 +161,16 @@ def _errors(found: Diagram, up: float, relative_weight: str, relative_error: str
     los, branch, end = 86.0 + up, 106.0, 182.0
     found.text((100.0, los + 1.0), "$LOS_c$")
     found.dots.append((branch, los))
-    rows = ((95.0 + up, relative_weight, relative_error), (107.0 + up, "$W_{APE}$", "$e_{APE}$"))
-    for y, weight, error in rows:
-        found.wire((branch, los), (branch, y), (120.0, y))
+    rows = ((107.0 + up, los, "$W_{APE}$", "$e_{APE}$"), (95.0 + up, 95.0 + up, relative_weight, relative_error))
+    for y, start, weight, error in rows:
+        found.wire((branch, start), (branch, y), (120.0, y))
         found.block((128.0, y), (16.0, 8.0), weight, WEIGHT)
         found.wire((136.0, y), (end, y))
         found.text((176.0, y + 1.0), error)
-    found.dots.append((branch, rows[0][0]))
+    found.dots.append((branch, 95.0 + up))
 
 
-def _sensors(found: Diagram, up: float) -> dict[float, str]:
+def _sensors(found: Diagram, up: float, end: float) -> dict[float, str]:
     """Measured signals with their filters and noise, each a column."""
     rows = (
         (102.0, 50.0, r"$\ddot x_{I_p}$", r"\sigma_a", r"\tilde n_{a_p}", "$F_w$", r"$\ddot x_{I_p}^m$"),
@@ -202,9 +198,9 @@ def _sensors(found: Diagram, up: float) -> dict[float, str]:
         if washout:
             found.wire((x, middle - RADIUS), (x, middle - 6.0))
             found.block((x, middle - 9.5), (9.0, 7.0), washout, SENSOR)
-            found.wire((x, middle - 13.0), (x, 26.0 + up), arrow=False)
+            found.wire((x, middle - 13.0), (x, end))
         else:
-            found.wire((x, middle - RADIUS), (x, 26.0 + up), arrow=False)
+            found.wire((x, middle - RADIUS), (x, end))
     found.block((150.0, 70.0 + up), (11.0, 8.0), "$F_{LOS}$", SENSOR)
     return {x: measured for x, *_, measured in rows}
 

@@ -42,12 +42,12 @@ class PaperCase:
 
     file: str | None
     pairs: Mapping[str, Pair]
-    samples: int = 8
+    samples: int = 16
     seed: int = 0
     _clouds: dict[str, dict[str, list[Curve]]] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, folder: Path, samples: int = 8, seed: int = 0) -> PaperCase:
+    def of(cls, folder: Path, samples: int = 16, seed: int = 0) -> PaperCase:
         """Of a folder with ``telescope.toml`` and ``designs``.
 
         Raises

@@ -34,7 +34,10 @@ from titop_plant.interface import MEASURED, STAGES
 from titop_plant.simulation.disturbance_responses import ARCSEC
 from titop_plant.telescope.weights import rpe_weight
 
-GREY = "#777777"
+GREY, DPI = "#777777", 110
+WIDTHS = {"none": 0.9, "isolator": 0.6, "fsm": 0.9, "fsm+pma": 0.5}
+"""Of a member's line: where the last stage has no effect, that before it shows on both sides."""
+
 SENSORS = dict(
     zip(
         MEASURED,
@@ -76,7 +79,7 @@ def draw(case: PaperCase, output: Path, names: Sequence[str] | None = None) -> l
             size, fill = FIGURES[name]
             figure = LaidOutFigure(figsize=size, layout="constrained")
             fill(figure, case)
-            paths += save_figure(figure, output / name, ("png",), dpi=120)
+            paths += save_figure(figure, output / name, ("png",), dpi=DPI)
     return paths
 
 
@@ -93,7 +96,7 @@ def _controllers(figure: Figure, case: PaperCase, design: str) -> None:
     omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
     _, colour = STAGE_STYLES["fsm"]
     for axes, (port, title) in zip(panels, SENSORS.items()):
-        for system, style in ((kalman, {"color": GREY, "ls": "--"}), (k_fsm, {"color": colour})):
+        for system, style in ((k_fsm, {"color": colour}), (kalman, {"color": GREY, "ls": "--"})):
             _singular_values(axes, system["los_estimate", port], omega, **style)
         axes.set_title(title)
     _singular_values(panels[5], k_pma, omega, color=STAGE_STYLES["fsm+pma"][1])
@@ -115,10 +118,11 @@ def _controllers(figure: Figure, case: PaperCase, design: str) -> None:
 
 
 def _singular_values(axes: Axes, system: System, omega: FloatArray, **style: Any) -> None:
-    """All singular values, what is below a millionth of the largest left out."""
+    """All singular values, of the curves so far what is within eight decades of the largest."""
     gains = singular_values(frequency_response(system.at({}), omega))
-    shown = np.where(gains > 1e-6 * gains.max(), gains, np.nan)
-    axes.loglog(omega, shown, lw=1.1, **style)
+    axes.loglog(omega, np.maximum(gains, np.finfo(float).tiny), lw=1.1, **style)
+    curves = np.array([line.get_ydata() for line in axes.lines], dtype=float)
+    axes.set_ylim(max(0.5 * curves.min(), 1e-8 * curves.max()), 3.0 * curves.max())
 
 
 def _stages(figure: Figure, case: PaperCase, design: str) -> None:
@@ -128,7 +132,7 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
     for stage in STAGES:
         label, colour = STAGE_STYLES[stage]
         for curve in clouds[stage]:
-            axes.loglog(curve.omega, curve.size, color=colour, lw=0.5)
+            axes.loglog(curve.omega, curve.size, color=colour, lw=WIDTHS[stage])
         axes.plot([], [], color=colour, lw=1.6, label=label)
     weights = case.parameters["weights"]
     omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
@@ -150,7 +154,7 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
     )
     for size, style, symbol, limit in templates:
         axes.loglog(omega, size, color=LIMIT, ls=style, lw=1.6, label=f"{symbol}, {limit}")
-    axes.set(xlim=(LOWEST, PAPER_HIGHEST), ylim=(1e-5, 1e3), xlabel="frequency [rad/s]")
+    axes.set(xlim=(LOWEST, PAPER_HIGHEST), ylim=(1e-4, 1e3), xlabel="frequency [rad/s]")
     axes.set_ylabel(r"largest singular value $[\tilde w_{rws}, \tilde w_{sa}] \to LOS_c$ [arcsec]")
     axes.yaxis.set_major_locator(LogLocator(numticks=12))
     axes.secondary_xaxis("top", functions=(hertz, radians)).set_xlabel("frequency [Hz]")

@@ -36,14 +36,15 @@ def results(case: PaperCase) -> dict[str, list[Row]]:
 def gammas(case: PaperCase) -> list[Row]:
     """Certified gammas of the four designs beside the paper's, each of the paper's limit.
 
-    Robust designs: the largest over the nominal member and the worst ones of the designs' files. Nominal designs: at
-    the nominal member, and the largest over the same members.
+    Robust designs: the largest over the members that are drawn. Nominal designs: at the nominal member, and the largest
+    over those members.
     """
-    family = [{}, *case.worst_members]
-    asked = (("robust", "robust", family), ("nominal", "nominal", [{}]), ("nominal", "nominal, family", family))
+    family: list[Mapping[str, float]] = [*case.members]
+    nominal: list[Mapping[str, float]] = [{}]
+    asked = (("robust", "robust", family), ("nominal", "nominal", nominal), ("nominal", "nominal, family", family))
     rows: list[Row] = []
     for design, label, at in asked:
-        found = check_paper(case.telescope, case.parameters, *case.pairs[design], list[Mapping[str, float]](at))
+        found = check_paper(case.telescope, case.parameters, *case.pairs[design], at)
         for (short, stage), system in zip(SHORT_NAMES.items(), case.pairs[design]):
             names = [row.name for row in paper_figures(stage)]
             status = system.provenance.get("status", "")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from oracles.accurate_response import extended_response
 
 from lftkit import SampledSystem
@@ -75,12 +74,13 @@ def by_hand(case: PaperCase, stage: str, values: dict[str, float], omega: float)
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_curves_are_those_of_plain_algebra(case: PaperCase, stage: str) -> None:
-    """At three frequencies of one member: the worst one of the design."""
+    """At three frequencies of one member, the worst one of the design; what is drawn is the same to a line's width."""
     values = case.members[1]
-    curve = case.clouds("robust")[stage][1]
+    exact, drawn = case.loop("robust").curve(stage, values, tolerance=1e-9), case.clouds("robust")[stage][1]
+    assert drawn.size == pytest.approx(exact.size, rel=1e-5)
     for omega in (0.06, 4.7, 380.0):
-        k = int(np.argmin(np.abs(curve.omega - omega)))
-        assert curve.size[k] == pytest.approx(by_hand(case, stage, values, float(curve.omega[k])), rel=1e-9)
+        k = int(np.argmin(np.abs(exact.omega - omega)))
+        assert exact.size[k] == pytest.approx(by_hand(case, stage, values, float(exact.omega[k])), rel=1e-9)
 
 
 def test_stages_without_control_are_computed_once(case: PaperCase) -> None:
