@@ -131,7 +131,10 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
     clouds = case.clouds(design)
     for stage in STAGES:
         label, colour = STAGE_STYLES[stage]
-        for curve in clouds[stage]:
+        stable = [curve for curve in clouds[stage] if np.isfinite(curve.size).all()]
+        if left_out := len(clouds[stage]) - len(stable):
+            label += f" ({left_out} of {len(clouds[stage])} unstable)"
+        for curve in stable:
             axes.loglog(curve.omega, curve.size, color=colour, lw=WIDTHS[stage])
         axes.plot([], [], color=colour, lw=1.6, label=label)
     weights = case.parameters["weights"]

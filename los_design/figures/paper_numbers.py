@@ -11,10 +11,12 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_design.figures.paper_case import DESIGNS, PaperCase
+from los_design.synthesis.provenance import digest
 from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SHORT_NAMES, check_paper
 from los_loop.figures_of_merit import paper_figures
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.simulation.disturbance_responses import DRIVES, WHEELS, Curve
+from titop_plant.telescope.parameters import parameters_hash
 
 BANDS = (1.0, 6.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Ends of the bands of frequency [rad/s]."""
@@ -28,9 +30,15 @@ PUBLISHED = {"robust": PAPER_ROBUST, "nominal": PAPER_NOMINAL}
 Row = dict[str, Any]
 
 
-def results(case: PaperCase) -> dict[str, list[Row]]:
-    """All numbers, as rows of tables."""
-    return {"gammas": gammas(case), "decades": decades(case), "reduction": reduction(case)}
+def results(case: PaperCase) -> dict[str, Any]:
+    """All numbers, as rows of tables, and what they are of."""
+    return {**names(case), "gammas": gammas(case), "decades": decades(case), "reduction": reduction(case)}
+
+
+def names(case: PaperCase) -> dict[str, Any]:
+    """Names of the telescope's parameters and of the designs' matrices."""
+    designs = {name: [digest(system) for system in pair] for name, pair in case.pairs.items()}
+    return {"telescope": parameters_hash(case.parameters), "designs": designs}
 
 
 def gammas(case: PaperCase) -> list[Row]:
@@ -83,9 +91,13 @@ def reduction(case: PaperCase) -> list[Row]:
     """Decibels that the proof masses take from the mirror's curve in each band, with the robust designs.
 
     The median over the frequencies of a band, of the nominal member and lowest and highest of all; and of the largest
-    values of all members in the band.
+    values of all members in the band. Members of an unstable loop are left out.
     """
-    alone, both = (case.clouds("robust")[stage] for stage in MIRROR_STAGES)
+    clouds = (case.clouds("robust")[stage] for stage in MIRROR_STAGES)
+    stable = [pair for pair in zip(*clouds) if all(np.isfinite(curve.size).all() for curve in pair)]
+    if not stable:
+        return []
+    alone, both = zip(*stable)
 
     def medians(edges: FloatArray) -> list[float]:
         return [_decibel(np.median(one.columns(edges) / two.columns(edges))) for one, two in zip(alone, both)]

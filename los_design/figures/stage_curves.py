@@ -14,6 +14,7 @@ import numpy as np
 from fsm_pma_controller.problem import FORCE, MEASUREMENTS, actuator_plant
 from lftkit import SampledSystem, System, close
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.norms import spectral_abscissa
 from los_design.synthesis.store import continuous
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
@@ -118,5 +119,10 @@ class ContinuousLoop:
         return cls(responses, systems)
 
     def curve(self, stage: str, values: Mapping[str, float], tolerance: float = TOLERANCE) -> Curve:
-        """Largest singular value [arcsec] of a stage to a relative tolerance, parameters not in `values` nominal."""
+        """Largest singular value [arcsec] of a stage to a relative tolerance, parameters not in `values` nominal.
+
+        **That of an unstable loop is infinite**, at the two ends alone.
+        """
+        if spectral_abscissa(self.systems[stage].at(values).A) >= 0.0:
+            return Curve(np.array([LOWEST, PAPER_HIGHEST]), np.full(2, np.inf))
         return self.responses.weighted(self.systems[stage], values, ALL, LOWEST, PAPER_HIGHEST, tolerance)

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from los_design.figures import paper_numbers
+from los_design.figures.paper_case import PaperCase
+
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/architecture.md")
 
@@ -85,6 +88,18 @@ def test_the_numbers_of_the_paper_s_problem_become_tables(filler) -> None:
     assert "| K_FSM, nominal, over the family | 0.5000 | inf |" in filler.table_of("paper_gammas", text)
     assert filler.table_of("paper_decades", text).endswith("| nominal | 3.0 |\n| all members | -0.1 to 3.2 |")
     assert filler.table_of("paper_reduction", text).endswith("| largest value, FSM + PMA [mas] | 39.9 |")
+
+
+def test_the_page_of_the_paper_has_the_numbers_of_the_files_beside_it(filler) -> None:
+    """After a change of the telescope or of a design `make paper` has been run."""
+    text = (ROOT / "docs/figures/paper/results.json").read_text("utf-8")
+    of, page = (
+        paper_numbers.names(PaperCase.of(ROOT / "examples/paper")),
+        filler.PAGES["paper_gammas"].read_text("utf-8"),
+    )
+    assert of.items() <= json.loads(text).items()
+    for name in ("paper_gammas", "paper_decades", "paper_reduction"):
+        assert filler.filled(page, name, filler.table_of(name, text)) == page
 
 
 @pytest.mark.parametrize(
