@@ -1,4 +1,4 @@
-"""Write a table of docs/results.md or README.md between its markers, from the output of a command.
+"""Write a table of docs/results.md, docs/paper.md or README.md between its markers, from the output of a command.
 
     los-testbed design table --json | python docs/fill_tables.py gammas
     python docs/fill_tables.py stages < FOLDER/stages.md         # FOLDER of los-testbed stages
@@ -6,12 +6,14 @@
     python docs/fill_tables.py worst_case < FOLDER/stages.md
     python docs/fill_tables.py bounds < FOLDER/bounds.json       # FOLDER of los-testbed design certify
     python docs/fill_tables.py proven < FOLDER/bounds.json
+    python docs/fill_tables.py paper_gammas < docs/figures/paper/results.json      # of examples/paper/all.py
     COLUMNS=100 los-testbed run --mode inprocess --output FOLDER | python docs/fill_tables.py run
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
 the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
 docs/results.md, as ``gammas`` is. README.md has ``worst_case`` and ``proven``, one row a stage, and ``run``, the output
-of a command; docs/certificates.md has ``bounds``.
+of a command; docs/certificates.md has ``bounds``; docs/paper.md has ``paper_gammas``, ``paper_decades`` and
+``paper_reduction``.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ DOCS = Path(__file__).parent
 PAGES = dict.fromkeys(("gammas", "stages", "prediction"), DOCS / "results.md")
 PAGES |= dict.fromkeys(("worst_case", "proven", "run"), DOCS.parent / "README.md")
 PAGES["bounds"] = DOCS / "certificates.md"
+PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction"), DOCS / "paper.md")
 FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}
 """Figures of ``design certify``."""
 TONES = ("APE", "RPE, slow", "RPE, fast")
@@ -42,6 +45,7 @@ PROBLEMS = {
     "paper_nominal": "paper's problem, nominal",
     "published, robust": "*the paper, robust*",
     "published, nominal": "*the paper, nominal*",
+    "nominal, family": "nominal, over the family",
 }
 
 
@@ -74,6 +78,47 @@ def gammas(rows: Sequence[Mapping[str, Any]]) -> str:
         ["design, problem", *(c.replace("->", "→") for c in columns)],
         [[name, *(f"{values[c]:.4f}" if c in values else "" for c in columns)] for name, values in found],
     )
+
+
+def by_band(rows: Sequence[Mapping[str, Any]], lines: Sequence[tuple[str, Callable[[Mapping[str, Any]], str]]]) -> str:
+    """A column for each band of frequency, a line for each value.
+
+    Examples
+    --------
+    >>> print(by_band([{"band": [1.0, 6.0], "nominal": 3.04}], DECADES[:1]))
+    | rad/s | 1 to 6 |
+    | --- | ---: |
+    | nominal | 3.0 |
+    """
+    head = ["rad/s", *(f"{row['band'][0]:g} to {row['band'][1]:g}" for row in rows)]
+    return markdown(head, [[name, *(cell(row) for row in rows)] for name, cell in lines])
+
+
+DECADES: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
+    ("nominal", lambda row: f"{row['nominal']:.1f}"),
+    ("all members", lambda row: f"{row['family'][0]:.1f} to {row['family'][1]:.1f}"),
+)
+"""Lines of the distance between wheels and drives."""
+
+REDUCTION = (
+    *((f"{name}, median [dB]", cell) for name, cell in DECADES),
+    ("largest value of all members [dB]", lambda row: f"{row['peaks']:.1f}"),
+    ("largest value, FSM [mas]", lambda row: f"{row['peak_mas'][0]:.3g}"),
+    ("largest value, FSM + PMA [mas]", lambda row: f"{row['peak_mas'][1]:.3g}"),
+)
+"""Lines of what the proof masses take from the mirror's curve."""
+
+
+def with_status(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of gammas that says how its design ended.
+
+    Examples
+    --------
+    >>> with_status({"variant": "nominal, family", "status": "converged"})["variant"]
+    'nominal, over the family, `converged`'
+    """
+    name = PROBLEMS.get(row["variant"], row["variant"])
+    return {**row, "variant": f"{name}, `{row['status']}`" if row["status"] else name}
 
 
 def parts(text: str, heading: str) -> list[str]:
@@ -214,6 +259,10 @@ def table_of(name: str, text: str) -> str:
     """
     if name == "gammas":
         return gammas(json.loads(text))
+    if name.startswith("paper_"):
+        rows = json.loads(text)[name.removeprefix("paper_")]
+        lines = {"paper_decades": DECADES, "paper_reduction": REDUCTION}
+        return by_band(rows, lines[name]) if name in lines else gammas([with_status(row) for row in rows])
     if name in ("bounds", "proven"):
         return {"bounds": bounds, "proven": proven}[name](json.loads(text)["figures"])
     if name == "run" and "verdict" in text:

@@ -1,4 +1,4 @@
-"""Observer K_FSM beside the Kalman observer that it is tuned from, and K_PMA (paper: controllers).
+"""K_FSM beside the Kalman filter that it is tuned from, and K_PMA, robust designs (paper: fig:controllers).
 
 python examples/paper/figure_controllers.py [FOLDER]
 """
@@ -6,8 +6,9 @@ python examples/paper/figure_controllers.py [FOLDER]
 import sys
 from pathlib import Path
 
-from los_design.figures.figures import draw
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
-for path in draw(folder, 0, names=["controllers"]):
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["controllers"]):
     print(path)

@@ -1,11 +1,14 @@
-"""Payload mounted hard and on its isolator.
+"""Payload mounted hard and on its isolator (paper: fig:passiveVsOL).
 
 python examples/paper/figure_isolator.py [FOLDER]
 """
 
 import sys
+from pathlib import Path
 
-from los_design.figures.plant_figures import draw_figures
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
 
-for path in draw_figures(sys.argv[1] if len(sys.argv) > 1 else "figures", names=["isolator"]):
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["isolator"]):
     print(path)

@@ -1,11 +1,14 @@
-"""Line of sight while the solar arrays turn.
+"""Line of sight while the solar arrays turn (paper: fig:tau_variation).
 
 python examples/paper/figure_solar_arrays_turn.py [FOLDER]
 """
 
 import sys
+from pathlib import Path
 
-from los_design.figures.plant_figures import draw_figures
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
 
-for path in draw_figures(sys.argv[1] if len(sys.argv) > 1 else "figures", names=["arrays_turn"]):
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["solar_arrays_turn"]):
     print(path)

@@ -1,15 +1,14 @@
-"""Line of sight and relative error of the four stages over the family, robust design (paper: closed loop, dist2LOS).
+"""Line of sight of the four configurations over the family, robust designs (paper: dist2LOS).
 
-python examples/paper/figure_stages_robust.py [FOLDER [SAMPLES]]
-
-SAMPLES random members of the family beside the worst ones of each stage; each takes some seconds.
+python examples/paper/figure_stages_robust.py [FOLDER]
 """
 
 import sys
 from pathlib import Path
 
-from los_design.figures.figures import draw
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
-for path in draw(folder, int(sys.argv[2]) if len(sys.argv) > 2 else 2, names=["stages_implemented"]):
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["stages_robust"]):
     print(path)

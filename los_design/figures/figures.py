@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import linalg
 
 from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
-from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
-from los_design.figures.plant_figures import STYLE
+from los_design.figures.stage_curves import HIGHEST, LOWEST, sampled_curve
+from los_design.figures.style import STAGE_STYLES, STYLE, hertz, radians, save_figure
 from los_design.search.worst_points import WorstPoint, load_worst_points
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.verification import ARCSEC
@@ -26,36 +26,21 @@ from los_estimator.kalman import kalman_observer
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
-from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from los_loop.spec import Placed
-from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import LOOP_DELAY, MIRROR
 from titop_plant.simulation.build import telescope
-from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.layout import control_stages, mirror_stages
 from titop_plant.telescope.parameters import Parameters, load_parameters
 from titop_plant.telescope.weights import rpe_weight
 
-STAGES = {
-    "none": ("payload hard-mounted", "#444444"),
-    "isolator": ("isolator", "#2a9d4a"),
-    "fsm": ("isolator + FSM", "#c2308f"),
-    "fsm+pma": ("isolator + FSM + PMA", "#1f5fa8"),
-}
-
-
-LOWEST, HIGHEST, BINS = 1e-2, 2e3, 420
-"""Frequencies of the curves [rad/s]; each point is the largest value within one of these bins."""
+BINS = 420
+"""Of frequency: each point of a curve is the largest value within one of them."""
 
 WIDTHS = (2.6, 2.0, 1.4, 0.8)
 """Widths of the curves of the stages: where two are the same, the wider one shows on both sides of the other."""
-
-
-DISTURBANCES = ("wheel_imbalance", "sadm_torque")
-"""Inputs with a weight, those of them that a telescope has."""
 
 FIGURES = ("stages_implemented", "stages_implemented_nominal", "controllers", "sensitivity")
 """Names of the pictures, and of their files."""
@@ -116,6 +101,15 @@ class Designed:
         """Sensors and actuators of the telescope's file that the controllers use."""
         return Placed.of(self.parameters, *self.pair)
 
+    @cached_property
+    def responses(self) -> DisturbanceResponses:
+        """The telescope without fine control."""
+        return disturbance_responses(self.file)
+
+    def curve(self, stage: str, values: Mapping[str, float]) -> Curve:
+        """Line of sight [arcsec] of a stage of the implemented loop."""
+        return sampled_curve(self.responses, self.system, self.pair, self.placed, stage, values)
+
     def worst_members(self) -> dict[str, list[dict[str, float]]]:
         """Parameters of each stage that are worst for APE, slow and fast tones; first the nominal ones."""
         return {
@@ -171,24 +165,6 @@ def draw(
     return paths
 
 
-def stage_curves(designed: Designed, stage: str, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-    """Frequencies [rad/s] and largest singular value normalised disturbances -> line of sight [rad] of a stage."""
-    parameters = designed.parameters
-    if stage in ("none", "isolator"):
-        system = telescope(designed.file, stage != "none").system
-        there = [port.name for port in system.inputs]
-        data = system["los_controlled", tuple(name for name in DISTURBANCES if name in there)].at(values)
-        omega = frequency_grid(linalg.eigvals(data.A), LOWEST, HIGHEST, points=300, offsets=(0.0, 1.5, 3.0))
-        response = frequency_response(data, omega)
-    else:
-        plant = designed.system.at(values)
-        sensitivity = float(parameters["fsm"]["los_sensitivity"])
-        loop = sampled_loop(plant, *designed.pair, loop=stage, los_sensitivity=sensitivity, placed=designed.placed)
-        omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
-        response = disturbance_response(loop, plant, omega)[:, :2]
-    return omega, largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
-
-
 def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
     """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
     figure = LaidOutFigure(figsize=(9.6, 4.4), layout="constrained")
@@ -197,13 +173,13 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
     edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
     middle = np.sqrt(edges[1:] * edges[:-1])
     for stage, width in zip(designed.stages, WIDTHS):
-        label, colour = STAGES[stage]
+        label, colour = STAGE_STYLES[stage]
         largest = np.full((2, BINS), np.nan)
         for values in members[stage]:
-            omega, los = stage_curves(designed, stage, values)
-            error = los * rpe_weight(omega, table["rpe_window"])
-            index = np.clip(np.searchsorted(edges, omega) - 1, 0, BINS - 1)
-            for row, curve in enumerate((los / ARCSEC, 1e3 * error / ARCSEC)):
+            los = designed.curve(stage, values)
+            error = 1e3 * los.size * rpe_weight(los.omega, table["rpe_window"])
+            index = np.clip(np.searchsorted(edges, los.omega) - 1, 0, BINS - 1)
+            for row, curve in enumerate((los.size, error)):
                 np.fmax.at(largest[row], index, curve)
         for axes, curve in zip((left, right), largest):
             there = ~np.isnan(curve)
@@ -219,18 +195,10 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
     right.set(xlim=(1.0, 1500.0), ylim=(1.0, 2e4), title="relative error, 20 ms [mas]")
     for axes, place in ((left, "lower left"), (right, "upper left")):
         axes.set_xlabel("frequency [rad/s]")
-        axes.secondary_xaxis("top", functions=(_to_hertz, _to_radians)).set_xlabel("[Hz]")
+        axes.secondary_xaxis("top", functions=(hertz, radians)).set_xlabel("[Hz]")
         axes.legend(loc=place, fontsize="small")
     figure.suptitle(title)
     return figure
-
-
-def _to_hertz(omega: FloatArray) -> FloatArray:
-    return omega / (2.0 * np.pi)
-
-
-def _to_radians(hertz: FloatArray) -> FloatArray:
-    return hertz * (2.0 * np.pi)
 
 
 def _controllers(designed: Designed) -> Figure:
@@ -295,16 +263,3 @@ def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
         axes.legend(loc="lower right")
     figure.axes[0].set_ylabel("largest singular value of S")
     return figure
-
-
-def save_figure(figure: Figure, stem: Path) -> list[Path]:
-    """Write a picture as PNG and SVG, the same bytes every time; returns the paths."""
-    paths = [stem.with_suffix(suffix) for suffix in (".png", ".svg")]
-    with (
-        mpl.rc_context({"svg.hashsalt": "los-testbed"}),
-        atomic_file(paths[0]) as png,
-        atomic_file(paths[1]) as svg,
-    ):
-        figure.savefig(png, format="png", dpi=115, metadata={"Software": None})
-        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
-    return paths

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from lftkit.arrays import FloatArray
-from pointing_analysis.files.atomic_output import atomic_file
+from los_design.figures.style import BLUE, LIMIT, ORANGE, STYLE, hertz, radians, save_figure
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.simulation.disturbance_responses import (
     ALL,
@@ -49,25 +49,6 @@ MEMBERS = 20
 
 STEPS = 48
 """Steps of a swept parameter; a multiple of 6."""
-
-BLUE, ORANGE, LIMIT = "#0b5d8a", "#d95f02", "#b00020"
-STYLE: dict[str, Any] = {
-    "svg.fonttype": "path",
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e2e2e2",
-    "grid.linewidth": 0.6,
-    "axes.edgecolor": "#777777",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.linewidth": 1.3,
-}
 
 
 def draw_figures(output: str | Path, parameters: str | None = None, names: Sequence[str] | None = None) -> list[Path]:
@@ -118,15 +99,11 @@ def _saved(
     draw: Callable[[Figure, DisturbanceResponses], None],
     both: DisturbanceResponses,
 ) -> list[Path]:
-    settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
-    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE}
     with mpl.rc_context(settings):
         figure = LaidOutFigure(figsize=(7.4, height), layout="constrained")
         draw(figure, both)
-        with atomic_file(paths[0]) as png, atomic_file(paths[1]) as svg:
-            figure.savefig(png, format="png", dpi=130, metadata={"Software": None})
-            figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
-    return paths
+        return save_figure(figure, folder / name, dpi=130)
 
 
 def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
@@ -272,14 +249,6 @@ def _banded(
     axis.loglog(curve.omega, curve.size, color=colour, label=f"{name}, nominal")
 
 
-def _hertz(omega: Any) -> Any:
-    return omega / (2.0 * math.pi)
-
-
-def _radians(frequency: Any) -> Any:
-    return 2.0 * math.pi * frequency
-
-
 def _columns(low: float, high: float, count: int) -> FloatArray:
     """Edges of columns of equal width on a logarithmic axis."""
     return np.asarray(np.geomspace(low, high, count + 1), np.float64)
@@ -308,7 +277,7 @@ def _decorate(axis: Axes, edges: FloatArray, limits: tuple[float, float]) -> Non
     axis.set(xlim=(edges[0], edges[-1]), ylim=limits, xlabel="frequency [rad/s]")
     axis.set_ylabel("largest singular value of the line of sight [arcsec],\ndisturbances normalised by their weights")
     axis.yaxis.set_major_locator(LogLocator(numticks=12))
-    top = axis.secondary_xaxis("top", functions=(_hertz, _radians))
+    top = axis.secondary_xaxis("top", functions=(hertz, radians))
     top.set_xlabel("frequency [Hz]")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 import sys
 from pathlib import Path
@@ -71,22 +72,23 @@ def test_it_prints_its_results(example: dict[str, Any], capsys: pytest.CaptureFi
 
 
 def test_each_script_of_the_paper_draws_one_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The drawing itself is that of `plant figures` and `design figures`; here, that each asks for one that exists."""
-    from los_design.figures import figures, plant_figures
+    """The drawing has its own tests; here, that each asks for one that exists, and the last for all and the numbers."""
+    from los_design.figures import paper_case, paper_figures, paper_numbers
 
-    of_plant = create_autospec(plant_figures.draw_figures, return_value=[tmp_path / "figure.png"])
-    of_design = create_autospec(figures.draw, return_value=[tmp_path / "figure.png"])
-    monkeypatch.setattr(plant_figures, "draw_figures", of_plant)
-    monkeypatch.setattr(figures, "draw", of_design)
+    draw = create_autospec(paper_figures.draw, return_value=[tmp_path / "figure.png"])
+    monkeypatch.setattr(paper_figures, "draw", draw)
+    monkeypatch.setattr(paper_case.PaperCase, "of", lambda folder: folder)
+    monkeypatch.setattr(paper_numbers, "results", lambda case: {"gammas": [case.name]})
     monkeypatch.setattr(sys, "argv", ["figure.py", str(tmp_path)])
     for path in sorted((EXAMPLES / "paper").glob("figure_*.py")):
         runpy.run_path(str(path))
-    drawn = [call.kwargs["names"] for call in of_plant.call_args_list]
-    assert sorted(drawn) == sorted([name] for name in plant_figures.FIGURES)
-    assert all(call.args == (str(tmp_path),) for call in of_plant.call_args_list)
-    drawn = [call.kwargs["names"] for call in of_design.call_args_list]
-    assert sorted(drawn) == [["controllers"], ["stages_implemented"], ["stages_implemented_nominal"]]
-    assert all(call.args[0] == tmp_path for call in of_design.call_args_list)
+        assert path.stem == f"figure_{draw.call_args.kwargs['names'][0]}"
+    drawn = [call.kwargs["names"] for call in draw.call_args_list]
+    assert sorted(drawn) == sorted([name] for name in paper_figures.FIGURES)
+    runpy.run_path(str(EXAMPLES / "paper" / "all.py"))
+    assert all(call.args == (EXAMPLES / "paper", tmp_path) for call in draw.call_args_list)
+    assert "names" not in draw.call_args.kwargs
+    assert json.loads((tmp_path / "results.json").read_text("utf-8")) == {"gammas": ["paper"]}
 
 
 @pytest.mark.slow

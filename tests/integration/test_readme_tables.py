@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from los_design.figures import paper_numbers
+from los_design.figures.paper_case import PaperCase
+
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/architecture.md")
 
@@ -31,7 +34,7 @@ def test_examples(filler) -> None:
 
 
 def test_pages_have_the_markers_once(filler) -> None:
-    for name in ("gammas", "stages", "prediction", "worst_case", "run", "bounds", "proven"):
+    for name in filler.PAGES:
         page = filler.PAGES[name].read_text("utf-8")
         assert filler.filled(page, name, "TABLE").count("TABLE") == 1
 
@@ -78,8 +81,37 @@ def test_the_design_table_becomes_rows(tmp_path: Path) -> None:
     assert lines[3] == "| K_PMA, *the paper, robust* | 0.5768 | 0.9835 | 0.1185 | 0.9835 |"
 
 
+def test_the_numbers_of_the_paper_s_problem_become_tables(filler) -> None:
+    bands = [{"band": [1.0, 6.0], "nominal": 3.04, "family": [-0.1, 3.2], "peaks": 8.0, "peak_mas": [100.0, 39.9]}]
+    gammas = [{"design": "k-fsm", "variant": "nominal, family", "gammas": {"APE": 0.5, "mirror": "inf"}, "status": ""}]
+    text = json.dumps({"gammas": gammas, "decades": bands, "reduction": bands})
+    assert "| K_FSM, nominal, over the family | 0.5000 | inf |" in filler.table_of("paper_gammas", text)
+    assert filler.table_of("paper_decades", text).endswith("| nominal | 3.0 |\n| all members | -0.1 to 3.2 |")
+    assert filler.table_of("paper_reduction", text).endswith("| largest value, FSM + PMA [mas] | 39.9 |")
+
+
+def test_the_page_of_the_paper_has_the_numbers_of_the_files_beside_it(filler) -> None:
+    """After a change of the telescope or of a design `make paper` has been run."""
+    text = (ROOT / "docs/figures/paper/results.json").read_text("utf-8")
+    of, page = (
+        paper_numbers.names(PaperCase.of(ROOT / "examples/paper")),
+        filler.PAGES["paper_gammas"].read_text("utf-8"),
+    )
+    assert of.items() <= json.loads(text).items()
+    for name in ("paper_gammas", "paper_decades", "paper_reduction"):
+        assert filler.filled(page, name, filler.table_of(name, text)) == page
+
+
 @pytest.mark.parametrize(
-    ("name", "text"), [("gammas", ""), ("stages", "nothing"), ("other", "| a |"), ("run", ""), ("worst_case", "")]
+    ("name", "text"),
+    [
+        ("gammas", ""),
+        ("stages", "nothing"),
+        ("other", "| a |"),
+        ("run", ""),
+        ("worst_case", ""),
+        ("paper_gammas", "{}"),
+    ],
 )
 def test_errors_do_not_change_the_page(tmp_path: Path, name: str, text: str) -> None:
     page = tmp_path / "page.md"

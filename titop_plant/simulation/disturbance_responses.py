@@ -16,7 +16,7 @@ from scipy import linalg
 from lftkit import Port, System
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
-from lftkit.analysis.frequency_response import frequency_response
+from lftkit.analysis.frequency_response import AGREEMENT, frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
 from titop_plant.simulation.build import telescope
@@ -67,19 +67,26 @@ class DisturbanceResponses:
     hard: System
 
     def weighted(
-        self, system: System, values: Mapping[str, float], inputs: Sequence[str], low: float, high: float
+        self,
+        system: System,
+        values: Mapping[str, float],
+        inputs: Sequence[str],
+        low: float,
+        high: float,
+        tolerance: float = AGREEMENT,
     ) -> Curve:
         """Largest singular value from normalised disturbances to the line of sight [arcsec].
 
         Of `inputs` those that the telescope has count. Normalised: 1 corresponds to the amplitudes of the weights,
-        0.4 N, 0.35 N and 0.3 Nm of each wheel above 5 rad/s and 0.1 Nm of each array drive.
+        0.4 N, 0.35 N and 0.3 Nm of each wheel above 5 rad/s and 0.1 Nm of each array drive. `tolerance` is that of
+        :func:`lftkit.analysis.frequency_response.frequency_response`.
         """
         data = system["los_controlled", present(inputs, system.inputs)].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500)
         amplitude = weight_amplitudes(self.parameters, omega)
         columns = port_slices(disturbance_ports(self.parameters))
         scale = np.hstack([amplitude[:, columns[port.name]] for port in data.inputs])
-        response = frequency_response(data, omega) * scale[:, None, :]
+        response = frequency_response(data, omega, tolerance=tolerance) * scale[:, None, :]
         return Curve(omega, np.asarray(largest_gains(response) / ARCSEC))
 
     def first_channel(self, values: Mapping[str, float], low: float, high: float) -> Curve:

@@ -168,7 +168,7 @@ def test_a_parameter_file_that_is_none_is_told_before_a_folder_is_made(call: Cal
 def test_an_interrupted_picture_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
-    from los_design.figures.figures import save_figure
+    from los_design.figures.style import save_figure
 
     def interrupted(self: Figure, path: Path, **_: object) -> None:
         path.write_text("half")

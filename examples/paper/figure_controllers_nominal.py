@@ -1,0 +1,14 @@
+"""The same controllers of the nominal designs.
+
+python examples/paper/figure_controllers_nominal.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["controllers_nominal"]):
+    print(path)

@@ -1,0 +1,14 @@
+"""Block diagram of the generalised plant that K_PMA is designed on (paper: fig:synthesis_PMA).
+
+python examples/paper/figure_synthesis_pma.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_figures import draw
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+for path in draw(PaperCase.of(Path(__file__).parent), folder, names=["synthesis_pma"]):
+    print(path)

@@ -1,0 +1,116 @@
+"""The paper's own problem, continuous and without delay: its telescope, its four designs, the members drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from lftkit import SampledSystem
+from los_design.figures.stage_curves import NAMES, ContinuousLoop
+from titop_plant.interface import STAGES
+from titop_plant.simulation.build import telescope
+from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
+from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.parameters import Parameters, load_parameters
+
+KINDS = ("k_fsm", "k_pma")
+DESIGNS = {"robust": "", "nominal": "_nominal"}
+"""Name of a pair of designs to what its files have behind the kind."""
+
+Pair = tuple[SampledSystem, SampledSystem]
+"""K_FSM and K_PMA; their files hold the continuous controllers."""
+
+
+@dataclass(frozen=True)
+class PaperCase:
+    """What the paper's figures are drawn from; what is slow is computed when it is first asked for.
+
+    Parameters
+    ----------
+    file : str or None
+        Parameter file; None for the reference telescope.
+    pairs : mapping of str to (SampledSystem, SampledSystem)
+        ``robust`` and ``nominal``.
+    samples : int
+        Random members of the family beside the nominal one and the worst ones of the designs.
+    seed : int
+    """
+
+    file: str | None
+    pairs: Mapping[str, Pair]
+    samples: int = 16
+    seed: int = 0
+    _clouds: dict[str, dict[str, list[Curve]]] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, folder: Path, samples: int = 16, seed: int = 0) -> PaperCase:
+        """Of a folder with ``telescope.toml`` and ``designs``.
+
+        Raises
+        ------
+        ValueError
+            A file is missing or of another form, a negative number of samples.
+        """
+        if samples < 0:
+            raise ValueError(f"samples must not be negative, got {samples}")
+        pairs: dict[str, Pair] = {}
+        for name, ending in DESIGNS.items():
+            k_fsm, k_pma = (folder / "designs" / f"{kind}{ending}.json" for kind in KINDS)
+            pairs[name] = SampledSystem.from_file(k_fsm), SampledSystem.from_file(k_pma)
+        file = folder / "telescope.toml"
+        if not file.is_file():
+            raise ValueError(f"the folder must hold telescope.toml, got none in {folder}")
+        return cls(str(file), pairs, samples, seed)
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Of the telescope."""
+        return load_parameters(self.file)
+
+    @cached_property
+    def telescope(self) -> Telescope:
+        """On its isolator."""
+        return telescope(self.file)
+
+    @cached_property
+    def responses(self) -> DisturbanceResponses:
+        """Without fine control."""
+        return disturbance_responses(self.file)
+
+    def loop(self, design: str) -> ContinuousLoop:
+        """The stages with a pair of designs."""
+        return ContinuousLoop.of(self.telescope, self.parameters, self.responses, self.pairs[design])
+
+    @cached_property
+    def worst_members(self) -> list[dict[str, float]]:
+        """Parameters that the designs' files name as worst for one of their requirements, each once."""
+        found = {
+            tuple(sorted(case["parameters"].items())): dict(case["parameters"])
+            for pair in self.pairs.values()
+            for system in pair
+            for case in system.provenance.get("worst_cases", ())
+        }
+        return [values for values in found.values() if values]
+
+    @cached_property
+    def members(self) -> list[dict[str, float]]:
+        """Nominal, random and worst members: the same for both pairs of designs."""
+        drawn = self.telescope.system.sample_values(np.random.default_rng(self.seed), self.samples)
+        return [{}, *drawn, *self.worst_members]
+
+    def clouds(self, design: str) -> Mapping[str, list[Curve]]:
+        """Stage to the curve of each member, with a pair of designs."""
+        if design not in self._clouds:
+            loop = self.loop(design)
+            known = next(iter(self._clouds.values()), {})  # without fine control the designs have no effect
+            self._clouds[design] = {
+                stage: known[stage]
+                if stage in NAMES and stage in known
+                else [loop.curve(stage, values) for values in self.members]
+                for stage in STAGES
+            }
+        return self._clouds[design]
