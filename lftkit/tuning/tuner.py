@@ -345,7 +345,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     at_bounds = _at_bounds(problem, x)
     return TuningResult(
         status,
-        _found(problem, best, status) or _advice(status, at_bounds, differ),
+        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + _failures(runs),
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -371,6 +371,12 @@ def _found(problem: Problem, best: StartResult, status: TuningStatus) -> str:
     if not problem.structure.size:
         return NOTHING_FREE
     return NOTHING_SOFT if best.settled else ""
+
+
+def _failures(runs: Sequence[StartResult]) -> str:
+    """How many of the starts failed, and the first reason."""
+    texts = [run.failure for run in runs if run.failure]
+    return f"; {len(texts)} of {len(runs)} starts failed ({texts[0]})" if texts else ""
 
 
 def all_met(requirements: Sequence[Requirement], certificate: Certificate | None, met: float) -> bool:

@@ -27,7 +27,7 @@ from lftkit.tuning.descent.direct_search import (
 )
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
+from lftkit.tuning.descent.single_start import ARITHMETIC, StartResult, failed, screen, tune_from
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
@@ -231,7 +231,7 @@ class _Runner:
         results: list[StartResult] = []
         for start in starts:
             try:
-                results.append(work(self._problem, start, self._limits, self._band))
+                results.append(_attempted(work, self._problem, start, self._limits, self._band))
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
             self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
@@ -260,6 +260,14 @@ def ended(results: Sequence[StartResult]) -> bool:
     return any(r.settled or r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
 
 
+def _attempted(work: Work, problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """Result of a start; where its arithmetic fails, too, so that the other starts keep theirs."""
+    try:
+        return work(problem, start, limits, band)
+    except ARITHMETIC as error:
+        return failed(np.zeros(problem.structure.size) if start.x is None else start.x, error)
+
+
 def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
     return tune_from(problem, start.parameters(problem), start.seed, limits, band)
 
@@ -275,7 +283,7 @@ def _remote(
     number, start = item
     if number and time.monotonic() > limits.deadline:
         return None
-    return work(problem, start, limits, band)
+    return _attempted(work, problem, start, limits, band)
 
 
 def _interrupted(problem: Problem, start: Start) -> StartResult:
