@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from los_estimator.problem import ORDER
 from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
 
@@ -30,6 +31,8 @@ class DesignOptions:
         Show a progress bar.
     short : bool
         Less effort for the robust design of the implemented loop.
+    order : int
+        Order of the controller; other than 4 in the paper's problem only.
     """
 
     nominal: bool = False
@@ -40,6 +43,11 @@ class DesignOptions:
     workers: int = 1
     progress: bool = False
     short: bool = False
+    order: int = ORDER
+
+    def __post_init__(self) -> None:
+        if self.order < 0 or (self.implemented and self.order != ORDER):
+            raise ValueError(f"order must be {ORDER} with a loop delay, at least 0 without, got {self.order}")
 
     @property
     def implemented(self) -> bool:

@@ -87,17 +87,18 @@ def zero_controller(kind: str) -> SampledSystem:
     return SampledSystem(none, none, none, np.zeros((rows, columns)), inputs, outputs, DT, "zero")
 
 
-def random_law(seed: int, gain: float = START_GAIN) -> System:
-    """A stable random K_PMA of order 4 with small gain: poles spread over the isolator's band."""
+def random_law(seed: int, gain: float = START_GAIN, order: int = ACTUATOR_ORDER) -> System:
+    """A stable random K_PMA with small gain: poles spread over the isolator's band; of order 0 a static gain."""
     rng = np.random.default_rng(seed)
-    poles = -np.geomspace(*START_POLES, ACTUATOR_ORDER)
-    B = rng.standard_normal((ACTUATOR_ORDER, 6))
-    C = gain * rng.standard_normal((6, ACTUATOR_ORDER))
-    return System(np.diag(poles), B, C, np.zeros((6, 6)), *design_ports("k-pma"), f"start {seed}")
+    poles = -np.geomspace(*START_POLES, order)
+    B = rng.standard_normal((order, 6))
+    C = gain * rng.standard_normal((6, order))
+    D = np.zeros((6, 6)) if order else gain / np.sqrt(np.prod(START_POLES)) * rng.standard_normal((6, 6))
+    return System(np.diag(poles), B, C, D, *design_ports("k-pma"), f"start {seed}")
 
 
-def random_start(plant: System, seed: int) -> System:
+def random_start(plant: System, seed: int, order: int = ACTUATOR_ORDER) -> System:
     """:func:`random_law` with the ports of a design plant."""
-    law = random_law(seed)
+    law = random_law(seed, order=order)
     ports = tuple(plant.output_port(port.name) for port in K_PMA_INPUTS), (plant.input_port("pma_force"),)
     return System(*law.matrices, *ports, law.name)

@@ -109,7 +109,7 @@ def design_observer(
     if options.implemented:
         return _implemented(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], kept=kept)[0]
     plant = observer_plant(telescope, parameters)
-    structure = observer_structure(plant)
+    structure = observer_structure(plant, order=options.order)
     starts = [kalman_start(structure, telescope, parameters)]
     active = [] if options.nominal else screened(telescope, parameters, None, options.seed)
     requirements = observer_requirements(parameters)
@@ -147,8 +147,8 @@ def design_actuators(
     if options.implemented:
         return _implemented(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept)[1]
     plant = actuator_plant(telescope, parameters, continuous(observer))
-    structure = actuator_structure(plant)
-    starts = [structure.parameters_of(random_start(plant.system, seed)) for seed in START_SEEDS]
+    structure = actuator_structure(plant, order=options.order)
+    starts = [structure.parameters_of(random_start(plant.system, seed, options.order)) for seed in START_SEEDS]
     requirements = paper_requirements(parameters, STAGE_NAMES[BOTH])
     active = [] if options.nominal else screened(telescope, parameters, observer, options.seed)
     result = _run(plant, requirements, structure, (), active, parameters, options, starts)
@@ -353,6 +353,7 @@ def _command(kind: str, options: DesignOptions) -> str:
     if kind == "all":
         flags = " --nominal" if options.nominal else ""
         flags += f" --seed {options.seed}" + (" --effort short" if options.short else "")
+    flags += f" --order {options.order}" if options.order != ORDER else ""
     return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
 
 

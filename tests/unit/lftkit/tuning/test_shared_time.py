@@ -127,15 +127,15 @@ def test_candidates_are_screened_and_the_best_carried_on() -> None:
 
 
 def test_few_random_starts_have_equal_parts_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of them is begun although the first would take all; time is counted in evaluations."""
+    """Each of them begins although the first would take all; time is counted in evaluations."""
     clock = Clock()
     counted_evaluations(clock, monkeypatch)
-    begun: list[float] = []
+    times: list[float] = []
     runner = importlib.import_module("lftkit.tuning.descent.start_runner")
     whole = runner.tune_from
 
     def noted(*arguments: Any, **named: Any) -> Any:
-        begun.append(clock.now)
+        times.append(clock.now)
         return whole(*arguments, **named)
 
     monkeypatch.setattr(runner, "tune_from", noted)
@@ -146,5 +146,5 @@ def test_few_random_starts_have_equal_parts_of_the_time(monkeypatch: pytest.Monk
         law,
         options=TuningOptions(starts=3, wall_limit=90.5),
     )
-    assert len(result.starts) >= 3 and len(begun) >= 3
-    assert begun[1] < 45.0 and begun[2] < 75.0 and time.monotonic() < 95.0
+    assert len(result.starts) >= 3 and len(times) >= 3
+    assert times[1] < 45.0 and times[2] < 75.0 and time.monotonic() < 95.0
