@@ -252,9 +252,16 @@ class _Design:
         effort = replace(
             self.search, seed=self.search.seed + number, wall_limit=max(1.0, min(self.search.wall_limit, left))
         )
-        return worst_case(
+        found = worst_case(
             self.build, self.box, tuning.controller, self.requirements, loop_delay=self.loop_delay, options=effort
         )
+        return tuple(self._or_active(w, tuning, i) for i, w in enumerate(found))
+
+    def _or_active(self, worst: WorstCase, tuning: TuningResult, i: int) -> WorstCase:
+        """What a search found, or an active model that is worse: a search that the time ends may not come so far."""
+        k = int(np.argmax(tuning.values[i]))
+        value, omega = float(tuning.values[i, k]), float(tuning.peak_frequencies[i, k])
+        return worst if worst.value >= value else replace(worst, value=value, omega=omega, parameters=self.chosen[k])
 
     def _round(self, problem: Problem, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> Round:
         soft, hard = self._largest(worst)

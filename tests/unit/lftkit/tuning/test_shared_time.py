@@ -12,7 +12,17 @@ import pytest
 from support.counted_time import Clock, counted_evaluations, structure_with_all_states_seen
 
 from lftkit.systems.system import System
-from lftkit.tuning import HinfGain, TuningOptions, TuningResult, WorstCaseOptions, gain, state_space, tune, tune_robust
+from lftkit.tuning import (
+    HinfGain,
+    TuningOptions,
+    TuningResult,
+    WorstCase,
+    WorstCaseOptions,
+    gain,
+    state_space,
+    tune,
+    tune_robust,
+)
 from lftkit.tuning.descent.single_start import only_point
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.tuner import result_of
@@ -148,3 +158,14 @@ def test_few_random_starts_have_equal_parts_of_the_time(monkeypatch: pytest.Monk
     )
     assert len(result.starts) >= 3 and len(times) >= 3
     assert times[1] < 45.0 and times[2] < 75.0 and time.monotonic() < 95.0
+
+
+def test_the_worst_case_is_at_least_that_of_the_active_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that is cut finds less than the model that is tuned on has."""
+    monkeypatch.setattr(robust_module, "tune", ends_at(-0.1))
+    less = (WorstCase("z", 0.05, {"p": 0.5}, 1.0, 0.05, 1),)
+    monkeypatch.setattr(robust_module, "worst_case", lambda *_, **__: less)
+    common: Any = {"nominal": {"p": 1.0}, "initial": [[0.0]], "options": TuningOptions(starts=0), "max_rounds": 1}
+    result = tune_robust(scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW, **common)
+    (found,) = result.worst
+    assert found.value == result.soft == pytest.approx(0.1) and found.parameters == {"p": 1.0} and found.omega == 0.0
