@@ -32,8 +32,10 @@ import numpy as np
 
 from lftkit import Port, System, connect, static_gain, transform
 from lftkit.arrays import FloatArray
+from lftkit.systems.reduction import balanced_truncation
 from lftkit.tuning import state_space
-from lftkit.tuning.structures.structures import AffineStructure
+from lftkit.tuning.nested_orders import with_decaying_state
+from lftkit.tuning.structures.structures import AffineStructure, gain_matrix_of
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
 from titop_plant.telescope.assembly import Telescope
@@ -42,6 +44,8 @@ from titop_plant.telescope.parameters import Parameters
 
 NOISE = tuple(dict.fromkeys(NOISE_PORTS.values()))
 ORDER = 4
+FURTHER_POLES = (20.0, 400.0)
+"""Between these [rad/s] are the poles of the states that a start of higher order has more: the isolator's band."""
 (ESTIMATE,) = ESTIMATE_PORTS
 ADDED = Port("added_estimate", ESTIMATE.size, ESTIMATE.unit)
 APPLIED = "applied_estimate"
@@ -130,6 +134,20 @@ def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold:
 def kalman_start(
     structure: AffineStructure, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
 ) -> FloatArray:
-    """The Kalman observer as a start of the tuner."""
+    """The Kalman observer of the structure's order as a start of the tuner."""
+    return np.asarray(structure.parameters_of(kalman_of_order(structure.order, telescope, parameters, lead=lead)))
+
+
+def kalman_of_order(order: int, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0) -> System:
+    """The Kalman observer with more or fewer states.
+
+    For lower orders it is truncated (balanced); for higher ones it has more states, which decay and act on nothing.
+    """
     guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).at({}).named("K_est")
-    return np.asarray(structure.parameters_of(guess))
+    if order < guess.order:
+        return balanced_truncation(guess, order)
+    rng = np.random.default_rng(0)
+    for speed in np.geomspace(*FURTHER_POLES, order - guess.order):
+        more = with_decaying_state(gain_matrix_of(guess), guess.order, float(speed), rng)
+        guess = System(*more, guess.inputs, guess.outputs, guess.name)
+    return guess

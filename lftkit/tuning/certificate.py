@@ -24,6 +24,7 @@ from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain,
 from lftkit.tuning.sector_gain import SectorGain
 
 PADE_ORDER = 8
+AGREEMENT = 1e-3  # relative, of tuned values and certificate
 
 
 @dataclass(frozen=True)

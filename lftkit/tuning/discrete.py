@@ -23,7 +23,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
 from lftkit.systems.system import System
-from lftkit.tuning.certificate import Certificate, weighted_loop
+from lftkit.tuning.certificate import AGREEMENT, Certificate, weighted_loop
 from lftkit.tuning.descent.starts import start_checked
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
@@ -35,7 +35,7 @@ from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import StructureOnImage, required_period
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure
-from lftkit.tuning.tuner import AGREEMENT, TuningOptions, tune
+from lftkit.tuning.tuner import TuningOptions, tune
 
 AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
 DEADBEAT = 1e-12  # magnitude of z below which a pole counts as this fast

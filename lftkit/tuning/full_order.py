@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.systems.reduction import truncated
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
@@ -170,25 +171,12 @@ def _reduced(full: FullOrderEstimator, plant: ExtendedPlant, order: int) -> Matr
         empty = np.zeros((0, 0))
         D = full.F @ linalg.pinv(plant.C2)
         return empty, np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D
-    if float(linalg.eigvals(full.A).real.max()) >= 0.0 or order > len(full.A):
+    kept = truncated(full.A, np.hstack([full.B, -full.L]), full.F, order)
+    if kept is None:
         return None
-    inputs = np.hstack([full.B, -full.L])
-    P = linalg.solve_continuous_lyapunov(full.A, -inputs @ inputs.T)
-    Q = linalg.solve_continuous_lyapunov(full.A.T, -full.F.T @ full.F)
-    p, q = _root(np.asarray(P, dtype=float)), _root(np.asarray(Q, dtype=float))
-    U, s, Vh = linalg.svd(q.T @ p)
-    if not s[order - 1] > 1e-12 * s[0]:
-        return None
-    scale = 1.0 / np.sqrt(s[:order])
-    right, left = p @ Vh[:order].T * scale, q @ U[:, :order] * scale
-    A, B, C = left.T @ full.A @ right, left.T @ inputs, full.F @ right
+    A, B, C = kept
     nu = full.B.shape[1]
     return A + B[:, :nu] @ C, B[:, nu:], C, np.zeros((nu, B.shape[1] - nu))
-
-
-def _root(P: FloatArray) -> FloatArray:
-    values, vectors = linalg.eigh(0.5 * (P + P.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _parameters(

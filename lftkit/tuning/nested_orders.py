@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray, IntArray
+from lftkit.arrays import FloatArray, IntArray, Matrices
 from lftkit.systems.ports import read_only
 from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
@@ -48,16 +48,24 @@ def embedded(structure: AffineStructure, lower: AffineStructure, x: FloatArray, 
     rng = np.random.default_rng(n)
     found = []
     for speed in _speeds(problem.models):
-        A = linalg.block_diag(K[:n, :n], np.array([[-speed]]))
-        size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
-        B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
-        C = np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))])
+        matrices = with_decaying_state(K, n, speed, rng)
         try:
-            model = System(A, B, C, K[n:, n:], structure.inputs, structure.outputs)
+            model = System(*matrices, structure.inputs, structure.outputs)
             found.append(structure.parameters_of(model))
         except ValueError:  # fixed entries that such a state does not have
             return []
     return found
+
+
+def with_decaying_state(K: FloatArray, n: int, speed: float, rng: np.random.Generator) -> Matrices:
+    """A, B, C, D of a controller of order n with the gain matrix `K` and one state more, which acts on nothing.
+
+    The state decays at `speed` [rad/s]; its input is not zero, so that its effect has a slope.
+    """
+    A = linalg.block_diag(K[:n, :n], np.array([[-speed]]))
+    size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
+    B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
+    return A, B, np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))]), K[n:, n:]
 
 
 def _speeds(models: Sequence[System]) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -225,13 +226,19 @@ class Problem:
         K = self.structure.gain_matrix(x)
         return max(self.abscissa_of(k, K) for k in range(len(self._bare)))
 
+    def stable(self, x: FloatArray) -> bool:
+        """Every closed-loop pole of every model decays faster than the least decay: the verdict of all phases."""
+        return self.abscissa(x) < -self.min_decay
+
     def order(self, k: int) -> int:
         """Order of the closed loop of model k."""
         return len(self._bare[k].A)
 
     def too_large(self, K: FloatArray) -> bool:
         """Whether the gain matrix `K` has an entry beyond the limit, or one that is no number."""
-        return not np.abs(K).max(initial=0.0) <= GAINS_OVER_LIMIT * np.max(self.limit)
+        size = float(np.abs(K).max(initial=0.0))
+        largest = GAINS_OVER_LIMIT * float(np.max(self.limit)) if np.size(self.limit) else np.inf
+        return not (np.isfinite(size) and size <= largest)
 
     def closed(self, k: int, K: FloatArray) -> ClosedLoop:
         """Closed loop of model k with the gain matrix `K`, without inputs and outputs."""
@@ -242,20 +249,24 @@ class Problem:
 
         Infinite also beyond a limit of the gains: a structure may make any of them from parameters within theirs.
         """
-        if self.too_large(K):
-            return np.inf
-        try:
-            return spectrum(self._bare[k].closed(K), derivatives=False).abscissa
-        except scipy.linalg.LinAlgError:
-            return np.inf
+        return self._spectrum(k, K, derivatives=False).abscissa
+
+    def _spectrum(self, k: int, K: FloatArray, *, derivatives: bool) -> LoopSpectrum:
+        """Poles of model k: by their abscissa all phases of a design judge stability."""
+        if not self.too_large(K):
+            with suppress(scipy.linalg.LinAlgError):
+                found = spectrum(self._bare[k].closed(K), derivatives=derivatives)
+                if not np.isnan(found.abscissa):
+                    return found
+        return LoopSpectrum(np.zeros(0, dtype=complex), np.inf)
 
     def pole_pieces(self, x: FloatArray, K: FloatArray, band: float = 0.7) -> list[Piece]:
         """Pieces of the pole requirements of all models, and of what the problem itself asks for."""
         pieces = self._own_pieces(x, K)
         if not any(isinstance(r, ClosedLoopPoles | ControllerPoles) for r in self.given):
             return pieces
-        for k, plant in enumerate(self._bare):
-            pieces += self._pole_pieces(x, K, k, spectrum(plant.closed(K), derivatives=True), band, True)
+        for k in range(len(self._bare)):
+            pieces += self._pole_pieces(x, K, k, self._spectrum(k, K, derivatives=True), band, True)
         return pieces
 
     def _own_pieces(self, x: FloatArray, K: FloatArray) -> list[Piece]:
@@ -274,7 +285,7 @@ class Problem:
         if not self.inside(x):
             return np.inf, []
         K = self.structure.gain_matrix(x)
-        spectra = [spectrum(plant.closed(K), derivatives=True) for plant in self._bare]
+        spectra = [self._spectrum(k, K, derivatives=True) for k in range(len(self._bare))]
         worst = max(s.abscissa for s in spectra)
         pieces = []
         for k, s in enumerate(spectra):
@@ -300,8 +311,8 @@ class Problem:
             return Evaluation(np.inf, values, frequencies, ())
         K = self.structure.gain_matrix(x)
         spectra: list[LoopSpectrum] = []
-        for plant in self._bare:
-            spectra.append(spectrum(plant.closed(K), derivatives=gradients))
+        for k in range(len(self._bare)):
+            spectra.append(self._spectrum(k, K, derivatives=gradients))
             if not spectra[-1].abscissa < -self.min_decay:
                 return Evaluation(spectra[-1].abscissa, values, frequencies, ())
         pieces = self._own_pieces(x, K)

@@ -86,7 +86,8 @@ class TuningResult:
     evaluations, iterations : int
         Of all starts.
     starts : tuple of float
-        Final worst soft value of every start (infinite: not stabilised or not feasible).
+        Worst soft value at the end of every start and of every short descent, in order (infinite: failed, not
+        stabilised or not feasible); of a robust design those of the first round.
     requirement_names : tuple of str
     at_bounds : tuple of str
         Parameters that ended at a bound of their own, or at the limit of all.

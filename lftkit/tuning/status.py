@@ -23,6 +23,7 @@ class TuningStatus(str, Enum):
     NOT_STABILISED = "not_stabilised"
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
+    FAILED = "failed"
     OUT_OF_TIME = "out_of_time"
     INTERRUPTED = "interrupted"
 
@@ -76,6 +77,9 @@ _ADVICE = {
     "unbounded": (
         "parameters grew to the limit: the value falls for ever as they do, or does not depend on them; add a "
         "requirement on commands, noise or controller poles, or give bounds"
+    ),
+    "failed": (
+        "the arithmetic of the best start failed; the best point so far is given: try other starts, or scale the model"
     ),
     "out_of_time": "the wall limit was reached; the best point so far is given: allow more time or start from it",
     "interrupted": "stopped by the user; the best point so far is given",

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,12 +18,21 @@ from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
 from lftkit.systems.system import System
-from lftkit.tuning.certificate import Certificate, certify
+from lftkit.tuning.certificate import AGREEMENT, Certificate, certify
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.grid_source import FEASIBLE, point_at
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import StartResult, only_point, tune_from
-from lftkit.tuning.descent.start_runner import CARRIED, FIRST, MAX_BATCHES, StartSearch, ended, run_first, run_starts
+from lftkit.tuning.descent.single_start import StartResult, only_point
+from lftkit.tuning.descent.start_runner import (
+    CARRIED,
+    FIRST,
+    MAX_BATCHES,
+    StartSearch,
+    ended,
+    run_first,
+    run_screened,
+    run_starts,
+)
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.fixed_poles import slow_fixed_pole
@@ -30,20 +40,18 @@ from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem
+from lftkit.tuning.refinement import agree, refined_runs
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.result import TuningResult
-from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import required_period
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller
 
-AGREEMENT = 1e-3  # of tuned values and certificate
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
 OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
-MAX_REFINEMENTS = 2  # of the grid where they differ
 
 
 @dataclass(frozen=True)
@@ -54,9 +62,10 @@ class TuningOptions:
     ----------
     starts : int
         Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
-        more than six, batches follow until one finds nothing better.
+        more than six, batches follow until one finds nothing better. Up to six run to their ends one after another,
+        each with an equal part of the time that is left.
     seed : int
-        Same seed, same result bit for bit (as long as the wall limit is not what ends the run).
+        Same seed, same result bit for bit (as long as the wall limit, or a part of it, is not what ends a start).
     wall_limit : float
         Seconds for the whole run: a cap, after which the status is ``out_of_time``.
     workers : int
@@ -107,6 +116,7 @@ def tune(
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
+    candidates: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     min_decay: float = MIN_DECAY,
     met: float = -np.inf,
@@ -128,6 +138,9 @@ def tune(
         requirements.
     initial : sequence of array_like, shape (size,)
         Given starts, taken before the random ones.
+    candidates : sequence of array_like, shape (size,)
+        More of them: all are screened in short descents, and the best two carried on, each with an equal part of the
+        time that is left.
     loop_delay : float
         Delay of the loop [s].
     min_decay : float
@@ -169,23 +182,24 @@ def tune(
     options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
-    given = [start_checked(x, structure) for x in initial]
-    if structure.size and not given and not options.starts:
+    given, others = ([start_checked(x, structure) for x in points] for points in (initial, candidates))
+    if structure.size and not (given or others or options.starts):
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
-    problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
+    problem.limit = limits_from(options, start_sizes(problem, [*given, *others], options.seed))
     if (fixed := slow_fixed_pole(problem)) is not None:
-        first = replace(only_point(problem, given[0] if given else None), status=TuningStatus.NOT_STABILISED)
+        first = replace(only_point(problem, next(iter([*given, *others]), None)), status=TuningStatus.NOT_STABILISED)
         found = result_of(problem, [first], time.monotonic() - start_time)
         return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(min_decay))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         alone = StartSearch((only_point(problem),), True) if not structure.size else None
-        search = alone or _search(problem, given, options, deadline, progress)
+        search = alone or _search(problem, given, options, deadline, progress, candidates=others)
         runs = list(search.results)
-        runs = [*runs, *feasibility_runs(problem, runs, options.seed, limits_of(options, deadline), options.band)]
-        runs = [*runs, *_refined(problem, runs, options, deadline)]
+        further: Any = options.seed, limits_of(options, deadline), options.band
+        runs = [*runs, *feasibility_runs(problem, runs, *further)]
+        runs = [*runs, *refined_runs(problem, runs, *further)]
         result = result_of(problem, runs, time.monotonic() - start_time)
     if all_met(problem.given, result.certificate, met):
         return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
@@ -204,8 +218,9 @@ def _search(
     batches: int = MAX_BATCHES,
     *,
     asked: bool = True,
+    candidates: Sequence[FloatArray] = (),
 ) -> StartSearch:
-    """Given starts, the best controller of one order less (found in the same way), batches of random starts.
+    """Given starts, candidates, the best controller of one order less (found likewise), batches of random starts.
 
     Beside the one of lower order stand reduced full-order controllers. In problems of few states a first look at the
     order that is asked for comes before the lower ones, at which there is none.
@@ -213,6 +228,9 @@ def _search(
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
     first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
+    if candidates and first.complete and not ended(first.results):
+        more = run_screened(problem, given_starts(candidates, options.seed), *common)
+        first = StartSearch(first.results + more.results, more.complete)
     if not options.starts or ended(first.results) or not first.complete:
         return first
     own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)
@@ -272,58 +290,6 @@ def limits_from(options: TuningOptions, sizes: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(options.parameter_limit, OVER_STARTS * sizes))
 
 
-def _refined(
-    problem: Problem, runs: Sequence[StartResult], options: TuningOptions, deadline: float
-) -> list[StartResult]:
-    """Further runs from the best point, on grids refined at the peaks of the certificate that the tuner had missed."""
-    design = _Certified(problem, min(runs, key=lambda run: run.rank), options, deadline)
-    in_rounds(design, MAX_REFINEMENTS + 1, deadline=deadline)
-    return design.added
-
-
-@dataclass
-class _Certified:
-    """Frequencies of the grids: worse are the peaks that the certificate finds beside them."""
-
-    problem: Problem
-    best: StartResult
-    options: TuningOptions
-    deadline: float
-    added: list[StartResult] = field(default_factory=list)
-
-    def tuned(self, number: int) -> StartResult:
-        """The best start, then others from it."""
-        if number:
-            limits = limits_of(self.options, self.deadline)
-            self.best = tune_from(self.problem, self.best.x, self.options.seed, limits, self.options.band)
-            self.added.append(self.best)
-        return self.best
-
-    def worse(self, number: int, tuned: StartResult, last: bool) -> Worse[FloatArray]:
-        """Peak frequencies of the certificate (requirements,) of each model where it does not agree."""
-        problem = self.problem
-        if last or tuned.rank[0] == 2 or time.monotonic() > self.deadline:
-            return Worse(())
-        found = problem.evaluate(tuned.x, gradients=False)
-        K = controller(problem.structure, tuned.x)
-        certificate = certify(problem.models, K, problem.given, problem.loop_delay)
-        if _agree(certificate, found.values[: len(problem.given)]) or not np.all(np.isfinite(certificate.values)):
-            return Worse(())
-        return Worse([certificate.peak_frequencies[list(problem.hinf), k] for k in range(len(problem.models))])
-
-    def add(self, tuned: StartResult, worse: Worse[FloatArray]) -> None:
-        """More frequencies."""
-        for loop, omega in zip(self.problem.gains, worse.new):
-            loop.add(omega)
-
-
-def _agree(certificate: Certificate, values: FloatArray) -> bool:
-    known = np.isfinite(values)
-    scale = np.maximum(np.abs(values[known]), 1e-6 * float(np.abs(values[known]).max(initial=0.0))) + 1e-9
-    low, high = certificate.values[known] - values[known], certificate.upper[known] - values[known]
-    return bool(np.all(np.maximum(np.abs(low), np.abs(high)) <= AGREEMENT * scale))
-
-
 def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> TuningResult:
     """Best of several starts, certified; of equal ones the last."""
     best = min(reversed(runs), key=lambda run: run.rank)
@@ -334,7 +300,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     stable = found.abscissa < -problem.min_decay
     certificate = certify(problem.models, K, problem.given, problem.loop_delay) if stable else None
     status, differ = best.status, ""
-    if certificate is not None and not _agree(certificate, values):
+    if certificate is not None and not agree(certificate, values):
         status, differ = TuningStatus.INACCURATE, inaccurate(values, certificate.values)
     if certificate is not None and not problem.loop_delay:
         # what the tuner has not seen between its frequencies, the certificate has
@@ -345,7 +311,7 @@ def result_of(problem: Problem, runs: Sequence[StartResult], seconds: float) -> 
     at_bounds = _at_bounds(problem, x)
     return TuningResult(
         status,
-        _found(problem, best, status) or _advice(status, at_bounds, differ),
+        (_found(problem, best, status) or _advice(status, at_bounds, differ)) + _failures(runs),
         K,
         x,
         float(values[~hard].max(initial=-np.inf)),
@@ -371,6 +337,12 @@ def _found(problem: Problem, best: StartResult, status: TuningStatus) -> str:
     if not problem.structure.size:
         return NOTHING_FREE
     return NOTHING_SOFT if best.settled else ""
+
+
+def _failures(runs: Sequence[StartResult]) -> str:
+    """How many of the starts failed, and the first reason."""
+    texts = [run.failure for run in runs if run.failure]
+    return f"; {len(texts)} of {len(runs)} starts failed ({texts[0]})" if texts else ""
 
 
 def all_met(requirements: Sequence[Requirement], certificate: Certificate | None, met: float) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from los_estimator.problem import ORDER
 from titop_plant.interface import CAMERA_PERIOD, HOLD_DELAY, LOOP_DELAY
 
 
@@ -20,8 +21,6 @@ class DesignOptions:
         camera [s].
     starts : int
         Random starts of K_PMA in the paper's problem.
-    order : int
-        Of the controller that is tuned, in the paper's problem.
     seed : int
         Seed of the starts and of the worst-case search.
     wall_limit : float
@@ -32,17 +31,23 @@ class DesignOptions:
         Show a progress bar.
     short : bool
         Less effort for the robust design of the implemented loop.
+    order : int
+        Order of the controller; other than 4 in the paper's problem only.
     """
 
     nominal: bool = False
     loop_delay: float = LOOP_DELAY
     starts: int = 8
-    order: int = 4
     seed: int = 0
     wall_limit: float = 1800.0
     workers: int = 1
     progress: bool = False
     short: bool = False
+    order: int = ORDER
+
+    def __post_init__(self) -> None:
+        if self.order < 0 or (self.implemented and self.order != ORDER):
+            raise ValueError(f"order must be {ORDER} with a loop delay, at least 0 without, got {self.order}")
 
     @property
     def implemented(self) -> bool:

@@ -8,11 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from scipy import linalg
-
 from lftkit import SampledSystem
-from lftkit.arrays import FloatArray, Matrices
+from lftkit.arrays import FloatArray
 from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
@@ -24,7 +21,7 @@ from los_design.synthesis.start_choice import at_points, largest
 from los_design.synthesis.starts import random_law
 from los_design.synthesis.store import continuous
 from los_design.synthesis.task import first_points
-from los_estimator.kalman import kalman_observer
+from los_estimator.problem import kalman_of_order
 from titop_plant.telescope.assembly import Telescope
 
 Report = Callable[[str], None]
@@ -32,8 +29,6 @@ GAINS = 100.0, 10.0, 1.0, 0.1, 0.0
 """Of a random law: the largest of these at which the loop is stable at the points of the comparison."""
 POINTS, STEPS = 4, 40
 """Random points of a comparison beside the nominal one, and steps of its descents."""
-FURTHER_POLES = 20.0, 400.0
-"""Of further states of an observer of higher order [rad/s]."""
 
 
 def choose_paper_start(
@@ -64,7 +59,8 @@ def choose_paper_start(
         No start stabilises the telescope.
     """
     if OBSERVER in task.tuned:
-        x = parameters_of(task.blocks, [_observer(task, telescope), _law(task, 0, 0.0)])
+        guess = kalman_of_order(task.orders[0], telescope, task.samples.open_loop.parameters)
+        x = parameters_of(task.blocks, [gain_matrix_of(guess), _law(task, 0, 0.0)])
         if not task.stable(x):
             raise ValueError("the Kalman observer must stabilise the telescope, got a loop that is not stable")
         return x
@@ -86,36 +82,6 @@ def choose_paper_start(
         compared.append({"seed": options.seed + seed, "first": first, "reached": reached[-1][0]})
         report(f"random K_PMA, seed {options.seed + seed}: {first:.4g}, after a short descent {reached[-1][0]:.4f}")
     return min(reached, key=lambda entry: entry[0])[1]
-
-
-def _observer(task: PaperTask, telescope: Telescope) -> FloatArray:
-    """Gain matrix of the Kalman observer; of another order with its states truncated, or with further ones."""
-    system = kalman_observer(task.samples.open_loop.parameters, telescope.bodies[1]).at({})
-    order, own = task.orders[0], system.order
-    if order < own:
-        A, B, C, D = _truncated(system.matrices, order)
-        return np.block([[A, B], [C, D]])
-    K, further = gain_matrix_of(system), order - own
-    M = np.zeros((len(K) + further, K.shape[1] + further))
-    kept = np.r_[0:own, order : len(M)]
-    M[np.ix_(kept, np.r_[0:own, order : M.shape[1]])] = K
-    M[own:order, own:order] = -np.diag(np.geomspace(*FURTHER_POLES, further))
-    size = np.sqrt(np.mean(K[:own, own:] ** 2))
-    M[own:order, order:] = size * np.random.default_rng(0).standard_normal((further, M.shape[1] - order))
-    return M
-
-
-def _truncated(matrices: Matrices, order: int) -> Matrices:
-    """Balanced truncation of a stable system (Moore 1981), with its poles of the largest Hankel singular values."""
-    A, B, C, D = matrices
-    size = np.maximum(np.abs(B).max(axis=0), 1e-300)  # metres per second squared beside radians
-    reach = linalg.solve_continuous_lyapunov(A, -(B / size) @ (B / size).T)
-    seen = linalg.solve_continuous_lyapunov(A.T, -C.T @ C)
-    R, L = (linalg.cholesky(P + 1e-14 * np.trace(P) * np.eye(len(P)), lower=True) for P in (reach, seen))
-    U, hankel, Vh = linalg.svd(L.T @ R)
-    root = np.sqrt(hankel[:order])
-    T, inverse = R @ Vh[:order].T / root, (U[:, :order] / root).T @ L.T
-    return inverse @ A @ T, inverse @ B, C @ T, D
 
 
 def _law(task: PaperTask, seed: int, gain: float) -> FloatArray:

@@ -20,6 +20,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.tuning import Descent, DescentOptions, DescentState, TuningStatus, descend
 from lftkit.tuning.responses import ResponseLook, ResponseProblem, ResponseSource
+from lftkit.tuning.responses.source import soft_level
 from lftkit.tuning.rounds import Worse, in_rounds
 from los_design.search.worst_case_search import SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
@@ -98,7 +99,9 @@ def design_in_rounds(
     status = found.status if found.worse.goes_on else TuningStatus.CONVERGED
     status = status if effort.searches else found.tuned.status
     active = [task.samples.open_loop.values(p) for p in state.points]
-    return Outcome(state.x, status, _tuned(design.problem, found.tuned.point), worst, values, active, state.commits)
+    return Outcome(
+        state.x, status, _tuned(task, design.problem, found.tuned.point), worst, values, active, state.commits
+    )
 
 
 @dataclass
@@ -312,7 +315,7 @@ def reached(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
     """
     if problem.least_level:
         return {gain.name: look.value for gain in problem.gains}
-    soft = max(float(look.values[~problem.hard].max()), float(look.noise.max(initial=0.0)))
+    soft = soft_level(problem, look.values, look.noise)
     return {gain.name: 1.0 if gain.hard else soft for gain in problem.gains}
 
 
@@ -348,9 +351,9 @@ def _add(task: Task, state: RoundState, new: Sequence[WorstPoint]) -> None:
     state.added.append(len(around))
 
 
-def _tuned(problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
+def _tuned(task: Task, problem: ResponseProblem, look: ResponseLook) -> dict[str, float]:
     names = [gain.name for gain in problem.gains] + [noise.name for noise in problem.noises]
-    return dict(zip(names, np.concatenate([look.values, look.noise]).tolist()))
+    return {name: task.of_limit(name, value) for name, value in zip(names, [*look.values, *look.noise], strict=True)}
 
 
 def _line(

@@ -49,6 +49,8 @@ def continuous(system: SampledSystem) -> System:
     if not isinstance(matrices, Mapping):
         raise ValueError(f"{system.name}: the file holds no continuous controller, only the sampled one")
     A, B, C, D = (np.array(matrices[key], dtype=float) for key in "ABCD")
+    n, (rows, columns) = len(A), D.shape  # lists of no states have lost their other dimension
+    A, B, C = A.reshape(n, n), B.reshape(n, columns), C.reshape(rows, n)
     return state_space(A, *_for_loop(B, C, D, system.inputs, system.outputs))
 
 
@@ -61,6 +63,12 @@ def _for_loop(
     own = {port.name for port in K_FSM_INPUTS}
     known = (*K_FSM_INPUTS, *(port for port in inputs if port.name not in own))
     return spread_columns(B, inputs, known), C, spread_columns(D, inputs, known), known, outputs
+
+
+def shipped(path: Path) -> bool:
+    """Whether a path is that of a stored design: those that the package has are not overwritten."""
+    files = [design_file(kind, variant).resolve() for kind in DESIGN_PACKAGES for variant in VARIANTS]
+    return path.resolve() in files and path.exists()
 
 
 def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
@@ -78,7 +86,9 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
             flags = ("" if "implemented" in variant else " --loop-delay 0") + (
                 " --nominal" if "nominal" in variant else ""
             )
-            raise ValueError(f"there is no {path.name}: make it with `los-testbed design {kind}{flags}`")
+            raise ValueError(
+                f"there is no {path.name}: make it with `los-testbed design {kind}{flags} --output {path}`"
+            )
         result.append(SampledSystem.from_file(path))
     return result[0], result[1]
 

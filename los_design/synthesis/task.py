@@ -65,6 +65,10 @@ class Task:
         """What a gain of 1 stands for in a stage: what is tuned for."""
         return limits(self.samples.open_loop.parameters, stage)
 
+    def of_limit(self, name: str, value: float) -> float:
+        """A value of a gain or noise of :meth:`problem` over what :meth:`limits` says."""
+        return float(value)
+
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
         return Search(ImplementedLoop(self.samples.open_loop, *self.sampled(x), STAGE_NAMES[stage]), options)

@@ -117,7 +117,7 @@ class _Direct:
 
     def stabilised(self, x: FloatArray, seed: int) -> FloatArray | StartResult:
         """A stable point, or the result of a start that found none."""
-        if self._problem.abscissa(x) < -self._problem.min_decay:
+        if self._problem.stable(x):
             return x
         target = -max(1e-3, 2.0 * self._problem.min_decay)
         found = quasi_newton(
@@ -129,10 +129,10 @@ class _Direct:
             floor=target,
             stop=self.late,
         )
-        if self._problem.abscissa(found.x) < -self._problem.min_decay:
+        if self._problem.stable(found.x):
             return found.x
         stable, steps = stabilise(self._problem, found.x, np.random.default_rng(seed), self._limits)
-        if stable.result.objective >= -self._problem.min_decay:
+        if not self._problem.stable(stable.x):
             return unstable(stable, steps)
         return stable.x
 
@@ -177,7 +177,7 @@ class _Direct:
                     return
                 step = 10.0 ** rng.uniform(*RESTART_SIZES) * rng.standard_normal(len(before.x))
                 x = self.point.x + metric.step(step)
-                if self._problem.abscissa(x) < -self._problem.min_decay:
+                if self._problem.stable(x):
                     self._restart_from(x, metric)
             if not self.point.better_than(before, VISIBLE):
                 return

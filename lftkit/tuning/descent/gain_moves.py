@@ -49,7 +49,7 @@ def gain_moves(problem: Problem, x: FloatArray, before: FloatArray | None = None
     found = [with_gain(problem.structure, x, factor) for factor in GAINS]
     if before is not None:
         found += [x + factor * (x - before) for factor in FURTHER]
-    return [y for y in found if y is not None and problem.abscissa(y) < -problem.min_decay]
+    return [y for y in found if y is not None and problem.stable(y)]
 
 
 def descended(problem: Problem, x: FloatArray, evaluations: int, deadline: float, target: float) -> tuple[Point, int]:

@@ -25,11 +25,12 @@ WORTH_REPEATING = 0.05  # relative decrease by a smooth phase that is worth anot
 MAX_CYCLES = 4  # of smooth phase and bundle method
 ENDS = (TuningStatus.TARGET, TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED, TuningStatus.ITERATIONS)
 CUT = (TuningStatus.OUT_OF_TIME, TuningStatus.INTERRUPTED)
+ARITHMETIC = (ArithmeticError, ValueError)  # numpy and scipy raise them, LinAlgError too, for matrices out of range
 
 
 @dataclass(frozen=True)
 class StartResult:
-    """Outcome of one start."""
+    """Outcome of one start; `failure` says how its arithmetic failed."""
 
     status: TuningStatus
     x: FloatArray
@@ -39,6 +40,7 @@ class StartResult:
     stationarity: float
     evaluations: int
     iterations: int
+    failure: str = ""
 
     @property
     def settled(self) -> bool:
@@ -56,7 +58,7 @@ class StartResult:
 def screen(problem: Problem, x0: FloatArray, seed: int, limits: DescentOptions) -> StartResult:
     """Stabilise and descend for a short round of the smooth phase."""
     stable, steps = stabilise(problem, x0, np.random.default_rng(seed), limits)
-    if stable.result.objective >= -problem.min_decay:
+    if not problem.stable(stable.x):
         return unstable(stable, steps)
     found = smooth_phase(problem, stable.x, SCREENING_EVALUATIONS, limits.deadline, limits.target)
     count = stable.evaluations + found.evaluations
@@ -80,23 +82,48 @@ def tune_from(problem: Problem, x0: FloatArray, seed: int, limits: DescentOption
         Of the whole start.
     band : float
         Peaks above this fraction of the largest enter the quadratic programs.
+
+    Returns
+    -------
+    StartResult
+        Where the arithmetic fails on the way (a singular matrix, an overflow), the best point until then is ``failed``.
     """
     if not problem.structure.size:
         return only_point(problem)
-    rng = np.random.default_rng(seed)
+    try:
+        return _tuned_from(problem, x0, np.random.default_rng(seed), limits, band)
+    except ARITHMETIC as error:
+        return failed(x0, error)
+
+
+def _tuned_from(
+    problem: Problem, x0: FloatArray, rng: np.random.Generator, limits: DescentOptions, band: float
+) -> StartResult:
     stable, steps = stabilise(problem, x0, rng, limits)
-    if stable.result.objective >= -problem.min_decay:
+    if not problem.stable(stable.x):
         return unstable(stable, steps)
 
     def oracle(x: FloatArray) -> OracleResult:
         return _oracle_result(problem, problem.evaluate(x, band=band))
 
-    run = _Run(problem, oracle, limits, rng, stable.x, stable.evaluations)
+    run, failure = _Run(problem, oracle, limits, rng, stable.x, stable.evaluations), ""
     try:
         status = run.to_the_end()
     except KeyboardInterrupt:
         status = TuningStatus.INTERRUPTED
-    return _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
+    except ARITHMETIC as error:
+        status, failure = TuningStatus.FAILED, _described(error)
+    result = _result(status, run.point, run.stationarity, run.evaluations, steps + run.steps)
+    return replace(result, failure=failure)
+
+
+def failed(x0: FloatArray, error: Exception) -> StartResult:
+    """Result of a start whose arithmetic failed before it had a stable point."""
+    return StartResult(TuningStatus.FAILED, x0, np.inf, np.inf, np.inf, np.inf, 0, 0, _described(error))
+
+
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def only_point(problem: Problem, x: FloatArray | None = None) -> StartResult:
@@ -260,8 +287,11 @@ def stabilise(
 
     target = min(-0.1 * worst, -2.0 * problem.min_decay)
     own = replace(limits, iterations=min(limits.iterations, STABILISING_STEPS), tolerance=1e-5, target=target)
-    found = minimise(oracle, x0, own, rng)
-    if found.result.objective >= -problem.min_decay and found.status not in CUT:
+    if np.isfinite(worst):
+        found = minimise(oracle, x0, own, rng)
+    else:  # the loop has no solution there, and no slope
+        found = BundleResult(x0, OracleResult(worst, -np.inf, ()), TuningStatus.NOT_STABILISED, np.inf, 0, 1)
+    if not problem.stable(found.x) and found.status not in CUT:
         lowered = lowered_gain(problem, x0)
         if lowered is not None:
             result = OracleResult(problem.abscissa(lowered), -np.inf, ())

@@ -27,7 +27,7 @@ from lftkit.tuning.descent.direct_search import (
 )
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
-from lftkit.tuning.descent.single_start import StartResult, screen, tune_from
+from lftkit.tuning.descent.single_start import ARITHMETIC, StartResult, failed, screen, tune_from
 from lftkit.tuning.descent.starts import Start
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.status import TuningStatus
@@ -95,7 +95,7 @@ def run_starts(
         before = min((r.rank for r in runner.results), default=(3, np.inf))
         few, agreed = len(starts) <= CARRIED, False
         if few:
-            runner.run(_full, starts)
+            runner.run_shared(starts)
         elif direct:
             mixed = _with_perturbed(starts, runner.results)
             agreed = _run_batch(runner, mixed, direct_screen, direct_polish, FIRST if not number else len(mixed))
@@ -129,6 +129,24 @@ def run_first(
     for begin in range(0, len(starts), PORTION):
         own = starts[begin : begin + PORTION]
         runner.run(direct_cycles, _carried(own, runner.run(direct_screen, own), CARRIED_OF_PORTION))
+    return StartSearch(tuple(runner.results), runner.complete)
+
+
+def run_screened(
+    problem: Problem,
+    starts: Sequence[Start],
+    limits: DescentOptions,
+    band: float,
+    workers: int,
+    progress: Progress,
+) -> StartSearch:
+    """All starts in short descents, then the best few of them to their ends, each with an equal part of the time left.
+
+    The first results are those of the short descents, in order. Parameters are those of :func:`run_starts`.
+    """
+    runner = _Runner(problem, limits, band, workers, progress)
+    few = len(starts) <= CARRIED_OF_PORTION
+    runner.run_shared(starts if few else _carried(starts, runner.run(_screened, starts), CARRIED_OF_PORTION))
     return StartSearch(tuple(runner.results), runner.complete)
 
 
@@ -217,21 +235,36 @@ class _Runner:
         """The best so far; of equal ones the first."""
         return min(self.results, key=lambda run: run.rank)
 
-    def run(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
-        """Results of the starts that are begun before the deadline, in order."""
+    def run(self, work: Work, starts: Sequence[Start], *, shared: bool = False) -> list[StartResult]:
+        """Results of the starts that are begun before the deadline, in order; `shared`: each with its part of the time.
+
+        Parts of the time left are equal: what one start does not need, those after it have.
+        """
         if not starts or not self.going_on:
             return []
         serial = self._workers == 1 or len(starts) == 1
-        new = self._serial(work, starts) if serial else self._parallel(work, starts)
+        new = self._serial(work, starts, shared) if serial else self._parallel(work, starts, shared)
         self.complete = time.monotonic() <= self._limits.deadline
         self.results += new
         return new
 
-    def _serial(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+    def run_shared(self, starts: Sequence[Start]) -> None:
+        """Starts to their ends, each with its part of the time; where that ended the best, it goes on in the rest."""
+        self.run(_full, starts, shared=True)
+        if self.results and self.going_on and self.best.status is TuningStatus.OUT_OF_TIME:
+            self.run(_full, [Start(starts[0].seed, self.best.x)])
+
+    def _within(self, parts: int) -> DescentOptions:
+        """Limits with the first of so many equal parts of the time left."""
+        now, deadline = time.monotonic(), self._limits.deadline
+        return self._limits if parts <= 1 else replace(self._limits, deadline=now + (deadline - now) / parts)
+
+    def _serial(self, work: Work, starts: Sequence[Start], shared: bool) -> list[StartResult]:
         results: list[StartResult] = []
-        for start in starts:
+        for k, start in enumerate(starts):
             try:
-                results.append(work(self._problem, start, self._limits, self._band))
+                limits = self._within(len(starts) - k if shared else 1)
+                results.append(_attempted(work, self._problem, start, limits, self._band))
             except KeyboardInterrupt:
                 results.append(_interrupted(self._problem, start))
             self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
@@ -239,12 +272,18 @@ class _Runner:
                 break
         return results
 
-    def _parallel(self, work: Work, starts: Sequence[Start]) -> list[StartResult]:
+    def _parallel(self, work: Work, starts: Sequence[Start], shared: bool) -> list[StartResult]:
         results: list[StartResult] = []
-        remote = partial(_remote, work, self._problem, self._limits, self._band)
+        count = min(self._workers, len(starts))
+        rounds = -(-len(starts) // count) if shared else 1  # of the processes, one after another
+        first = self._within(rounds).deadline
+        part = first - time.monotonic() if rounds > 1 else 0.0
+        deadlines = [first + (k // count) * part if k >= count else first for k in range(len(starts))]
+        limits = [replace(self._limits, deadline=deadline) for deadline in deadlines]
+        remote = partial(_remote, work, self._problem, self._band)
         try:
-            with Workers(min(self._workers, len(starts))) as workers:
-                for result in workers.each(remote, list(enumerate(starts))):
+            with Workers(count) as workers:
+                for result in workers.each(remote, list(zip(range(len(starts)), starts, limits))):
                     if result is not None:
                         results.append(result)
                     self._progress.report(len(results), len(starts), best=min(r.soft for r in results))
@@ -260,6 +299,14 @@ def ended(results: Sequence[StartResult]) -> bool:
     return any(r.settled or r.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET) for r in results)
 
 
+def _attempted(work: Work, problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
+    """Result of a start; where its arithmetic fails, too, so that the other starts keep theirs."""
+    try:
+        return work(problem, start, limits, band)
+    except ARITHMETIC as error:
+        return failed(np.zeros(problem.structure.size) if start.x is None else start.x, error)
+
+
 def _full(problem: Problem, start: Start, limits: DescentOptions, band: float) -> StartResult:
     return tune_from(problem, start.parameters(problem), start.seed, limits, band)
 
@@ -268,14 +315,12 @@ def _screened(problem: Problem, start: Start, limits: DescentOptions, band: floa
     return screen(problem, start.parameters(problem), start.seed, limits)
 
 
-def _remote(
-    work: Work, problem: Problem, limits: DescentOptions, band: float, item: tuple[int, Start]
-) -> StartResult | None:
+def _remote(work: Work, problem: Problem, band: float, item: tuple[int, Start, DescentOptions]) -> StartResult | None:
     """In another process, whose steady clock is this one's: nothing is begun after the deadline but the first start."""
-    number, start = item
+    number, start, limits = item
     if number and time.monotonic() > limits.deadline:
         return None
-    return work(problem, start, limits, band)
+    return _attempted(work, problem, start, limits, band)
 
 
 def _interrupted(problem: Problem, start: Start) -> StartResult:

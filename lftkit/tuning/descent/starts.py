@@ -70,7 +70,7 @@ def lowered_gain(problem: Problem, x: FloatArray) -> FloatArray | None:
         trial = with_gain(problem.structure, x, factor)
         if trial is None:
             return None
-        if problem.abscissa(trial) < -problem.min_decay:
+        if problem.stable(trial):
             return trial
     return None
 
@@ -95,7 +95,7 @@ def _at_the_speed_of_the_plant(problem: Problem, x: FloatArray, rng: np.random.G
         trial = structure.parameters_of(System(A, K[:n, n:], K[n:, :n], K[n:, n:], structure.inputs, structure.outputs))
     except ValueError:  # a structure with fixed entries that a stable random controller does not have
         return x
-    if problem.abscissa(trial) < -problem.min_decay:
+    if problem.stable(trial):
         return trial
     lowered = lowered_gain(problem, trial)
     return x if lowered is None else lowered

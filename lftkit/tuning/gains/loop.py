@@ -146,18 +146,16 @@ class LoopSpectrum:
     Parameters
     ----------
     poles : ndarray, shape (n,), complex
+    abscissa : float
+        Largest real part [rad/s]; infinite, without poles, where the loop has no solution.
     rows, columns : ndarray, shapes (n_K + u, n) and (n_K + y, n), or None
         ``ds_i = sum(outer(rows[:, i], columns[:, i]) * dK)``; None where derivatives were not asked for.
     """
 
     poles: ComplexArray
+    abscissa: float
     rows: ComplexArray | None = None
     columns: ComplexArray | None = None
-
-    @property
-    def abscissa(self) -> float:
-        """Largest real part [rad/s]."""
-        return float(self.poles.real.max(initial=-np.inf))
 
     def gradient(self, i: int) -> ComplexArray:
         """Derivative of pole i with respect to the gain matrix."""
@@ -176,16 +174,23 @@ class LoopSpectrum:
 
 
 def spectrum(loop: ClosedLoop, *, derivatives: bool) -> LoopSpectrum:
-    """Poles of the closed loop, with derivatives if asked for."""
+    """Poles of the closed loop, with derivatives if asked for; the abscissa is the same either way, bit for bit.
+
+    Eigenvalues that come with eigenvectors differ by rounding from those that come alone: near the limit a loop would
+    be stable by one and unstable by the other. Those alone decide; the others are shifted to their abscissa.
+    """
+    alone = np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex)
+    abscissa = float(alone.real.max(initial=-np.inf))
     if not derivatives:
-        return LoopSpectrum(np.asarray(linalg.eigvals(loop.A, check_finite=False), dtype=complex))
+        return LoopSpectrum(alone, abscissa)
     values, left, right = eigenvectors(loop.A)
+    shift = abscissa - float(values.real.max()) if len(values) else 0.0
+    poles = np.minimum(values.real + shift, abscissa) + 1j * values.imag
     scale = np.sum(left.conj() * right, axis=0)
     # a defective pole has no derivative; a large finite one still points downhill
     scale = np.where(np.abs(scale) < 1e-14, 1e-14, scale)
-    return LoopSpectrum(
-        np.asarray(values, dtype=complex), loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
-    )
+    rows, columns = loop.left.T @ left.conj() / scale, np.asarray(loop.right @ right)
+    return LoopSpectrum(np.asarray(poles, dtype=complex), abscissa, rows, columns)
 
 
 def eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

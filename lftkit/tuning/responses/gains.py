@@ -54,6 +54,8 @@ class ResponseNoise:
         Weights of the integral over frequency.
     limit : float
         Error that counts as 1.
+    hard : bool
+        Met first, then kept.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ResponseNoise:
     density: FloatArray
     step: FloatArray
     limit: float
+    hard: bool = False
 
     def __post_init__(self) -> None:
         shape = (len(self.samples), self.samples.measurements)

@@ -152,7 +152,12 @@ class ResponseProblem:
     @property
     def hard(self) -> BoolArray:
         """Which gains are hard."""
-        return np.array([gain.hard for gain in self.gains])
+        return np.array([gain.hard for gain in self.gains], dtype=bool)
+
+    @property
+    def hard_noise(self) -> BoolArray:
+        """Which noises are hard."""
+        return np.array([noise.hard for noise in self.noises], dtype=bool)
 
     def controllers(self, x: FloatArray, pairs: IntArray) -> tuple[ControllerResponse, IntArray]:
         """Responses of the controllers at the different frequencies of some pairs, and each pair's index among them."""

@@ -188,7 +188,7 @@ class PairsModel:
         order = np.argsort(-lifted[entries[:, 0], entries[:, 1]], kind="stable")[:ENTRIES]
         values, gradients, owners = problem.slopes(self._x, entries[order])
         lift = np.where(problem.hard[owners], self._lift, 1.0)
-        f = np.concatenate([values * lift, self._noise])
+        f = np.concatenate([values * lift, _lifted_noise(problem, self._noise, self._lift)])
         own = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
         G = np.vstack([own, self._noise_gradients / self._noise[:, None]])
         return np.log(np.maximum(f, 1e-12)), G[:, problem.free]
@@ -224,7 +224,8 @@ class PairsModel:
         x = with_least_decay(self._problem.blocks, x)
         raw, current = self._problem.values(x), float(self.values.max())
         self._working.known = x, raw
-        found = np.concatenate([_lifted(self._problem, raw, self._lift).ravel(), self._problem.noise(x)])
+        noise = _lifted_noise(self._problem, self._problem.noise(x), self._lift)
+        found = np.concatenate([_lifted(self._problem, raw, self._lift).ravel(), noise])
         value = float(np.log(found.max())) if np.isfinite(found).all() else np.inf
         self.reached = x, (0.0, value)
         admitted = value < current - ACCEPTED * predicted and self._working.stable(x)
@@ -232,37 +233,43 @@ class PairsModel:
 
 
 def _merit(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> Merit:
-    """Largest value, hard gains lifted; where soft gains are minimised, hard ones above 1 are a violation."""
+    """Largest value, hard ones lifted; where soft ones are minimised, hard ones above 1 are a violation."""
     if problem.least_level:
-        found = _lifted(problem, raw, _lift(problem, raw, noise))
-        return 0.0, max(float(found.max()), float(noise.max(initial=0.0)))
-    hard = _hard(problem, raw)
-    return 0.0 if hard <= 1.0 + FEASIBLE else hard, _level(problem, raw, noise)
+        lift = _lift(problem, raw, noise)
+        found = float(_lifted(problem, raw, lift).max())
+        return 0.0, max(found, float(_lifted_noise(problem, noise, lift).max(initial=0.0)))
+    hard = _hard(problem, raw, noise)
+    return 0.0 if hard <= 1.0 + FEASIBLE else hard, soft_level(problem, raw, noise)
 
 
-def _level(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
-    """Largest soft value."""
-    soft = raw[~problem.hard]
-    return max(float(soft.max(initial=0.0)), float(noise.max(initial=0.0)))
+def soft_level(problem: ResponseProblem, gains: FloatArray, noise: FloatArray) -> float:
+    """Largest soft value of gains (gains, ...) and noise (noises,)."""
+    soft = gains[~problem.hard]
+    return max(float(soft.max(initial=0.0)), float(noise[~problem.hard_noise].max(initial=0.0)))
 
 
-def _hard(problem: ResponseProblem, raw: FloatArray) -> float:
+def _hard(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
     """Largest hard value."""
-    return float(raw[problem.hard].max(initial=0.0))
+    return max(float(raw[problem.hard].max(initial=0.0)), float(noise[problem.hard_noise].max(initial=0.0)))
 
 
 def _lift(problem: ResponseProblem, raw: FloatArray, noise: FloatArray) -> float:
-    """Factor of hard gains in a step: as much above the largest soft value as they are above 1.
+    """Factor of hard values in a step: as much above the largest soft value as they are above 1.
 
-    With the factor of the point that a step begins at, a step keeps hard gains that are met below 1. Where they are
+    With the factor of the point that a step begins at, a step keeps hard values that are met below 1. Where they are
     violated and soft ones are minimised, these may rise by :data:`RESTORING`.
     """
-    level = _level(problem, raw, noise)
+    level = soft_level(problem, raw, noise)
     if problem.least_level:
         return max(level, problem.least_level)
-    return level * (RESTORING if _hard(problem, raw) > 1.0 + FEASIBLE else 1.0)
+    return level * (RESTORING if _hard(problem, raw, noise) > 1.0 + FEASIBLE else 1.0)
 
 
 def _lifted(problem: ResponseProblem, raw: FloatArray, lift: float) -> FloatArray:
     """Gains, hard ones times `lift`."""
     return np.asarray(np.where(problem.hard[:, None], raw * lift, raw))
+
+
+def _lifted_noise(problem: ResponseProblem, noise: FloatArray, lift: float) -> FloatArray:
+    """Noise, hard ones times `lift`."""
+    return np.asarray(np.where(problem.hard_noise, noise * lift, noise))

@@ -1,6 +1,12 @@
 """Robust structured design: rounds of tuning on a few models and a search for the worst others.
 
 What enters is, of every requirement, one model for each of its highest peaks.
+
+The wall limit is shared. A third of it is for the given starts in the first round, or for the first random one where
+none is given: what they get is the same with further starts as without. Another third is for all further starts. A
+later round tunes for at most half of the time that is left. What a share does not need, those after it have. The best
+two ends of the first round are searched for worse parameters, both are tuned on all that were found, and the better of
+them goes on.
 """
 
 from __future__ import annotations
@@ -17,6 +23,7 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import FloatArray
 from lftkit.support.progress import Progress
 from lftkit.support.threads import one_thread
+from lftkit.tuning.descent.grid_source import FEASIBLE
 from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
@@ -38,6 +45,11 @@ from lftkit.tuning.tuner import (
     tune,
 )
 
+FIRST_SHARE = 1.0 / 3.0  # of the wall limit: of the given starts in the first round, and of all further ones
+ROUND_SHARE = 0.5  # of the time left that the tuning of a later round may take
+LEAST_SHARE = 1.0  # [s]
+CARRIED, SAME = 2, 1e-4  # ends of the first round that go on; relative difference below which two are one
+
 
 def tune_robust(
     build: Build,
@@ -48,6 +60,7 @@ def tune_robust(
     nominal: Mapping[str, float] | None = None,
     active: Sequence[Mapping[str, float]] = (),
     initial: Sequence[ArrayLike] = (),
+    candidates: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     slack: float = 0.01,
     met: float = -np.inf,
@@ -62,7 +75,7 @@ def tune_robust(
     build : callable
         From parameter values by name to a :class:`System`.
     box : mapping of str to (lowest, highest)
-    requirements, structure, initial, loop_delay
+    requirements, structure, initial, candidates, loop_delay
         As in :func:`lftkit.tuning.tune`.
     nominal : mapping, optional
         First active parameters; the middle of the box otherwise.
@@ -75,25 +88,28 @@ def tune_robust(
         between the models. A tuning whose certificate is at most that on all models is ``converged``.
     max_rounds : int
     options : TuningOptions, optional
-        The first round uses all starts, later rounds go on from the best point. `wall_limit` is for the whole.
+        The first round uses all starts, later rounds go on from the best two points, then from the better one.
+        `wall_limit` is for the whole, and shared: a start that its share ends goes on in the next round, and the
+        result depends on the clock then. A start that fails is left.
     search : WorstCaseOptions, optional
 
     Returns
     -------
     TuningResult
-        Values and certificate are those of the active models, evaluations and iterations those of all rounds.
+        Values and certificate are those of the active models, evaluations and iterations those of all rounds, starts
+        those of the first round.
     """
     options, search = options or TuningOptions(), search or WorstCaseOptions()
     start_time = time.monotonic()
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
     ready, needs = resolved_build(build, requirements, chosen[0])
-    given = [start_checked(x, structure) for x in initial]
+    given, others = ([start_checked(x, structure) for x in points] for points in (initial, candidates))
     with one_thread(), Progress("robust design", options.progress) as progress:
-        common = (loop_delay, options, search, start_time, slack, met, chosen, given, progress)
+        common = (loop_delay, options, search, start_time, slack, met, chosen, given, others, progress)
         design = _Design(ready, box, needs, structure, *common)
         found = in_rounds(design, max_rounds, deadline=design.deadline)
-    advice = _advice(found.status, found.tuned)
+    advice = _advice(found.status, found.tuned, design.starts)
     return replace(
         found.tuned,
         status=found.status,
@@ -101,6 +117,7 @@ def tune_robust(
         seconds=time.monotonic() - start_time,
         evaluations=design.evaluations,
         iterations=design.iterations,
+        starts=design.starts,
         worst=design.worst,
         active=tuple(chosen),
         rounds=tuple(design.rounds),
@@ -123,10 +140,13 @@ class _Design:
     met: float
     chosen: list[dict[str, float]]
     given: list[FloatArray]
+    candidates: list[FloatArray]
     progress: Progress
     rounds: list[Round] = field(default_factory=list)
     worst: tuple[WorstCase, ...] = ()
-    tuning: TuningResult | None = None
+    carried: list[TuningResult] = field(default_factory=list)
+    searched: list[tuple[WorstCase, ...]] = field(default_factory=list)
+    starts: tuple[float, ...] = ()
     evaluations: int = 0
     iterations: int = 0
 
@@ -140,27 +160,72 @@ class _Design:
         """With the models that are active."""
         models = [self.build(p).named(_label(p)) for p in self.chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
-        problem.limit = limits_from(self.options, start_sizes(problem, self.given, self.options.seed))
+        problem.limit = limits_from(self.options, start_sizes(problem, self.given + self.candidates, self.options.seed))
         return problem
 
     def tuned(self, number: int) -> TuningResult:
-        """All starts in the first round; later ones go on from the best point."""
-        left, problem = max(self.deadline - time.monotonic(), 1.0), self.problem
-        if self.tuning is None:
-            options = replace(self.options, wall_limit=left, progress=False)
-            common: Any = {"initial": self.given, "loop_delay": self.loop_delay, "options": options}
-            self.tuning = self._judged(tune(problem.models, self.requirements, self.structure, **common))
-            return self.tuning
-        start_time, seed, band = time.monotonic(), self.options.seed, self.options.band
-        limits = limits_of(self.options, start_time + left)
-        runs = [tune_from(problem, self.tuning.x, seed, limits, band)]
+        """All starts in the first round, of which the best two go on; later the better of those. By the worst found."""
+        first = not self.carried
+        runs = sorted(self._first_round() if first else self._gone_on(), key=_rank)
+        kept = [runs[0], *(run for run in runs[1:] if first and _another(run, runs[0]))][:CARRIED]
+        found = [(self._worst(run, number), run) for run in kept[:1]]
+        found += [(self._worst(run, number), run) for run in kept[1:] if time.monotonic() < self.deadline]
+        found.sort(key=lambda pair: self._merit(pair[0]))
+        self.carried, self.searched = [run for _, run in found], [worst for worst, _ in found]
+        return self.carried[0]
+
+    def _gone_on(self) -> list[TuningResult]:
+        runs: list[TuningResult] = []
+        for run in self.carried:
+            runs.append(self._again(run))
+            if runs[-1].status is TuningStatus.INTERRUPTED:
+                break
+        return runs
+
+    def _first_round(self) -> list[TuningResult]:
+        """The given starts, or the first random one, as they would be alone, and the further ones."""
+        options = replace(self.options, wall_limit=FIRST_SHARE * self.options.wall_limit, progress=False)
+        given = bool(self.given or self.candidates)
+        alone = replace(options, starts=0 if given else min(options.starts, 1))
+        runs = [self._started(self.given, self.candidates, alone)]
+        count = options.starts - alone.starts
+        if count and self.structure.size and not _enough(runs[0]) and time.monotonic() < self.deadline:
+            runs.append(self._started((), (), replace(options, starts=count, seed=options.seed + alone.starts)))
+        self.starts = tuple(value for run in runs for value in run.starts)
+        return runs
+
+    def _started(
+        self, given: Sequence[FloatArray], candidates: Sequence[FloatArray], options: TuningOptions
+    ) -> TuningResult:
+        left = max(min(options.wall_limit, self.deadline - time.monotonic()), LEAST_SHARE)
+        common: Any = {"loop_delay": self.loop_delay, "options": replace(options, wall_limit=left)}
+        models = self.problem.models
+        found = tune(models, self.requirements, self.structure, initial=given, candidates=candidates, **common)
+        return self._judged(found)
+
+    def _again(self, tuning: TuningResult) -> TuningResult:
+        """A tuning gone on with, on all models that are active, in its share of the time left."""
+        start_time, seed, band, problem = time.monotonic(), self.options.seed, self.options.band, self.problem
+        share = max(ROUND_SHARE * (self.deadline - start_time), LEAST_SHARE)
+        limits = limits_of(self.options, start_time + share)
+        runs = [tune_from(problem, tuning.x, seed, limits, band)]
         runs += feasibility_runs(problem, runs, seed, limits, band)
-        self.tuning = self._judged(result_of(problem, runs, time.monotonic() - start_time))
-        return self.tuning
+        return self._judged(result_of(problem, runs, time.monotonic() - start_time))
+
+    def _merit(self, worst: Sequence[WorstCase]) -> tuple[float, float]:
+        """Violation of the hard requirements and largest soft value, of the worst cases."""
+        soft, hard = self._largest(worst)
+        return hard if hard > 1.0 + FEASIBLE else 0.0, soft
+
+    def _largest(self, worst: Sequence[WorstCase]) -> tuple[float, float]:
+        soft = max((w.value for w, r in zip(worst, self.requirements) if not r.hard), default=-np.inf)
+        return soft, max((w.value for w, r in zip(worst, self.requirements) if r.hard), default=-np.inf)
 
     def _judged(self, tuning: TuningResult) -> TuningResult:
         """``converged`` where the certificate says that nothing above `met` is left on the models."""
         self.evaluations, self.iterations = self.evaluations + tuning.evaluations, self.iterations + tuning.iterations
+        if tuning.status is TuningStatus.OUT_OF_TIME and time.monotonic() < self.deadline:  # of a share alone
+            tuning = replace(tuning, status=TuningStatus.ITERATIONS, advice=TuningStatus.ITERATIONS.advice)
         ended = tuning.status is TuningStatus.TARGET or tuning.status in CUT
         if ended or not all_met(self.requirements, tuning.certificate, self.met):
             return tuning
@@ -168,10 +233,13 @@ class _Design:
 
     def worse(self, number: int, tuned: TuningResult, last: bool) -> Worse[dict[str, float]]:
         """Parameters at which a requirement exceeds what the tuning reached."""
-        self.worst = self._worst(tuned, number)
+        self.worst = self.searched[0]
         self.rounds.append(self._round(self.problem, tuned, self.worst))
         self.progress.print(_line(number, self.rounds[-1]))
-        return Worse(self._new(tuned, self.worst), unfinished=tuned.status is TuningStatus.ITERATIONS)
+        new = self._new(tuned, self.worst)
+        for run, worst in zip(self.carried[1:], self.searched[1:]):
+            new += self._new(run, worst, new) if new else []
+        return Worse(new, unfinished=tuned.status is TuningStatus.ITERATIONS)
 
     def add(self, tuned: TuningResult, worse: Worse[dict[str, float]]) -> None:
         """More models."""
@@ -184,22 +252,30 @@ class _Design:
         effort = replace(
             self.search, seed=self.search.seed + number, wall_limit=max(1.0, min(self.search.wall_limit, left))
         )
-        return worst_case(
+        found = worst_case(
             self.build, self.box, tuning.controller, self.requirements, loop_delay=self.loop_delay, options=effort
         )
+        return tuple(self._or_active(w, tuning, i) for i, w in enumerate(found))
+
+    def _or_active(self, worst: WorstCase, tuning: TuningResult, i: int) -> WorstCase:
+        """What a search found, or an active model that is worse: a search that the time ends may not come so far."""
+        k = int(np.argmax(tuning.values[i]))
+        value, omega = float(tuning.values[i, k]), float(tuning.peak_frequencies[i, k])
+        return worst if worst.value >= value else replace(worst, value=value, omega=omega, parameters=self.chosen[k])
 
     def _round(self, problem: Problem, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> Round:
-        soft = max((w.value for w, r in zip(worst, self.requirements) if not r.hard), default=-np.inf)
-        hard = max((w.value for w, r in zip(worst, self.requirements) if r.hard), default=-np.inf)
+        soft, hard = self._largest(worst)
         return Round(len(problem.models), tuning.soft, tuning.hard, soft, hard, time.monotonic() - self.start_time)
 
-    def _new(self, tuning: TuningResult, worst: tuple[WorstCase, ...]) -> list[dict[str, float]]:
+    def _new(
+        self, tuning: TuningResult, worst: tuple[WorstCase, ...], known: Sequence[dict[str, float]] = ()
+    ) -> list[dict[str, float]]:
         new: list[dict[str, float]] = []
         for w, r in zip(worst, self.requirements):
             level = (max(1.0, tuning.hard) if r.hard else max(tuning.soft, self.options.target)) * (1.0 + self.slack)
             level = level if r.hard else max(level, self.met)
             for value, parameters in ((w.value, w.parameters), *w.others):
-                if value > level and all(self._differs(parameters, c) for c in self.chosen + new):
+                if value > level and all(self._differs(parameters, c) for c in [*self.chosen, *known, *new]):
                     new.append(dict(parameters))
         return new
 
@@ -219,7 +295,28 @@ def _line(number: int, r: Round) -> str:
     )
 
 
-def _advice(status: TuningStatus, tuning: TuningResult) -> str:
+def _rank(tuning: TuningResult) -> tuple[int, float]:
+    """From the best to the worst: feasible ones by value, then by violation, then by instability."""
+    if tuning.certificate is None:
+        return 2, tuning.abscissa
+    return (0, tuning.soft) if tuning.feasible else (1, tuning.hard)
+
+
+def _another(tuning: TuningResult, best: TuningResult) -> bool:
+    """Worth being searched beside the best: as feasible as it, and not the same."""
+    (kind, value), (least, lowest) = _rank(tuning), _rank(best)
+    return kind == least < 2 and abs(value - lowest) > SAME * abs(lowest)
+
+
+def _enough(tuning: TuningResult) -> bool:
+    """No further start is wanted: interrupted, at the target, or nothing is left to lower."""
+    settled = tuning.status is TuningStatus.CONVERGED and (tuning.soft == -np.inf or tuning.advice == ALL_MET)
+    return settled or tuning.status in (TuningStatus.TARGET, TuningStatus.INTERRUPTED)
+
+
+def _advice(status: TuningStatus, tuning: TuningResult, starts: tuple[float, ...]) -> str:
+    lost = sum(np.isposinf(starts))
+    left = f"; {lost} of {len(starts)} starts ended without a feasible point" if lost else ""
     if status is TuningStatus.CONVERGED:
-        return "no worse parameters were found; a longer search or other seeds may still find some"
-    return tuning.advice if status is tuning.status else status.advice
+        return f"no worse parameters were found; a longer search or other seeds may still find some{left}"
+    return (tuning.advice if status is tuning.status else status.advice) + left

@@ -118,6 +118,13 @@ def test_table_as_json(capsys) -> None:
     [
         (["k-fsm", "--loop-delay", "-1"], "--loop-delay must be between 0 and 1 s, got -1"),
         (["k-pma", "--time-limit", "0"], "--time-limit must be between 0.001 and 1e+07 s, got 0"),
+        (["k-fsm"], "--output must be given: a file for the design"),
+        (["k-pma", "--nominal"], "--output must be given: a file for the design"),
+        (["all"], "--output must be given: a folder for the designs"),
+        (["k-fsm", f"--output={design_file('k-fsm')}"], "--output must not be that of a design that is shipped"),
+        (["all", f"--output={design_file('k-pma').parent}"], "--output must not be that of a design that is shipped"),
+        (["k-fsm", "--order", "9"], "--order must be between 0 and 8, got 9"),
+        (["k-pma", "--order", "3"], "order must be 4 with a loop delay, at least 0 without, got 3"),
         (["verify", "--samples", "-3"], "--samples must be between 0 and 1e+06, got -3"),
     ],
 )

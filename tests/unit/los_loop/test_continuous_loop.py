@@ -11,8 +11,7 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.tuning.responses import parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
-from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.pair_problem import ACTUATORS, ALONE, BOTH, OBSERVER, STAGE_NAMES
+from los_design.synthesis.pair_problem import ACTUATORS, ALONE, BOTH, OBSERVER
 from los_design.synthesis.paper_problem import TUNED, PaperSamples, PaperTask, no_pair, paper_limits
 from los_design.synthesis.starts import random_law
 from los_estimator.kalman import kalman_observer
@@ -100,7 +99,9 @@ def test_slopes_are_those_of_differences(name: str, open_loop: OpenLoop, matrice
         (value(omega, point + h * e) - value(omega, point - h * e)) / (2 * h) for e in np.eye(len(open_loop.names))
     ]
     np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
-    assert slope == pytest.approx((value(omega * np.exp(h), point) - value(omega * np.exp(-h), point)) / (2 * h), rel=1e-4)
+    assert slope == pytest.approx(
+        (value(omega * np.exp(h), point) - value(omega * np.exp(-h), point)) / (2 * h), rel=1e-4
+    )
 
 
 def task_of(open_loop: OpenLoop, stage: tuple[int, ...]) -> PaperTask:
@@ -127,9 +128,14 @@ def test_poles_are_those_of_the_connected_systems(stage: str, open_loop: OpenLoo
     loop = ContinuousLoop(open_loop, *matrices, stage)
     values = members(open_loop)[1]
     plant = control_plant(telescope().system, load_parameters()).at(values)
-    law = transform(kalman_observer(load_parameters(), telescope().bodies[1]), outputs={"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])})
+    law = transform(
+        kalman_observer(load_parameters(), telescope().bodies[1]),
+        outputs={"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])},
+    )
     systems = {"plant": plant, "mirror": law, "forces": random_law(2, 1.0)}
-    wires = [(f"plant.{p.name}", f"mirror.{p.name}") for p in law.inputs] + [("mirror.fsm_command", "plant.fsm_command")]
+    wires = [(f"plant.{p.name}", f"mirror.{p.name}") for p in law.inputs] + [
+        ("mirror.fsm_command", "plant.fsm_command")
+    ]
     if stage == "fsm+pma":
         wires += [("plant.accel_Ip", "forces.accel_Ip"), ("forces.pma_force", "plant.pma_force")]
     else:

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all
+from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
@@ -23,18 +23,20 @@ if TYPE_CHECKING:
     from lftkit import SampledSystem
     from los_design.synthesis.options import DesignOptions
 
-MAKE_EXAMPLES = """Tune {what} and store it in its designs folder.
+MAKE_EXAMPLES = """Tune {what} and write it to a file; a shipped design is never overwritten.
 
 Where it was interrupted, or ended by its time limit, the same command goes on in its descent or after its last search
 (not without a loop delay).
 
 **Examples**
 
-    los-testbed design {kind}                          # as implemented, over the whole box of parameters
+    los-testbed design {kind} --output mine.json                   # as implemented, over the whole box of parameters
 
-    los-testbed design {kind} --loop-delay 0           # the paper's continuous problem
+    los-testbed design {kind} --output mine.json --nominal         # on the nominal model alone
 
-    los-testbed design {kind} --nominal                # on the nominal model alone
+    los-testbed design {kind} --output mine.json --loop-delay 0    # the paper's continuous problem
+
+    los-testbed design {kind} --output mine.json --loop-delay 0 --order 2
 
     los-testbed design {kind} --output mine.json --time-limit 60
 
@@ -45,13 +47,16 @@ WITH_OBSERVER = """
     los-testbed design k-pma --k-fsm mine_observer.json --output mine.json  # on this observer
 """
 
+MAX_ORDER = 8
+
 design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help="Make and check the controllers.")
 
 Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
 Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
 Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
 Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
-Output = Annotated[Path | None, typer.Option(help="File to write; default: the stored design.")]
+Order = Annotated[int, typer.Option(help="Order of the controller; other than 4 with --loop-delay 0 only.")]
+Output = Annotated[Path | None, typer.Option(help="File to write; must be given.")]
 
 
 @design_app.command("k-fsm", help=MAKE_EXAMPLES.format(what="the observer K_FSM", kind="k-fsm", more=""))
@@ -61,12 +66,13 @@ def k_fsm(
     time_limit: Limit = 1800.0,
     seed: DesignSeed = 0,
     starts: Starts = 0,
+    order: Order = 4,
     parameters: Telescope = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
     """See MAKE_EXAMPLES."""
-    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts), parameters, None, output, json_)
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts, order), parameters, None, output, json_)
 
 
 @design_app.command(
@@ -78,21 +84,23 @@ def k_pma(
     time_limit: Limit = 1800.0,
     seed: DesignSeed = 0,
     starts: Starts = 0,
+    order: Order = 4,
     parameters: Telescope = None,
     k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
     """See MAKE_EXAMPLES."""
-    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts), parameters, k_fsm, output, json_)
+    _make("k-pma", _options(nominal, loop_delay, time_limit, seed, starts, order), parameters, k_fsm, output, json_)
 
 
-def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int) -> DesignOptions:
+def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, starts: int, order: int) -> DesignOptions:
     from los_design.synthesis.options import DesignOptions
 
     number("--loop-delay", loop_delay, 0.0, 1.0, "s")
     number("--seed", seed, 0, 2**31 - 1)
     number("--starts", starts, 0, 10_000)
+    number("--order", order, 0, MAX_ORDER)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     return DesignOptions(
         nominal=nominal,
@@ -100,6 +108,7 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
         wall_limit=time_limit,
         seed=seed,
         starts=starts,
+        order=order,
         progress=True,
     )
 
@@ -118,11 +127,7 @@ def _make(
     from titop_plant.simulation.build import telescope
     from titop_plant.telescope.parameters import design_basis, load_parameters, parameters_hash
 
-    if output is None and (file is not None or observer is not None):
-        raise ValueError(
-            "--output must be given with --parameters or --k-fsm, got none: the stored design is not theirs"
-        )
-    path = output or design_file(kind, options.variant)
+    path = given_output(output, "a file for the design")
     check_output(path, "--output")
     parameters, assembled = load_parameters(file), telescope(None if file is None else str(file))
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")

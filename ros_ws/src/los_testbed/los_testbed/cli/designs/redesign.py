@@ -63,6 +63,24 @@ ROUNDS_OF_ALL = 0.4
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
 
 
+def given_output(output: Path | None, what: str) -> Path:
+    """What --output names.
+
+    Raises
+    ------
+    ValueError
+        It is not given, or a design that the package has would be overwritten.
+    """
+    from los_design.synthesis.store import DESIGN_PACKAGES, shipped
+
+    if output is None:
+        raise ValueError(f"--output must be given: {what}; those that are shipped are never overwritten")
+    for path in (output, *(output / f"{kind.replace('-', '_')}.json" for kind in DESIGN_PACKAGES)):
+        if shipped(path):
+            raise ValueError(f"--output must not be that of a design that is shipped, got {path}")
+    return output
+
+
 def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str] = ()) -> None:
     """Refuse a folder that cannot be used before any work is done, and keep the telescope's values in it.
 
@@ -111,7 +129,7 @@ def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> No
 @with_cluster
 def design_all(
     *,
-    output: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the designs.")],
+    output: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the designs; must be given.")] = None,
     parameters: Telescope = None,
     uncertain: Uncertain = None,
     seed: DesignSeed = 0,
@@ -133,13 +151,14 @@ def design_all(
     from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
     from titop_plant.telescope.tables.uncertain import with_uncertain
 
+    folder = given_output(output, "a folder for the designs")
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     own = with_uncertain(load_parameters(parameters), uncertain or ())
     if certify and (devices := Placed.of(own)) != NO_DEVICES:
         names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
         raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
-    check_output(output, parameters, uncertain or ())
+    check_output(folder, parameters, uncertain or ())
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):
         sys.stderr.write(f"sources: the tuning does not see {', '.join(unseen)}; the verification does\n")
     for line in differences(parameters or REFERENCE):
@@ -148,16 +167,16 @@ def design_all(
 
     def verify_further(report: Callable[[str], None]) -> tuple[Mapping[str, Any], list[str]]:
         nonlocal mission
-        mission = verify_mission(output, report)
+        mission = verify_mission(folder, report)
         return mission.to_mapping(), mission.not_met
 
     until = time.monotonic() + time_limit
-    kept = told_how_to_go_on("rounds and designs so far", output, without=("--anew",))
+    kept = told_how_to_go_on("rounds and designs so far", folder, without=("--anew",))
     with cluster.workers() as pool, kept:
         with Progress("design") as bar:
             summary = redesign.design_all(
                 own,
-                output,
+                folder,
                 seed=seed,
                 effort=effort,
                 resume=resume,
@@ -167,8 +186,8 @@ def design_all(
                 workers=pool,
                 verify_further=verify_further,
             )
-        bounds = _proven(own, output, pool, until) if certify else ()
-    show_implemented(output, summary.check.to_mapping(), list(summary.not_met), json_, bounds, mission)
+        bounds = _proven(own, folder, pool, until) if certify else ()
+    show_implemented(folder, summary.check.to_mapping(), list(summary.not_met), json_, bounds, mission)
 
 
 def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:

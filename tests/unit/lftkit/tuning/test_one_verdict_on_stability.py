@@ -1,0 +1,152 @@
+"""All phases of a start judge stability alike, and a start whose arithmetic fails does not end the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from lftkit.systems.system import System
+from lftkit.tuning import DescentOptions, HinfGain, TuningOptions, gain, tune
+from lftkit.tuning.descent.single_start import screen, tune_from
+from lftkit.tuning.feasibility import feasibility_runs
+from lftkit.tuning.problem import Problem
+from lftkit.tuning.structures.structures import AffineStructure
+
+PORTS: Any = [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)]
+LIMITS = DescentOptions(iterations=5)
+STATES = 160
+"""Of a plant: above some hundred, eigenvalues alone and those with eigenvectors differ by rounding."""
+SEEDS = range(4)
+
+
+def modes(seed: int) -> System:
+    """Light modes in random coordinates, one force and one rate."""
+    rng = np.random.default_rng(seed)
+    A = linalg.block_diag(*([[0.0, w], [-w, -0.01 * w]] for w in np.geomspace(0.5, 300.0, STATES // 2)))
+    Q: Any = linalg.qr(rng.standard_normal((STATES, STATES)))[0]
+    b = rng.standard_normal((STATES, 1))
+    B, C = Q.T @ np.hstack([b, b]), np.vstack([b.T, np.zeros((1, STATES)), b.T]) @ Q
+    D = np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    return System(Q.T @ A @ Q, B, C, D, *PORTS)
+
+
+def problem_at_the_limit(seed: int) -> tuple[Problem, np.ndarray]:
+    """A problem and a controller: the limit is between the abscissae of the two ways to compute eigenvalues."""
+    structure, x = gain([("y", 1)], [("u", 1)]), np.array([-1e-3])
+    needs = [HinfGain("w", "z"), HinfGain("w", "effort", bound=50.0, hard=True)]
+    plant = modes(seed)
+    A: Any = Problem([plant], needs, structure).closed(0, structure.gain_matrix(x)).A
+    with_vectors: Any = linalg.eig(A, left=True, right=True, check_finite=False)[0]
+    limits = [values.real.max() for values in (linalg.eigvals(A, check_finite=False), with_vectors)]
+    return Problem([plant], needs, structure, min_decay=-0.5 * float(sum(limits))), x
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_way_to_the_poles_has_the_same_abscissa(seed: int) -> None:
+    """Of loops at the limit, of others, and of those beyond the limit of the gains; bit for bit."""
+    problem, x = problem_at_the_limit(seed)
+    problem.limit = 1e8
+    for k in (x, -x, 1e3 * x, np.full(1, 1e9)):
+        abscissa = problem.abscissa(k)
+        slopes, plain = problem.evaluate(k), problem.evaluate(k, gradients=False)
+        assert abscissa == problem.stability_pieces(k, 1.0)[0] == slopes.abscissa == plain.abscissa
+        assert problem.stable(k) == bool(plain.poles) == bool(slopes.poles)
+        assert all(margin < 0.0 for margin, _ in slopes.barriers)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_start_at_the_limit_has_a_result(seed: int) -> None:
+    """Where rounding decides, a start is stabilised or it is not; both are results."""
+    problem, x = problem_at_the_limit(seed)
+    for result in (screen(problem, x, 0, LIMITS), tune_from(problem, x, 0, LIMITS, 0.3)):
+        assert not result.failure
+        assert problem.stable(result.x) == bool(np.isfinite(result.soft))
+        assert np.isfinite(result.soft) or result.status == "not_stabilised"
+
+
+def test_a_start_in_a_singular_algebraic_loop_is_not_stabilised() -> None:
+    """y = x + u with u = y has no solution; the other start has."""
+    matrices = [[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 0.0], [0.0, 1.0]]
+    plant = System(*matrices, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)])
+    problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 1)], [("u", 1)]))
+    x = np.array([1.0])
+    assert problem.stability_pieces(x, 1.0) == (np.inf, []) and not problem.evaluate(x).poles
+    result = tune([plant], [HinfGain("w", "z")], problem.structure, initial=[x, [0.0]], options=TuningOptions(starts=0))
+    assert np.isfinite(result.soft) and result.soft <= 1.0
+
+
+class Failing:
+    """Gain whose computation fails for positive values."""
+
+    inputs, outputs, order, size = gain([("y", 1)], [("u", 1)]).inputs, gain([("y", 1)], [("u", 1)]).outputs, 0, 1
+
+    def __init__(self, error: type[Exception]) -> None:
+        self._error = error
+
+    def gain_matrix(self, x: np.ndarray) -> np.ndarray:
+        if x[0] > 0.0:
+            raise self._error("out of range")
+        return x.reshape(1, 1)
+
+    def pullback(self, x: np.ndarray, G: np.ndarray) -> np.ndarray:
+        return G.ravel()
+
+    def start(self, rng: np.random.Generator) -> np.ndarray:
+        return -np.abs(rng.standard_normal(1))
+
+
+def lag() -> System:
+    return System([[-1]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], *PORTS)
+
+
+NEEDS = [HinfGain("w", "z"), HinfGain("w", "effort", bound=0.8, hard=True)]
+
+
+@pytest.mark.parametrize(
+    ("error", "workers"),
+    [
+        (FloatingPointError, 1),
+        (linalg.LinAlgError, 1),
+        (ZeroDivisionError, 1),
+        (ValueError, 1),
+        (linalg.LinAlgError, 2),
+    ],
+)
+def test_a_start_whose_arithmetic_fails_is_counted_and_the_others_go_on(error: type[Exception], workers: int) -> None:
+    structure: Any = Failing(error)
+    options = TuningOptions(starts=0, workers=workers)
+    result = tune([lag()], NEEDS, structure, initial=[[1.0], [-0.5]], options=options)
+    assert result.soft == pytest.approx(0.2, rel=1e-3) and result.starts[0] == np.inf
+    assert "1 of 2 starts failed" in result.advice and "out of range" in result.advice
+
+
+@pytest.mark.parametrize("error", [TypeError, AttributeError, IndexError, KeyError])
+def test_mistakes_of_the_program_are_not_taken_for_arithmetic(error: type[Exception]) -> None:
+    structure: Any = Failing(error)
+    with pytest.raises(error):
+        tune([lag()], NEEDS, structure, initial=[[1.0], [-0.5]], options=TuningOptions(starts=0))
+
+
+def test_what_a_start_had_reached_before_its_arithmetic_failed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bundle method fails; the point of the smooth phase before it stays."""
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise FloatingPointError("overflow")
+
+    monkeypatch.setattr("lftkit.tuning.descent.single_start.minimise", fail)
+    structure = gain([("y", 1)], [("u", 1)])
+    assert isinstance(structure, AffineStructure)
+    result = tune([lag()], NEEDS, structure, initial=[[-0.5]], options=TuningOptions(starts=0))
+    assert result.status == "failed" and result.soft < 0.3 and "overflow" in result.advice
+
+
+def test_no_minimisation_of_violations_ends_a_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the starts on the hard requirements alone may fail."""
+    problem = Problem([lag()], NEEDS, gain([("y", 1)], [("u", 1)]))
+    worse = tune_from(problem, np.array([-0.5]), 0, LIMITS, 0.3)
+    monkeypatch.setattr(Problem, "stability_pieces", lambda *_: (_ for _ in ()).throw(FloatingPointError("overflow")))
+    assert feasibility_runs(problem, [worse], 0, LIMITS, 0.3) == []
+    assert tune_from(problem, np.array([-0.5]), 0, LIMITS, 0.3).status == "failed"

@@ -1,0 +1,84 @@
+"""Controllers of other orders in the paper's problem: their starts, and files that load again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lftkit import SampledSystem
+from lftkit.analysis.frequency_response import frequency_response
+from lftkit.tuning import TuningOptions, tune
+from lftkit.tuning.structures.structures import controller
+from los_design.synthesis import synthesis
+from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.starts import random_law
+from los_design.synthesis.store import continuous
+from los_estimator.problem import kalman_start, observer_plant, observer_structure
+from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.simulation.build import telescope
+
+OMEGA = np.geomspace(1e-2, 1e3, 30)
+
+
+def kalman_of(order: int, parameters):
+    structure = observer_structure(observer_plant(telescope(), parameters), order=order)
+    return controller(structure, kalman_start(structure, telescope(), parameters))
+
+
+def test_the_kalman_start_of_higher_order_is_the_same_observer(parameters) -> None:
+    """More states, which decay and have no effect yet; those of order 4 are as they were."""
+    expected = frequency_response(kalman_of(4, parameters), OMEGA)
+    for order in (5, 8):
+        found = kalman_of(order, parameters)
+        assert found.order == order and np.linalg.eigvals(found.A).real.max() < 0.0
+        np.testing.assert_allclose(frequency_response(found, OMEGA), expected, rtol=1e-6, atol=1e-12)
+        assert np.all(np.abs(found.B[4:]).max(axis=1) > 0.0) and not found.C[:, 4:].any()
+
+
+def test_the_kalman_start_of_lower_order_is_truncated(parameters) -> None:
+    size = np.abs(frequency_response(kalman_of(4, parameters), OMEGA)).max()
+    errors = []
+    for order in (0, 1, 2, 3):
+        found = kalman_of(order, parameters)
+        assert found.order == order
+        errors.append(
+            np.abs(frequency_response(found, OMEGA) - frequency_response(kalman_of(4, parameters), OMEGA)).max()
+        )
+    assert errors[0] == pytest.approx(size) and errors[2] <= errors[0]
+
+
+@pytest.mark.parametrize("order", range(9))
+def test_random_laws_of_every_order_are_stable_and_small(order: int) -> None:
+    law = random_law(3, order=order)
+    assert law.order == order and np.any(frequency_response(law, OMEGA))
+    assert order == 0 or np.linalg.eigvals(law.A).real.max() < 0.0
+
+
+@pytest.mark.parametrize("order", [0, 1, 6])
+def test_a_design_of_another_order_is_stored_and_loads_again(order: int, parameters, tmp_path, monkeypatch) -> None:
+    """Both controllers, K_PMA behind that K_FSM; with next to no effort."""
+
+    def briefly(models, requirements, structure, *, initial=(), candidates=(), **_):
+        starts = [*initial, *candidates][:1]
+        options = TuningOptions(starts=0, iterations=1, wall_limit=1.0)
+        return tune(models, requirements, structure, initial=starts, options=options)
+
+    monkeypatch.setattr(synthesis, "tune", briefly)
+    options = DesignOptions(nominal=True, loop_delay=0.0, order=order)
+    k_fsm = synthesis.design_observer(telescope(), parameters, options)
+    k_pma = synthesis.design_actuators(telescope(), parameters, k_fsm, options)
+    ports = (K_FSM_INPUTS, K_FSM_OUTPUTS), (K_PMA_INPUTS, K_PMA_OUTPUTS)
+    for kind, system, (inputs, outputs) in zip(("k-fsm", "k-pma"), (k_fsm, k_pma), ports):
+        system.require(inputs, outputs, 1e-3)
+        system.to_file(tmp_path / "k.json")
+        again = SampledSystem.from_file(tmp_path / "k.json")
+        assert all(np.array_equal(getattr(system, name), getattr(again, name)) for name in "ABCD")
+        assert continuous(again).order == order and continuous(again).inputs == inputs
+        flag = f" --order {order}"
+        assert again.provenance["command"] == f"los-testbed design {kind} --nominal --loop-delay 0 --seed 0{flag}"
+        assert again.provenance["starts"]
+
+
+def test_other_orders_are_refused_with_a_loop_delay() -> None:
+    with pytest.raises(ValueError, match="order must be 4 with a loop delay, at least 0 without, got 3"):
+        DesignOptions(order=3)
