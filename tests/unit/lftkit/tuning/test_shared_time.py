@@ -94,6 +94,11 @@ def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monke
         monkeypatch.undo()
 
 
+def test_same_seed_same_bits_with_several_starts() -> None:
+    first, again = (design(2, initial=[[-0.1]]) for _ in range(2))
+    assert first.x.tobytes() == again.x.tobytes() and first.starts == again.starts and first.worst == again.worst
+
+
 def scaled(p: Mapping[str, float]) -> System:
     """z = (1 + (1 + 10 p) k) w / (s + 1) with u = k w."""
     B, D = [[1.0, 1.0 + 10.0 * p["p"]]], [[0.0, 0.0], [1.0, 0.0]]
