@@ -19,7 +19,14 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.read.mcap.records import OP_ATTACHMENT_INDEX, OP_CHUNK_INDEX, OP_METADATA_INDEX, BagError
+from pointing_analysis.read.mcap.records import (
+    OP_ATTACHMENT_INDEX,
+    OP_CHANNEL,
+    OP_CHUNK,
+    OP_CHUNK_INDEX,
+    OP_METADATA_INDEX,
+    BagError,
+)
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
@@ -101,3 +108,14 @@ def test_a_summary_with_records_shorter_than_their_head_is_not_believed(bags: Ba
     (bag / "bag_0.mcap").write_bytes(put_together(found, True))
     shutil.rmtree(new, ignore_errors=True)
     assert repair_bag(bag, new).messages == len(bags.content)
+
+
+def test_topics_of_lost_channels_are_those_of_metadata_yaml(bags: Bags) -> None:
+    """No chunk and no channel is left, and the statistics count by the numbers of channels."""
+    left = [record for record in bags.found if record[0] not in (OP_CHUNK, OP_CHANNEL)]
+    bag, new = changed(bags, [], trusted=True), bags.folder / "new"
+    (bag / "bag_0.mcap").write_bytes(put_together(left, True))
+    shutil.rmtree(new, ignore_errors=True)
+    with pytest.raises(BagError, match=f"got none of the {len(bags.content)} that were recorded"):
+        repair_bag(bag, new)
+    assert not new.exists()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pointing_analysis.arrays import IntArray
-from pointing_analysis.read.mcap.bag_metadata import REPAIR_NAME, merged, value_of
+from pointing_analysis.read.mcap.bag_metadata import OWN_LIBRARY, REPAIR_NAME, merged, value_of
 from pointing_analysis.read.mcap.records import Block, FileInfo
 
 NANO = 1e9
@@ -23,8 +23,6 @@ CONTRADICTIONS, MAX_TOLD = "contradictions", 200
 """Entry in the record of a repair: contradictions in the bag that was repaired, so many at most."""
 REPEATED = "repeated"
 """Entry in the record of a repair: by topic, messages of the new bag whose number others of it have as well."""
-NUMBERED = "los-testbed"
-"""Begin of the name of the library whose files number the messages of each topic."""
 ORIGIN = "origin"
 """Entry in the record of a repair: log time [ns] from which the times of its losses count."""
 LAST = "last"
@@ -127,7 +125,7 @@ def _numbered(infos: Sequence[FileInfo]) -> bool:
     """Whether the messages are numbered: by the header, or, where that is lost, by manifests, which no other writes."""
     if len(infos) != 1 or ENDS in merged(infos, REPAIR_NAME)[0]:
         return False
-    return infos[0].library.startswith(NUMBERED) or bool(infos[0].expected)
+    return infos[0].library.startswith(OWN_LIBRARY) or bool(infos[0].expected)
 
 
 def _is_count(value: object) -> bool:
@@ -284,8 +282,8 @@ class LossLedger:
         pieces = sorted(self._topics[topic].pieces) if topic in self._topics else []
         expected = [info.expected[number] for number in channels if number in info.expected]
         total = max([e.last_sequence for e in expected], default=0)
-        if info.statistics is not None:
-            counted = max((info.statistics.get(number, 0) for number in channels), default=0)
+        if channels and info.statistics is not None:  # which name channels by their numbers
+            counted = max(info.statistics.get(number, 0) for number in channels)
             total = max(total, counted - _repeated_in_repair(infos, topic))
         elif topic in counts:
             total = max(total, counts[topic] - _repeated_in_repair(infos, topic))

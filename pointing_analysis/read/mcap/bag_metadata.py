@@ -27,6 +27,8 @@ BUDGET_EDGE = "band_edge_rad_s"
 """Key in there of the frequency between slow and fast tones [rad/s]."""
 HASH = "metadata_sha256"
 """Key of the hash in a metadata record."""
+OWN_LIBRARY = "los-testbed"
+"""Begin of the name of the library whose files have settings and number the messages of each topic."""
 
 
 def with_hash(table: Mapping[str, str]) -> dict[str, str]:
@@ -60,6 +62,8 @@ def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[s
         found.update({key: value for key, value in table.items() if key != HASH})
     if problems and not found:
         problems.append(f"nothing is known of the run: no metadata record {name} agrees with its hash")
+    if name == METADATA_NAME and not records and any(info.library.startswith(OWN_LIBRARY) for info in infos):
+        problems.append(f"nothing is known of the run: the file was recorded with a metadata record {name} and has none")
     return found, problems
 
 

@@ -276,3 +276,11 @@ def test_a_chunk_that_is_missing_behind_its_manifest_leaves_the_bag_not_whole(ba
     (bag / "bag_0.mcap").write_bytes(put_together(found, True))
     rows = {row.name: row for row in check_bag(bag).rows}
     assert rows["digests of chunks"].state == "damaged" and "2 of 3" in rows["digests of chunks"].found
+
+
+def test_a_bag_without_settings_and_manifests_says_that_it_had_them(bag: Path) -> None:
+    """With all of both taken out nothing in the file contradicts it, but for the library that its header names."""
+    before = Run.open(bag)
+    assert not before.problems and before.parameters["mode"] == "inprocess"
+    run = changed(bag, [record for record in apart(bag) if record[0] not in (OP_METADATA, OP_MANIFEST)])
+    assert any("was recorded with a metadata record" in text for text in run.problems), run.problems
