@@ -41,8 +41,8 @@ DESIGNS = {"k-fsm": "K_FSM", "k-pma": "K_PMA"}
 PROBLEMS = {
     "implemented": "as implemented, robust",
     "implemented_nominal": "as implemented, nominal",
-    "paper": "paper's problem, robust",
-    "paper_nominal": "paper's problem, nominal",
+    "robust": "robust",
+    "nominal": "nominal",
     "published, robust": "*the paper, robust*",
     "published, nominal": "*the paper, nominal*",
     "nominal, family": "nominal, over the family",

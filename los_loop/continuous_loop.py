@@ -71,10 +71,10 @@ class ContinuousLoop(ImplementedLoop):
         """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22)."""
         k_fsm, k_pma = self.matrices
         out = np.zeros((len(omega), self.placed.commands, MEASUREMENTS), complex)
-        out[:, MIRROR] = _responses(k_fsm, MIRROR.stop - MIRROR.start, 1j * omega)
+        out[:, MIRROR] = _responses(k_fsm, MIRROR.stop - MIRROR.start, omega)
         if self.stage in FORCE_STAGES:
             forces = self.placed.force_columns
-            out[:, forces, PLATFORM] = _responses(k_pma, forces.stop - forces.start, 1j * omega)
+            out[:, forces, PLATFORM] = _responses(k_pma, forces.stop - forces.start, omega)
         return out
 
     def decay(self, values: Mapping[str, float]) -> float:
@@ -109,14 +109,15 @@ def joint_gain_matrix(mirror: FloatArray, force_law: FloatArray, *, forces: bool
     return K
 
 
-def _responses(K: FloatArray, outputs: int, s: ComplexArray) -> ComplexArray:
-    """``D + C (s I - A)^-1 B`` of a gain matrix at N values of s, shape (N, outputs, inputs)."""
+def _responses(K: FloatArray, outputs: int, omega: FloatArray) -> ComplexArray:
+    """``D + C (s I - A)^-1 B`` of a gain matrix at N frequencies [rad/s], shape (N, outputs, inputs)."""
     n = len(K) - outputs
     A, B, C, D = K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:]
     if n == 0:
-        return np.broadcast_to(D, (len(s), *D.shape)).astype(complex)
-    entered = np.broadcast_to(B.astype(complex), (len(s), *B.shape))
-    return np.asarray(D + C @ solve(s[:, None, None] * np.eye(n) - A, entered))
+        return np.asarray(np.broadcast_to(D, (len(omega), *D.shape)), dtype=complex)
+    entered = np.broadcast_to(B.astype(complex), (len(omega), *B.shape))
+    shifted = np.asarray(1j * omega[:, None, None] * np.eye(n) - A, dtype=complex)
+    return np.asarray(D + C @ solve(shifted, entered))
 
 
 __all__ = [

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from lftkit import SampledSystem
-from los_design.figures.stage_curves import NAMES, ContinuousLoop
+from los_design.figures.stage_curves import NAMES, PaperStages
 from titop_plant.interface import STAGES
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
 
-KINDS = ("k_fsm", "k_pma")
+KINDS, FAMILY = ("k_fsm", "k_pma"), "family_worst_cases"
+"""Stems of the files, and in their provenance the worst members of a nominal design over the family."""
 DESIGNS = {"robust": "", "nominal": "_nominal"}
 """Name of a pair of designs to what its files have behind the kind."""
 
@@ -81,9 +82,9 @@ class PaperCase:
         """Without fine control."""
         return disturbance_responses(self.file)
 
-    def loop(self, design: str) -> ContinuousLoop:
+    def loop(self, design: str) -> PaperStages:
         """The stages with a pair of designs."""
-        return ContinuousLoop.of(self.telescope, self.parameters, self.responses, self.pairs[design])
+        return PaperStages.of(self.telescope, self.parameters, self.responses, self.pairs[design])
 
     @cached_property
     def worst_members(self) -> list[dict[str, float]]:
@@ -92,7 +93,7 @@ class PaperCase:
             tuple(sorted(case["parameters"].items())): dict(case["parameters"])
             for pair in self.pairs.values()
             for system in pair
-            for case in system.provenance.get("worst_cases", ())
+            for case in (*system.provenance.get("worst_cases", ()), *system.provenance.get(FAMILY, ()))
         }
         return [values for values in found.values() if values]
 

@@ -76,7 +76,7 @@ def sampled_curve(
 
 
 @dataclass(frozen=True)
-class ContinuousLoop:
+class PaperStages:
     """The stages of the paper's problem, closed once with the uncertainty kept in them.
 
     Parameters
@@ -97,7 +97,7 @@ class ContinuousLoop:
         parameters: Parameters,
         responses: DisturbanceResponses,
         pair: tuple[SampledSystem, SampledSystem],
-    ) -> ContinuousLoop:
+    ) -> PaperStages:
         """Close the continuous controllers of a pair of designs around the plants that they were designed on.
 
         Raises

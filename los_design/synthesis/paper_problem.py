@@ -200,7 +200,8 @@ class PaperTask(Task):
 
     def loop(self, x: FloatArray, stage: tuple[int, ...]) -> ContinuousLoop:
         """The loop of a stage."""
-        return ContinuousLoop(self.samples.open_loop, *gain_matrices(self.blocks, x), STAGE_NAMES[stage])
+        k_fsm, k_pma = gain_matrices(self.blocks, x)
+        return ContinuousLoop(self.samples.open_loop, k_fsm, k_pma, STAGE_NAMES[stage])
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""

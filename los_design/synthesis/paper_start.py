@@ -72,9 +72,10 @@ def choose_paper_start(
     problem, reached = small.problem(), list[tuple[float, FloatArray]]()
     for seed in range(max(1, options.starts)):
         laws = (parameters_of(task.blocks, [mirror, _law(task, options.seed + seed, gain)]) for gain in GAINS)
-        x = next((law for law in laws if all(task.stable(law, values) for values in at)), None)
-        if x is None:
+        stable = [law for law in laws if all(task.stable(law, values) for values in at)]
+        if not stable:
             raise ValueError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
+        x = stable[0]
         first = largest(problem, x)
         found = descend(ResponseSource(problem, task.stable), x, DescentOptions(STEPS, TOLERANCE, 0.0)).x
         found = found if all(task.stable(found, values) for values in at) else x

@@ -15,7 +15,7 @@ from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
-VARIANTS = ("implemented", "implemented_nominal", "paper", "paper_nominal")
+VARIANTS = ("implemented", "implemented_nominal")
 
 
 def design_file(kind: str, variant: str = "implemented") -> Path:
@@ -83,9 +83,7 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
     for kind in ("k-fsm", "k-pma"):
         path = design_file(kind, variant)
         if not path.exists():
-            flags = ("" if "implemented" in variant else " --loop-delay 0") + (
-                " --nominal" if "nominal" in variant else ""
-            )
+            flags = " --nominal" if "nominal" in variant else ""
             raise ValueError(
                 f"there is no {path.name}: make it with `los-testbed design {kind}{flags} --output {path}`"
             )

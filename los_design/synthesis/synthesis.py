@@ -230,7 +230,7 @@ def _paper_task(
     samples = PaperSamples(continuous_open_loop(telescope, parameters), options.workers)
     given = ORDERS[0] if observer is None else continuous(observer).order
     orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
-    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,)}[tuned]
+    stages = (ALONE,) if tuned == (OBSERVER,) else (BOTH,)
     return PaperTask(samples, stages, tuned, no_pair, options.seed, options.wall_limit, workers, orders=orders)
 
 

@@ -20,7 +20,7 @@ from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.verification.stage_check import StageCheck, check_stages, grid
 from los_estimator.problem import observer_plant
-from los_loop.figures_of_merit import figure, gain_figures, paper_figures
+from los_loop.figures_of_merit import figure, gain_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margins, rounded
 from los_loop.open_loop import OpenLoop
@@ -344,19 +344,15 @@ def _delays(
     return {name: value for name, value in found.items() if CLOSINGS[name][0] in stages}
 
 
-def failures(paper: Mapping[str, list[float]], checks: Mapping[str, ImplementedCheck]) -> list[str]:
+def failures(checks: Mapping[str, ImplementedCheck]) -> list[str]:
     """One line for each loop that is unstable somewhere; empty if the verification holds.
 
     Parameters
     ----------
-    paper : mapping
-        Result of :func:`check_paper`.
     checks : mapping
         Name to result of :func:`check_implemented`.
     """
-    found = [
-        f"the paper's problem, {kind}: unstable" for kind, gammas in paper.items() if not np.isfinite(gammas).all()
-    ]
+    found: list[str] = []
     for name, check in checks.items():
         if check.stable < check.count:
             found.append(f"{name}: unstable at {check.count - check.stable} of {check.count} points")
@@ -396,12 +392,9 @@ def check_paper(
     second = actuator_plant(telescope, parameters, observer)
     measured = tuple(port.name for port in K_PMA_INPUTS)
     alone, both = (paper_requirements(parameters, stage) for stage in MIRROR_STAGES)
-    forces = _certified(second, actuators, measured, both, at)
-    # over the whole authority, as the paper counts
-    shares = [row.allowed for row in paper_figures(MIRROR_STAGES[-1])]
     return {
         "fsm": _certified(first, observer, MEASURED, alone, at),
-        "pma": [gamma * share for gamma, share in zip(forces, shares, strict=True)],
+        "pma": _certified(second, actuators, measured, both, at),
     }
 
 

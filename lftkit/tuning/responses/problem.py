@@ -296,6 +296,8 @@ class ResponseProblem:
             total += float(each[0].sum())
         H /= max(total, 1.0)
         for k, entry in enumerate(self.noises):
+            if not noise[k] > 0.0:
+                continue
             at, indices, closed, K = self._noise_loop(x, k)
             Kn = K * entry.density[:, None, :]
             R = np.eye(K.shape[2]) * entry.density[:, None, :] + closed.Pyu @ (closed.S @ Kn)

@@ -190,7 +190,7 @@ class PairsModel:
         lift = np.where(problem.hard[owners], self._lift, 1.0)
         f = np.concatenate([values * lift, _lifted_noise(problem, self._noise, self._lift)])
         own = gradients * (lift / np.maximum(values * lift, 1e-12))[:, None]
-        G = np.vstack([own, self._noise_gradients / self._noise[:, None]])
+        G = np.vstack([own, self._noise_gradients / np.maximum(self._noise, 1e-300)[:, None]])
         return np.log(np.maximum(f, 1e-12)), G[:, problem.free]
 
     @property

@@ -63,7 +63,9 @@ def merged(infos: Sequence[FileInfo], name: str = METADATA_NAME) -> tuple[dict[s
     if problems and not found:
         problems.append(f"nothing is known of the run: no metadata record {name} agrees with its hash")
     if name == METADATA_NAME and not records and any(info.library.startswith(OWN_LIBRARY) for info in infos):
-        problems.append(f"nothing is known of the run: the file was recorded with a metadata record {name} and has none")
+        problems.append(
+            f"nothing is known of the run: the file was recorded with a metadata record {name} and has none"
+        )
     return found, problems
 
 

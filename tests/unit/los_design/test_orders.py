@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lftkit import SampledSystem
 from lftkit.analysis.frequency_response import frequency_response
-from lftkit.tuning import TuningOptions, tune
 from lftkit.tuning.structures.structures import controller
-from los_design.synthesis import synthesis
+from los_design.synthesis import paper_start, synthesis
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.starts import random_law
 from los_design.synthesis.store import continuous
@@ -57,14 +58,9 @@ def test_random_laws_of_every_order_are_stable_and_small(order: int) -> None:
 @pytest.mark.parametrize("order", [0, 1, 6])
 def test_a_design_of_another_order_is_stored_and_loads_again(order: int, parameters, tmp_path, monkeypatch) -> None:
     """Both controllers, K_PMA behind that K_FSM; with next to no effort."""
-
-    def briefly(models, requirements, structure, *, initial=(), candidates=(), **_):
-        starts = [*initial, *candidates][:1]
-        options = TuningOptions(starts=0, iterations=1, wall_limit=1.0)
-        return tune(models, requirements, structure, initial=starts, options=options)
-
-    monkeypatch.setattr(synthesis, "tune", briefly)
-    options = DesignOptions(nominal=True, loop_delay=0.0, order=order)
+    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
+    monkeypatch.setattr(paper_start, "STEPS", 1)
+    options = DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1)
     k_fsm = synthesis.design_observer(telescope(), parameters, options)
     k_pma = synthesis.design_actuators(telescope(), parameters, k_fsm, options)
     ports = (K_FSM_INPUTS, K_FSM_OUTPUTS), (K_PMA_INPUTS, K_PMA_OUTPUTS)
@@ -74,9 +70,9 @@ def test_a_design_of_another_order_is_stored_and_loads_again(order: int, paramet
         again = SampledSystem.from_file(tmp_path / "k.json")
         assert all(np.array_equal(getattr(system, name), getattr(again, name)) for name in "ABCD")
         assert continuous(again).order == order and continuous(again).inputs == inputs
-        flag = f" --order {order}"
-        assert again.provenance["command"] == f"los-testbed design {kind} --nominal --loop-delay 0 --seed 0{flag}"
-        assert again.provenance["starts"]
+        flags = f" --order {order} --starts 1"
+        assert again.provenance["command"] == f"los-testbed design {kind} --nominal --loop-delay 0 --seed 0{flags}"
+        assert ("starts" in again.provenance) == (kind == "k-pma")
 
 
 def test_other_orders_are_refused_with_a_loop_delay() -> None:

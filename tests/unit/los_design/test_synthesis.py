@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from small_loop import SmallFamily, small_controllers, small_plant
 
 from los_design.search.worst_case_search import SearchOptions
-from los_design.synthesis import starts, synthesis
+from los_design.synthesis import synthesis
 from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.rounds import Effort
-from los_design.synthesis.starts import screened, zero_controller
+from los_design.synthesis.starts import stored_start, zero_controller
 from los_design.synthesis.store import continuous, load_designs
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop
-from los_loop.sampled_loop_norms import weighted_response
+from los_loop.spec import NO_DEVICES
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant, telescope
 from titop_plant.telescope.parameters import design_basis, uncertain_parameters
@@ -109,12 +106,15 @@ def test_a_pair_is_designed_for_the_implemented_loop_only(parameters) -> None:
 def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None:
     matrices = []
     for kind in PORTS:
-        start = starts.stored_start(kind)
+        start = stored_start(kind)
         matrices.append(np.block([[start.A, start.B], [start.C, start.D]]))
     assembled, options = telescope(), DesignOptions(nominal=True)
     loop = sampled_loop(
         control_loop_plant(assembled, parameters).at({}),
-        *(synthesis._sampled(k, synthesis._state_space(M), parameters, options, None) for k, M in zip(PORTS, matrices)),
+        *(
+            synthesis._sampled(k, synthesis._state_space(k, M, NO_DEVICES), parameters, options, None)
+            for k, M in zip(PORTS, matrices)
+        ),
         loop="fsm+pma",
         frame_ticks=20,
     )
@@ -128,39 +128,6 @@ def test_options_name_variant_and_delays() -> None:
     assert (paper.hold_delays, paper.delay, paper.variant) == ({}, 0.0, "paper_nominal")
     assert (DesignOptions().variant, DesignOptions(nominal=True).variant) == ("implemented", "implemented_nominal")
     assert DesignOptions(loop_delay=2e-4).hold_delays["command_hold"] == 2e-4
-
-
-CANDIDATES = [{"stiffness": k} for k in (1.0, 40.0, 64.0, 9.0, 130.0, 70.0)]
-
-
-@pytest.mark.parametrize("with_observer", [False, True])
-def test_screened_points_are_the_worst_in_their_bands(with_observer: bool, parameters, monkeypatch) -> None:
-    """Four corners and two random points, compared one by one in each band."""
-    family = SmallFamily()
-    drawn = []
-
-    def sample_values(rng, count: int):
-        drawn.append((rng.integers(1 << 30), count))
-        return CANDIDATES[4:]
-
-    stand_in = SimpleNamespace(at=family.at, sample_values=sample_values)
-    monkeypatch.setattr(starts, "control_loop_plant", lambda *_: stand_in)
-    monkeypatch.setattr(starts, "parameter_corners", lambda _: CANDIDATES[:4])
-    k_fsm = small_controllers()[0] if with_observer else None
-    found = screened(None, parameters, k_fsm, 7)
-    assert drawn == [(np.random.default_rng(7).integers(1 << 30), 32)]
-    best = []
-    for low, high in ((50.0, 300.0), (300.0, 430.0), (430.0, 520.0), (520.0, 800.0)):
-        peaks = []
-        for values in CANDIDATES:
-            plant = small_plant(values["stiffness"])
-            pair = k_fsm or zero_controller("k-fsm"), zero_controller("k-pma")
-            loop = sampled_loop(plant, *pair, loop="fsm" if with_observer else "isolator", frame_ticks=20)
-            omega, _, relative = weighted_response(loop, plant, parameters, 50.0)
-            peaks.append(relative[(omega > low) & (omega <= high)].max())
-        best.append(CANDIDATES[int(np.argmax(peaks))])
-    assert len({v["stiffness"] for v in best}) >= 3
-    assert sorted(v["stiffness"] for v in found) == sorted({v["stiffness"] for v in best})
 
 
 @pytest.mark.parametrize("kind", ["k-fsm", "k-pma"])

@@ -50,7 +50,7 @@ same command goes on with them after an interrupt.
 NOMINAL_POINTS = 60
 """Parameter points at which the nominal design is looked at."""
 
-VERIFIED = ("implemented", "implemented_nominal", "paper")
+VERIFIED = ("implemented", "implemented_nominal")
 """Variants of the stored designs that are evaluated."""
 
 
@@ -154,7 +154,7 @@ def _of_folder(
 def _stored(
     samples: int, workers: Workers, uncertain: Sequence[str], output: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Values of the stored designs, robust, nominal and without delay, and what fails."""
+    """Values of the stored designs, robust and nominal, and what fails."""
     from los_design.search.worst_points import load_adversarial
     from los_design.synthesis.store import load_designs
     from los_design.verification.verification import (
@@ -163,7 +163,6 @@ def _stored(
         failures,
         verification_points,
     )
-    from los_loop.margins import rounded
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant, telescope
     from titop_plant.telescope.assembly import build_telescope
@@ -185,37 +184,18 @@ def _stored(
             implemented = check_implemented(system, parameters, *pair, at, step, workers=kept)
             alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
             spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=kept)
-        paper = _without_delay(assembled, parameters, system)
         checks = {
             "robust design": implemented,
             "nominal design, nominal model": alone,
             "nominal design, uncertain model": spread,
         }
         result = {
-            "paper": {name: [rounded(gamma) for gamma in gammas] for name, gammas in paper.items()},
             "implemented": implemented.to_mapping(),
             "nominal_design": {"nominal_model": alone.to_mapping(), "uncertain_model": spread.to_mapping()},
         }
-        failed = failures(paper, checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
+        failed = failures(checks) + [f"robust design: {line}" for line in broken_requirements(implemented)]
         _write(output, {**result, "failures": failed})
     return result, failed
-
-
-def _without_delay(assembled: Any, parameters: Parameters, system: Any) -> dict[str, list[float]]:
-    """Gammas of the continuous loops of the paper's problem, at some corners, random and stored worst points."""
-    import numpy as np
-
-    from los_design.synthesis.store import load_designs
-    from los_design.verification.verification import check_paper
-    from titop_plant.telescope.parameters import parameter_corners
-
-    corners, rng = parameter_corners(parameters), np.random.default_rng(1)
-    points: list[Any] = [{}, *corners[:: max(1, len(corners) // 8)], *system.sample_values(rng, 4)]
-    robust = load_designs("paper")
-    for design in robust:
-        points += [w["parameters"] for w in design.provenance.get("worst_cases", [])]
-    with Progress("continuous loops of the paper"):
-        return check_paper(assembled, parameters, *robust, points)
 
 
 def _write(output: Path | None, content: dict[str, Any]) -> None:
