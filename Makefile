@@ -18,7 +18,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks forgeries faults lint style types types-of-tests stages paper reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks forgeries faults lint style types types-of-tests stages paper paper-designs reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -33,6 +33,7 @@ help:
 	@echo "                SEED=N repeats what one of these four has found: they print it"
 	@echo "make stages     the four stages of control side by side"
 	@echo "make paper      figures and tables of docs/paper.md: the paper's own problem, from the stored designs"
+	@echo "make paper-designs  its four designs anew, in examples/paper/designs (most of an hour, resumable)"
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
 	@echo "make image-pictures  docs/figures/star.png and target.png anew"
@@ -108,6 +109,9 @@ forgeries: $(EVERYTHING)
 
 faults: $(EVERYTHING)
 	$(BIN)/python tests/fuzz/fault_campaign.py $(MINUTES) $(SEED)
+
+paper-designs: $(READY)
+	$(BIN)/python examples/paper/designs.py --only nominal & $(BIN)/python examples/paper/designs.py --only robust && wait $$!
 
 paper: $(READY)
 	$(BIN)/python examples/paper/all.py docs/figures/paper

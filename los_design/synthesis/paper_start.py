@@ -1,6 +1,7 @@
 """Starts of a design of the paper's problem: the Kalman observer for K_FSM, random laws for K_PMA.
 
-Random laws are compared after a short descent at few parameter points, and the best of them is designed.
+Random laws are compared after a short descent at few parameter points, with K_FSM if both are tuned, and the best of
+them is designed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from lftkit.tuning import DescentOptions, descend
 from lftkit.tuning.responses import ResponseSource, parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.pair_problem import OBSERVER
+from los_design.synthesis.pair_problem import ACTUATORS
 from los_design.synthesis.paper_problem import PaperTask
 from los_design.synthesis.rounds import TOLERANCE
 from los_design.synthesis.start_choice import at_points, largest
@@ -47,7 +48,7 @@ def choose_paper_start(
     telescope : Telescope
     options : DesignOptions
     observer : SampledSystem or None
-        K_FSM that is given, if it is not tuned.
+        K_FSM that is given; it stays as it is, or is the start where both are tuned.
     report : callable
         Receives one line for each start that is compared.
     compared : list of dict
@@ -58,14 +59,14 @@ def choose_paper_start(
     ValueError
         No start stabilises the telescope.
     """
-    if OBSERVER in task.tuned:
-        guess = kalman_of_order(task.orders[0], telescope, task.samples.open_loop.parameters)
-        x = parameters_of(task.blocks, [gain_matrix_of(guess), _law(task, 0, 0.0)])
+    parameters = task.samples.open_loop.parameters
+    guess = kalman_of_order(task.orders[0], telescope, parameters) if observer is None else continuous(observer).at({})
+    mirror = gain_matrix_of(guess)
+    if ACTUATORS not in task.tuned:
+        x = parameters_of(task.blocks, [mirror, _law(task, 0, 0.0)])
         if not task.stable(x):
             raise ValueError("the Kalman observer must stabilise the telescope, got a loop that is not stable")
         return x
-    assert observer is not None
-    mirror = gain_matrix_of(continuous(observer).at({}))
     points = first_points(task, 0 if options.nominal else POINTS)
     small, at = at_points(task, points), [task.samples.open_loop.values(point) for point in points]
     assert isinstance(small, PaperTask)

@@ -62,6 +62,13 @@ NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0
 PAPER_EFFORT = Effort(rounds=30, points=30, first=150, iterations=60, target=0.0, searches=(QUICK, THOROUGH))
 """Effort of a robust design of the paper's problem, whose largest soft value is minimised."""
 
+STAGES_OF: Mapping[tuple[int, ...], tuple[tuple[int, ...], ...]] = {
+    (OBSERVER,): (ALONE,),
+    (ACTUATORS,): (BOTH,),
+    (OBSERVER, ACTUATORS): (ALONE, BOTH),
+}
+"""Stages whose requirements count, by the controllers that are tuned."""
+
 Report = Callable[[str], None]
 
 
@@ -134,10 +141,13 @@ def design_pair(
     report: Report = _silent,
     kept: Kept | None = None,
     workers: Workers | None = None,
+    observer: SampledSystem | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
-    """Tune both controllers of the implemented loop together.
+    """Tune both controllers together.
 
     A telescope without proof-mass actuators has the stage of the mirror alone: K_FSM is tuned for it, K_PMA is zero.
+    In the paper's problem K_FSM keeps the goals of its own stage: of the many observers with the same largest figure
+    this is one behind which K_PMA is good.
 
     Parameters
     ----------
@@ -150,18 +160,18 @@ def design_pair(
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
     workers : Workers, optional
         Of the searches; default: as many processes as the options say. The result does not depend on them.
+    observer : SampledSystem, optional
+        K_FSM that a design of the paper's problem begins with; default: the Kalman observer.
 
     Returns
     -------
     (K_FSM, K_PMA)
         With the same provenance.
     """
-    if not options.implemented:
-        raise ValueError("both controllers are designed together for the implemented loop only, got no loop delay")
     kinds = ["k-fsm", "k-pma"]
     if STAGE_NAMES[BOTH] in control_stages(parameters):
         tuned = (OBSERVER, ACTUATORS)
-        return _designed(telescope, parameters, options, report, tuned, kinds, kept=kept, workers=workers)
+        return _designed(telescope, parameters, options, report, tuned, kinds, observer, kept, workers)
     k_fsm, _ = _designed(telescope, parameters, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
     made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
@@ -230,15 +240,14 @@ def _paper_task(
     samples = PaperSamples(continuous_open_loop(telescope, parameters), options.workers)
     given = ORDERS[0] if observer is None else continuous(observer).order
     orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
-    stages = (ALONE,) if tuned == (OBSERVER,) else (BOTH,)
-    return PaperTask(samples, stages, tuned, no_pair, options.seed, options.wall_limit, workers, orders=orders)
+    return PaperTask(samples, STAGES_OF[tuned], tuned, no_pair, options.seed, options.wall_limit, workers, orders=orders)
 
 
 def _task(
     telescope: Telescope, parameters: Parameters, options: DesignOptions, tuned: tuple[int, ...], workers: Workers
 ) -> Task:
     """The task for a telescope, with no parameter points yet."""
-    stages = {(OBSERVER,): (ALONE,), (ACTUATORS,): (BOTH,), (OBSERVER, ACTUATORS): (ALONE, BOTH)}[tuned]
+    stages = STAGES_OF[tuned]
 
     placed = Placed.of(parameters)
 
