@@ -24,13 +24,13 @@ from titop_plant.simulation.build import telescope
 from titop_plant.telescope.parameters import load_parameters, parameters_hash
 
 HERE = Path(__file__).parent
-OBSERVER_ORDER = 4  # of the K_FSM behind which every K_PMA is designed
+OBSERVER_ORDER, STARTS = 4, 8  # of the K_FSM behind which every K_PMA is designed; random starts of K_PMA
 NAMES = {"k-fsm": "k_fsm", "k-pma": "k_pma"}
 
 
 def options_of(order: int, limit: float) -> DesignOptions:
     """Those of the nominal design of the paper's problem."""
-    return DesignOptions(nominal=True, loop_delay=0.0, order=order, wall_limit=limit)
+    return DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=STARTS, wall_limit=limit)
 
 
 def file_of(folder: Path, kind: str, order: int) -> Path:
@@ -62,11 +62,11 @@ def designed(
 
 
 def row_of(order: int, systems: dict[str, SampledSystem]) -> dict[str, Any]:
-    """What the table says of an order: gammas, status, seconds and the values of all starts of both controllers."""
+    """What the table says of an order: gammas, status and seconds of both controllers."""
     row: dict[str, Any] = {"order": order}
     for kind, system in systems.items():
         made = system.provenance
-        row[kind] = {"gammas": made["tuned_values"], **{name: made[name] for name in ("status", "seconds", "starts")}}
+        row[kind] = {"gammas": made["tuned_values"], **{name: made[name] for name in ("status", "seconds")}}
     return row
 
 
@@ -86,7 +86,7 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=HERE / "orders.json")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    rows, limit = [], given.time_limit
+    rows, limit = list[dict[str, Any]](), given.time_limit
     behind = designed(given.folder, "k-fsm", options_of(OBSERVER_ORDER, limit), given.parameters, None)
     for order in (int(text) for text in given.orders.split(",")):
         options = options_of(order, limit)
@@ -94,8 +94,8 @@ def main() -> int:
             "k-fsm": designed(given.folder, "k-fsm", options, given.parameters, None),
             "k-pma": designed(given.folder, "k-pma", options, given.parameters, behind),
         }
-        rows.append(row_of(order, systems))
-        print(json.dumps(rows[-1]), flush=True)
+        rows = sorted([*rows, row_of(order, systems)], key=lambda row: row["order"])
+        print(json.dumps(row_of(order, systems)), flush=True)
         telescope_hash = parameters_hash(load_parameters(given.parameters))
         write(given.output, {"parameters_hash": telescope_hash, "k_fsm_order": OBSERVER_ORDER, "orders": rows})
     return 0

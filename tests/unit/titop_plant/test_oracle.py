@@ -41,9 +41,12 @@ class Case:
         return oracle.assemble(self.parameters, *self.telescope.bodies, values, control_inertia=self.inertia, **options)
 
 
-@pytest.fixture(scope="module")
-def case() -> Case:
-    parameters = load_parameters()
+PAPER = Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml"
+
+
+@pytest.fixture(scope="module", params=[None, PAPER], ids=["reference", "paper"])
+def case(request: pytest.FixtureRequest) -> Case:
+    parameters = load_parameters(request.param)
     telescope = build_telescope(parameters)
     nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
     inertia = oracle.total_inertia(oracle.assemble(parameters, *telescope.bodies, nominal).M)
