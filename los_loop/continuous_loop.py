@@ -7,7 +7,9 @@ with other responses of the commands; what is asked is :func:`los_loop.figures_o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
@@ -16,7 +18,7 @@ from lftkit import System
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.loop import extended_plant
-from los_loop.figures_of_merit import FigureOfMerit, paper_figures
+from los_loop.figures_of_merit import FigureOfMerit, figure, paper_figures
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MEASUREMENTS, MIRROR, PLATFORM
@@ -36,9 +38,22 @@ def continuous_open_loop(telescope: Telescope, parameters: Parameters) -> OpenLo
     return OpenLoop(continuous_plant(telescope, parameters), parameters, held=False)
 
 
-def paper_gains(stage: str) -> tuple[FigureOfMerit, ...]:
-    """What the paper's problem asks of the controller of a stage, but for the noise."""
-    return tuple(row for row in paper_figures(stage) if not row.is_noise)
+PROOF_MASSES_TO = 350.0
+"""Frequency [rad/s] above which K_PMA adds little: behind the isolator's modes."""
+
+
+def _fine_limit(parameters: Parameters, stage: str) -> float:
+    return float(parameters["weights"]["rpe_limit_fine"])
+
+
+FINE = replace(figure("RPE"), name="RPE, fine", limit=_fine_limit, band=(PROOF_MASSES_TO, math.inf))
+"""What a robust K_FSM is asked for, too: the limit of both controllers, where the proof masses do not act."""
+
+
+def paper_gains(stage: str, fine: bool = False) -> tuple[FigureOfMerit, ...]:
+    """What the paper's problem asks of the controller of a stage, but for the noise; `fine`: :data:`FINE` of K_FSM."""
+    asked = tuple(row for row in paper_figures(stage) if not row.is_noise)
+    return (*asked, FINE) if fine and stage not in FORCE_STAGES else asked
 
 
 class ContinuousLoop(ImplementedLoop):
@@ -52,16 +67,21 @@ class ContinuousLoop(ImplementedLoop):
         Gain matrices ``[[A, B], [C, D]]``, shapes (n + 2, n + 22) and (m + 6, m + 6): from the measurements behind
         their washout to the estimate [rad], from the platform's accelerations to the forces [N].
     stage : {"fsm", "fsm+pma"}
+    fine : bool
+        Whether K_FSM is asked for :data:`FINE`, too.
     """
 
-    def __init__(self, open_loop: OpenLoop, k_fsm: FloatArray, k_pma: FloatArray, stage: str) -> None:
+    def __init__(
+        self, open_loop: OpenLoop, k_fsm: FloatArray, k_pma: FloatArray, stage: str, fine: bool = False
+    ) -> None:
+        self.fine = fine
         self.open, self.system, self.parameters = open_loop, open_loop.system, open_loop.parameters
         self.stage, self.names, self.placed = stage, open_loop.names, open_loop.placed
         self.matrices = mirror_law(k_fsm, float(self.parameters["fsm"]["los_sensitivity"])), k_pma
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the paper's problem asks for, by name."""
-        return loop_metrics(self.parameters, self.stage, rows=paper_gains(self.stage))
+        return loop_metrics(self.parameters, self.stage, rows=paper_gains(self.stage, self.fine))
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """None: the response of the LFT is that of the loop."""

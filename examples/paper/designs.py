@@ -18,13 +18,13 @@ from typing import Any
 
 from lftkit import SampledSystem
 from lftkit.support.threads import one_thread
+from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.figures.paper_case import FAMILY
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.provenance import digest
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import QUICK, design_actuators, design_observer, design_pair
-from lftkit.tuning.structures.structures import gain_matrix_of
 from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES

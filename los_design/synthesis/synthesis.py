@@ -240,7 +240,9 @@ def _paper_task(
     samples = PaperSamples(continuous_open_loop(telescope, parameters), options.workers)
     given = ORDERS[0] if observer is None else continuous(observer).order
     orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
-    return PaperTask(samples, STAGES_OF[tuned], tuned, no_pair, options.seed, options.wall_limit, workers, orders=orders)
+    fine = not options.nominal
+    common = options.seed, options.wall_limit, workers
+    return PaperTask(samples, STAGES_OF[tuned], tuned, no_pair, *common, orders=orders, fine=fine)
 
 
 def _task(

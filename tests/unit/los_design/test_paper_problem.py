@@ -45,7 +45,7 @@ def test_the_nominal_k_fsm_is_at_the_bound_of_the_mirror(k_fsm) -> None:
     gammas = dict(zip((r.name for r in asked), found.upper[:, 0]))
     assert found.abscissae.max() < 0.0
     for name, value in k_fsm.provenance["tuned_values"].items():
-        assert gammas[name] == pytest.approx(value, rel=2e-3)
+        assert gammas[name] == pytest.approx(value, rel=5e-3)  # samples beside a peak
     reach = parameters["fsm"]["authority"] * parameters["fsm"]["los_sensitivity"]
     floor = (largest_error(parameters) - reach * gammas["mirror"]) / parameters["weights"]["ape_limit"]
     assert floor * (1.0 - 1e-3) <= gammas["APE"] <= floor * 1.01
