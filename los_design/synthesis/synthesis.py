@@ -323,4 +323,5 @@ def _command(kind: str, options: DesignOptions) -> str:
         flags = " --nominal" if options.nominal else ""
         flags += f" --seed {options.seed}" + (" --effort short" if options.short else "")
     flags += f" --order {options.order}" if options.order != ORDERS[0] else ""
-    return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if options.starts else "")
+    random = kind == "k-pma" and not options.implemented and options.starts != DesignOptions.starts
+    return f"los-testbed design {kind}{flags}" + (f" --starts {options.starts}" if random else "")

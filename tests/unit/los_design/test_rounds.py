@@ -16,6 +16,7 @@ from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis import rounds
+from los_design.synthesis import task as task_module
 from los_design.synthesis.pair_problem import BOTH
 from los_design.synthesis.rounds import MAX_NEW, Effort, design_in_rounds
 from los_design.synthesis.task import Task
@@ -62,14 +63,14 @@ class Bench:
         self.searched: list[tuple[int, tuple[str, ...], int]] = []
         self.answers, self.status, self.lost, self.value = iter(answers), status, list(lost), value
         self.samples = FewSamples()
-        monkeypatch.setattr(rounds, "pair_problem", self.problem)
+        monkeypatch.setattr(task_module, "pair_problem", self.problem)
         monkeypatch.setattr(rounds, "descend", self.descend)
-        monkeypatch.setattr(rounds, "limits", lambda parameters, stage: SHARES)
+        monkeypatch.setattr(task_module, "limits", lambda parameters, stage: SHARES)
 
     def problem(self, samples, stages, tuned, threads):
         gains = tuple(SimpleNamespace(name=name) for name in SHARES)
         noises = (SimpleNamespace(name="noise"),)
-        return SimpleNamespace(samples=samples.points, gains=gains, noises=noises)
+        return SimpleNamespace(samples=samples.points, gains=gains, noises=noises, least_level=1.0)
 
     def descend(self, source, x, options, report, keep, goes_on):
         assert source.stable(x)

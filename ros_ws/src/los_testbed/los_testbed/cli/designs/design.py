@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 MAKE_EXAMPLES = """Tune {what} and write it to a file; a shipped design is never overwritten.
 
-Where it was interrupted, or ended by its time limit, the same command goes on in its descent or after its last search
-(not without a loop delay).
+Where it was interrupted, or ended by its time limit, the same command goes on in its descent or after its last search.
 
 **Examples**
 
@@ -54,7 +53,7 @@ design_app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True, help
 Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model alone.")]
 Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
 Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
-Starts = Annotated[int, typer.Option(help="Random starts beside the given one.")]
+Starts = Annotated[int, typer.Option(help="Random starts, with --loop-delay 0.")]
 Order = Annotated[int, typer.Option(help="Order of the controller; other than 4 with --loop-delay 0 only.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; must be given.")]
 
@@ -65,14 +64,13 @@ def k_fsm(
     loop_delay: Delay = LOOP_DELAY,
     time_limit: Limit = 1800.0,
     seed: DesignSeed = 0,
-    starts: Starts = 0,
     order: Order = 4,
     parameters: Telescope = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
     """See MAKE_EXAMPLES."""
-    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, starts, order), parameters, None, output, json_)
+    _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, 1, order), parameters, None, output, json_)
 
 
 @design_app.command(
@@ -83,7 +81,7 @@ def k_pma(
     loop_delay: Delay = LOOP_DELAY,
     time_limit: Limit = 1800.0,
     seed: DesignSeed = 0,
-    starts: Starts = 0,
+    starts: Starts = 8,
     order: Order = 4,
     parameters: Telescope = None,
     k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
@@ -99,7 +97,7 @@ def _options(nominal: bool, loop_delay: float, time_limit: float, seed: int, sta
 
     number("--loop-delay", loop_delay, 0.0, 1.0, "s")
     number("--seed", seed, 0, 2**31 - 1)
-    number("--starts", starts, 0, 10_000)
+    number("--starts", starts, 1, 10_000)
     number("--order", order, 0, MAX_ORDER)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     return DesignOptions(
