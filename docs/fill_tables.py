@@ -41,7 +41,8 @@ DESIGNS = {"k-fsm": "K_FSM", "k-pma": "K_PMA"}
 PROBLEMS = {
     "implemented": "as implemented, robust",
     "implemented_nominal": "as implemented, nominal",
-    "robust": "robust",
+    "robust": "robust, with the other",
+    "robust, alone": "robust, alone",
     "nominal": "nominal",
     "published, robust": "*the paper, robust*",
     "published, nominal": "*the paper, nominal*",

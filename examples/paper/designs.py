@@ -96,7 +96,7 @@ class Designs:
         def k_fsm(kept: Kept) -> SampledSystem:
             return design_observer(self.telescope, self.parameters, options, said("k_fsm"), kept)
 
-        (first,) = self.made("build/k_fsm_alone", k_fsm, key)
+        (first,) = self.made("k_fsm_alone", k_fsm, key)
 
         def pair(kept: Kept) -> tuple[SampledSystem, SampledSystem]:
             return design_pair(self.telescope, self.parameters, options, said("pair"), kept, observer=first)

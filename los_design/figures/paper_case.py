@@ -17,6 +17,7 @@ from titop_plant.simulation.disturbance_responses import Curve, DisturbanceRespo
 from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.parameters import Parameters, load_parameters
 
+ALONE = "k_fsm_alone.json"
 KINDS, FAMILY = ("k_fsm", "k_pma"), "family_worst_cases"
 """Stems of the files, and in their provenance the worst members of a nominal design over the family."""
 DESIGNS = {"robust": "", "nominal": "_nominal"}
@@ -39,12 +40,15 @@ class PaperCase:
     samples : int
         Random members of the family beside the nominal one and the worst ones of the designs.
     seed : int
+    alone : SampledSystem, optional
+        The robust K_FSM before it was tuned together with K_PMA.
     """
 
     file: str | None
     pairs: Mapping[str, Pair]
     samples: int = 16
     seed: int = 0
+    alone: SampledSystem | None = None
     _clouds: dict[str, dict[str, list[Curve]]] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -65,7 +69,8 @@ class PaperCase:
         file = folder / "telescope.toml"
         if not file.is_file():
             raise ValueError(f"the folder must hold telescope.toml, got none in {folder}")
-        return cls(str(file), pairs, samples, seed)
+        alone = folder / "designs" / ALONE
+        return cls(str(file), pairs, samples, seed, SampledSystem.from_file(alone) if alone.is_file() else None)
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -86,13 +91,16 @@ class PaperCase:
         """The stages with a pair of designs."""
         return PaperStages.of(self.telescope, self.parameters, self.responses, self.pairs[design])
 
+    @property
+    def _alone(self) -> tuple[SampledSystem, ...]:
+        return () if self.alone is None else (self.alone,)
+
     @cached_property
     def worst_members(self) -> list[dict[str, float]]:
         """Parameters that the designs' files name as worst for one of their requirements, each once."""
         found = {
             tuple(sorted(case["parameters"].items())): dict(case["parameters"])
-            for pair in self.pairs.values()
-            for system in pair
+            for system in (*(system for pair in self.pairs.values() for system in pair), *self._alone)
             for case in (*system.provenance.get("worst_cases", ()), *system.provenance.get(FAMILY, ()))
         }
         return [values for values in found.values() if values]

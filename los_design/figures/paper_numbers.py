@@ -61,6 +61,14 @@ def gammas(case: PaperCase) -> list[Row]:
             for short, stage in SHORT_NAMES.items():
                 names = [row.name for row in paper_figures(stage)]
                 rows.append(_row(short, f"published, {label}", dict(zip(names, PUBLISHED[label][short]))))
+    if case.alone is not None:
+        pair = case.alone, case.pairs["robust"][1]
+        found, (short, stage) = (
+            check_paper(case.telescope, case.parameters, *pair, family),
+            next(iter(SHORT_NAMES.items())),
+        )
+        names = [row.name for row in paper_figures(stage)]
+        rows.insert(0, _row(short, "robust, alone", dict(zip(names, found[short])), case.alone.provenance["status"]))
     return sorted(rows, key=lambda row: row["design"])
 
 

@@ -36,6 +36,7 @@ from los_design.synthesis.pair_problem import (
     ACTUATORS,
     ALONE,
     COMMAND_COLUMNS,
+    FINE_STEP,
     LEAST_DECAY,
     LOWEST,
     OBSERVER,
@@ -57,9 +58,9 @@ from titop_plant.telescope.sensors import sensors
 from titop_plant.telescope.weights import rpe_weight
 
 ORDERS = OBSERVER_ORDER, ACTUATOR_ORDER
-UPPERMOST, ABOVE, ABOVE_FOR_NOISE = 1e5, 60, 300
-"""Highest frequency of the samples [rad/s]; samples of the nominal telescope above those of the implemented loop, and
-those of the noise above half of its sampling rate."""
+DENSE_TO, UPPERMOST, ABOVE, ABOVE_FOR_NOISE = 1e4, 1e5, 40, 300
+"""Frequencies [rad/s] up to which the nominal telescope is sampled as closely as in the band of the structure, and at
+all; samples above the first, and those of the noise above half of its sampling rate."""
 TUNED = 0.999
 """Part of a hard limit that is tuned for: the rest is for the parameters between the samples."""
 NOISE, OBSERVER_SHARE = figure("noise -> APE"), float(np.sqrt(0.5))
@@ -147,7 +148,8 @@ class PaperSamples(Samples):
 
     def __init__(self, open_loop: OpenLoop, threads: int = 1) -> None:
         super().__init__(open_loop, threads)
-        above: FloatArray = np.asarray(np.geomspace(HIGHEST, UPPERMOST, ABOVE), dtype=float)
+        dense = np.geomspace(HIGHEST, DENSE_TO, int(np.log(DENSE_TO / HIGHEST) / FINE_STEP))
+        above: FloatArray = np.asarray(np.unique([*dense, *np.geomspace(DENSE_TO, UPPERMOST, ABOVE)]), dtype=float)
         self._samples.append(sample(open_loop, above, open_loop.point({})[None]))
 
     @property

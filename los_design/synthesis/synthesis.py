@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from fsm_pma_controller.problem import sampled_controller
-from lftkit import SampledSystem, state_space
+from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
+from lftkit.tuning import TuningStatus
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
+from los_design.synthesis.hidden_peaks import hidden_peaks
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import (
     ACTUATORS,
@@ -32,6 +34,7 @@ from los_design.synthesis.pair_problem import (
     STAGE_NAMES,
     Samples,
     blocks,
+    named,
 )
 from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask, no_pair
 from los_design.synthesis.paper_start import choose_paper_start
@@ -62,6 +65,8 @@ NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0
 PAPER_EFFORT = Effort(rounds=30, points=30, first=150, iterations=60, target=0.0, searches=(QUICK, THOROUGH))
 """Effort of a robust design of the paper's problem, whose largest soft value is minimised."""
 
+MAX_HIDDEN = 12
+"""Times that a design goes on for peaks of the nominal loop that its samples have missed."""
 STAGES_OF: Mapping[tuple[int, ...], tuple[tuple[int, ...], ...]] = {
     (OBSERVER,): (ALONE,),
     (ACTUATORS,): (BOTH,),
@@ -199,6 +204,8 @@ def _designed(
             task = _paper_task(telescope, parameters, options, tuned, workers or own, observer)
             start = partial(choose_paper_start, task, telescope, options, observer, report, compared)
         outcome = design_in_rounds(task, start, _effort(options), report, kept)
+        if isinstance(task, PaperTask):
+            outcome = _without_hidden_peaks(task, telescope, parameters, options, outcome, report)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": ", ".join(outcome.commits),
@@ -218,6 +225,39 @@ def _designed(
         provenance = {**common, **_values(outcome, stage), "continuous": matrices}
         found.append(_sampled(kind, (A, B, C, D), parameters, options, provenance, placed))
     return found[0], found[1]
+
+
+def _without_hidden_peaks(
+    task: PaperTask,
+    telescope: Telescope,
+    parameters: Parameters,
+    options: DesignOptions,
+    outcome: Outcome,
+    report: Report,
+) -> Outcome:
+    """The design goes on while the norms of the nominal loop show peaks between or above its samples."""
+    nominal, tuned = task.samples.open_loop.point({}), outcome.tuned
+    for _ in range(MAX_HIDDEN):
+        pair = []
+        for kind, M in zip(DESIGN_PACKAGES, gain_matrices(task.blocks, outcome.x), strict=True):
+            pair.append(System(*_state_space(kind, M, NO_DEVICES), *design_ports(kind), kind))
+        peaks = [
+            omega
+            for stage in task.stages
+            for omega in hidden_peaks(
+                telescope, parameters, pair, STAGE_NAMES[stage], {n: tuned[named(n, stage)] for n in task.limits(stage)}
+            )
+        ]
+        if not peaks:
+            return outcome
+        report(
+            f"goes on: the nominal loop has peaks beside the samples at {', '.join(f'{w:.5g}' for w in peaks)} rad/s"
+        )
+        for omega in peaks:
+            task.samples.add_around(omega, nominal)
+        outcome = design_in_rounds(task, lambda x=outcome.x: x, _effort(options), report)  # type: ignore[misc]
+        tuned = outcome.tuned
+    return replace(outcome, status=TuningStatus.ROUNDS)
 
 
 def _effort(options: DesignOptions) -> Effort:
