@@ -16,29 +16,37 @@ from lftkit import SampledSystem
 from lftkit.tuning import certify
 from los_design.figures import paper_numbers, plant_figures
 from los_design.figures.block_diagrams import WIDTH, Diagram, draw_diagram, fsm_synthesis, names, pma_synthesis
-from los_design.figures.paper_case import PaperCase
+from los_design.figures.paper_case import FAMILY, PaperCase
 from los_design.figures.paper_figures import FIGURES, draw
 from los_design.synthesis.state_space_requirements import paper_requirements
-from los_design.synthesis.store import continuous, design_file, load_designs
+from los_design.synthesis.store import continuous
 from los_estimator.problem import observer_plant
 from titop_plant.interface import STAGES
 from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import Curve
 
 ARCSEC = np.pi / 648000.0
+PAPER = Path(__file__).parents[3] / "examples" / "paper"
+FILE, STORED = str(PAPER / "telescope.toml"), ("k_fsm", "k_pma", "k_fsm_nominal", "k_pma_nominal")
 
 
 def first_worst(system: SampledSystem, count: int) -> SampledSystem:
     """The same design with so many worst members in its file."""
     worst = system.provenance.get("worst_cases", [])[:count]
-    return replace(system, provenance={**system.provenance, "worst_cases": worst})
+    return replace(system, provenance={**system.provenance, "worst_cases": worst, FAMILY: []})
+
+
+def stored(name: str) -> SampledSystem:
+    """A design of the paper's telescope."""
+    return SampledSystem.from_file(PAPER / "designs" / f"{name}.json")
 
 
 @pytest.fixture(scope="module")
 def case() -> PaperCase:
-    """The reference telescope and the designs of the paper's problem on it; the nominal member and a worst one."""
-    (k_fsm, k_pma), nominal = load_designs("paper"), load_designs("paper_nominal")
-    return PaperCase(None, {"robust": (first_worst(k_fsm, 1), first_worst(k_pma, 0)), "nominal": nominal}, samples=0)
+    """The paper's telescope and its designs; the nominal member and a worst one."""
+    _, k_pma, *nominal = (first_worst(stored(name), 0) for name in STORED)
+    pairs = {"robust": (first_worst(stored("k_fsm"), 1), k_pma), "nominal": (nominal[0], nominal[1])}
+    return PaperCase(FILE, pairs, samples=0)
 
 
 def law(system: SampledSystem, s: complex) -> np.ndarray:
@@ -51,9 +59,9 @@ def by_hand(case: PaperCase, stage: str, values: dict[str, float], omega: float)
     """Largest singular value [arcsec], from the response of the open telescope and the printed filters and weights."""
     s = 1j * omega
     if stage == "none":
-        plant = telescope(None, isolated=False).system.at(values)
+        plant = telescope(FILE, isolated=False).system.at(values)
     else:
-        plant = telescope().system.at(values)
+        plant = telescope(FILE).system.at(values)
     (G,) = extended_response(*plant.matrices, [omega])
     w = plant.input_indices(["wheel_imbalance", "sadm_torque"])
     wheel = np.array([0.4, 0.4, 0.35, 0.3, 0.3]) * abs((s + 5.101e-5) / (s + 5.101))
@@ -95,7 +103,7 @@ def test_stages_without_control_are_computed_once(case: PaperCase) -> None:
 def test_the_peak_of_a_curve_is_the_certified_gamma(case: PaperCase) -> None:
     """APE of K_FSM at the nominal member: the norm of the assembled loop with its weights."""
     (ape, *_) = paper_requirements(case.parameters, "fsm")
-    plant = observer_plant(telescope(), case.parameters)
+    plant = observer_plant(telescope(FILE), case.parameters)
     found = certify([plant({})], continuous(case.pairs["robust"][0]), [ape]).values.item()
     assert case.clouds("robust")["fsm"][0].size.max() / 10.0 == pytest.approx(found, rel=1e-3)
 
@@ -106,7 +114,7 @@ def test_a_member_with_an_unstable_loop_is_counted_not_drawn(case: PaperCase) ->
     matrices = k_pma.provenance["continuous"]
     wrong = {**matrices, **{key: (-1e3 * np.array(matrices[key])).tolist() for key in "CD"}}
     pair = (k_fsm, replace(k_pma, provenance={**k_pma.provenance, "continuous": wrong}))
-    unstable = PaperCase(None, {"robust": pair}, samples=0)
+    unstable = PaperCase(FILE, {"robust": pair}, samples=0)
     clouds = unstable.clouds("robust")
     assert np.isinf([curve.size.max() for curve in clouds["fsm+pma"]]).all()
     assert clouds["fsm"][0].size == pytest.approx(case.clouds("robust")["fsm"][0].size)
@@ -141,7 +149,7 @@ def test_what_the_proof_masses_take_is_in_decibels() -> None:
     alone = Curve(omega, np.ones_like(omega))
     both = Curve(omega, np.where(omega < 30.0, 1.0, 0.1))
     with_peak = Curve(omega, np.where(np.arange(omega.size) == np.searchsorted(omega, 200.0), 0.5, both.size))
-    case = PaperCase(None, {}, 0, 0, {"robust": {"fsm": [alone, alone], "fsm+pma": [both, with_peak]}})
+    case = PaperCase(None, {}, 0, 0, None, {"robust": {"fsm": [alone, alone], "fsm+pma": [both, with_peak]}})
     rows = {tuple(row["band"]): row for row in paper_numbers.reduction(case)}
     assert rows[1.0, 6.0]["nominal"] == 0.0 and rows[30.0, 100.0]["nominal"] == pytest.approx(20.0)
     assert rows[100.0, 300.0]["peaks"] == pytest.approx(20.0 * np.log10(2.0))
@@ -222,14 +230,13 @@ def test_a_picture_that_does_not_exist_is_refused(case: PaperCase, tmp_path: Pat
 
 def test_a_case_is_read_from_a_folder(tmp_path: Path) -> None:
     (tmp_path / "designs").mkdir()
-    for kind in ("k-fsm", "k-pma"):
-        for variant, ending in (("paper", ""), ("paper_nominal", "_nominal")):
-            shutil.copy(design_file(kind, variant), tmp_path / f"designs/{kind.replace('-', '_')}{ending}.json")
+    for name in STORED:
+        shutil.copy(PAPER / "designs" / f"{name}.json", tmp_path / "designs")
     with pytest.raises(ValueError, match=r"telescope\.toml"):
         PaperCase.of(tmp_path)
     (tmp_path / "telescope.toml").write_text("[weights]\n")
     found = PaperCase.of(tmp_path, samples=2)
-    assert found.pairs["nominal"][1].name == load_designs("paper_nominal")[1].name
+    assert found.pairs["nominal"][1].name == stored("k_pma_nominal").name and found.alone is None
     assert len(found.members) == 3 + len(found.worst_members) and found.members[0] == {}
     with pytest.raises(ValueError, match="samples must not be negative, got -1"):
         PaperCase.of(tmp_path, samples=-1)

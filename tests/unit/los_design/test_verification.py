@@ -406,32 +406,28 @@ def check(stable: int, count: int, value: float) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("results", "gamma", "code", "message"),
+    ("results", "code", "message"),
     [
-        ([(5, 5), (1, 1), (2, 2)], 0.5, 0, ""),
-        ([(4, 5), (1, 1), (2, 2)], 0.5, 1, "verification failed: robust design: unstable at 1 of 5 points\n"),
+        ([(5, 5), (1, 1), (2, 2)], 0, ""),
+        ([(4, 5), (1, 1), (2, 2)], 1, "verification failed: robust design: unstable at 1 of 5 points\n"),
         (
             [(5, 5), (0, 1), (2, 2)],
-            0.5,
             1,
             "verification failed: nominal design, nominal model: unstable at 1 of 1 points\n",
         ),
         (
             [(5, 5), (1, 1), (1, 2)],
-            0.5,
             1,
             "verification failed: nominal design, uncertain model: unstable at 1 of 2 points\n",
         ),
-        ([(5, 5), (1, 1), (2, 2)], np.inf, 1, "verification failed: the paper's problem, fsm: unstable\n"),
     ],
 )
 def test_the_command_exits_with_1_and_says_what_is_unstable(
-    results, gamma: float, code: int, message: str, monkeypatch, capsys
+    results, code: int, message: str, monkeypatch, capsys
 ) -> None:
     answers = iter(check(*r, 0.5 if r[0] == r[1] else np.inf) for r in results)
     monkeypatch.setattr(verification, "check_implemented", lambda *_, **__: next(answers))
     monkeypatch.setattr(verification, "broken_requirements", lambda _: [])
-    monkeypatch.setattr(verification, "check_paper", lambda *_: {"fsm": [gamma] * 3})
     if code:
         with pytest.raises(SystemExit) as stop:
             main(["design", "verify", "--samples", "0", "--json"])
