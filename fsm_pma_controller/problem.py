@@ -12,7 +12,7 @@ slow                 hard  the same below 85 rad/s, with the amplitude that the 
 noise -> APE         soft  accelerometer noise at the platform makes the APE limit, rms (H2); the paper's problem only
 all noise -> APE     hard  all sensor noise makes the share of its budget, rms (H2); as implemented
 noise -> RPE         hard  all sensor noise makes the share of the budget (H2); as implemented
-force                hard  disturbances ask for 15.8 N, half of the authority (H-infinity)
+force                hard  disturbances ask for 31.6 N (H-infinity), half of it as implemented
 mirror               hard  they ask for 5.3 mrad of mirror (H-infinity); as implemented
 sensitivity, mirror  hard  the sensitivity at the mirror's command has a peak of 2; as implemented
 sensitivity, forces  hard  the same at the forces together; as implemented

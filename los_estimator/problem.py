@@ -9,7 +9,7 @@ APE               soft  disturbances make the APE limit (H-infinity); as impleme
 all noise -> APE  soft  sensor noise makes the noise's share of that limit, rms (H2); as implemented
 RPE               soft  they make its limit of the mirror alone through its weight (H-infinity); the paper's problem
 slow, fast        soft  the same for tones below and above 85 rad/s, with the amplitudes of the budget; as implemented
-noise -> APE      soft  noise of the platform's accelerometers makes the APE limit, rms (H2); the paper's problem
+noise -> APE      hard  noise of the platform's accelerometers makes half of its power, rms (H2); the paper's problem
 noise -> RPE      soft  sensor noise makes the share of the budget, through the weight of 20 ms (H2); as implemented
 mirror            hard  disturbances ask for 5.3 mrad of mirror (H-infinity)
 sensitivity       hard  the sensitivity at the mirror's command has a peak of 2; as implemented
