@@ -177,6 +177,8 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     names = [table.find(part) for part in parts]
     if len(names) != 2 or names[0] is None or names[1] is None:
         raise TableError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
+    if names[0] == names[1]:
+        raise TableError(f"{table.path}: los must be two different columns, got {los!r}")
     if len(table.columns[names[0]]) != len(table.columns[names[1]]):
         raise TableError(f"{table.path}: los must be two columns of equal length, got {los!r}")
     return names[0], names[1]

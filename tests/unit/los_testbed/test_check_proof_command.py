@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from los_testbed.cli.app import main
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import robust_stability
 
 Content = dict[str, Any]
+PROOFS = Path(__file__).parents[2] / "fixtures" / "proofs"
 
 
 @pytest.fixture(scope="module")
@@ -38,3 +40,23 @@ def test_the_command_checks_a_file(proof: Content, tmp_path: Path) -> None:
             timeout=250,
         )
         assert done.returncode == expected and text in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "not_text"),
+    [
+        ("gain_of_an_unstable_system", "\nnot proven: stable", "\nproven: stable"),
+        (
+            "name_like_an_interval",
+            'for all "stiffness in [0, 1e+09], x" in [0.8, 1.2]',
+            "for all stiffness in [0, 1e+09]",
+        ),
+    ],
+)
+def test_what_a_proof_does_not_say_is_not_printed(
+    name: str, text: str, not_text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gain whose file claims no stability, of a system that is unstable; a name that continues like an interval."""
+    assert main(["design", "check-proof", str(PROOFS / f"{name}.json")]) == 0
+    shown = capsys.readouterr().out
+    assert text in shown and not_text not in shown

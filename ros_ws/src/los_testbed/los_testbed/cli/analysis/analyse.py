@@ -16,6 +16,7 @@ from los_testbed.cli.analysis.recordings import (
     Unit,
     check_exposures,
     open_runs,
+    require_different,
     requirements_in,
 )
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
@@ -67,6 +68,7 @@ def analyse(
     from pointing_analysis.read.los_source import open_los
 
     seconds("--transient", transient)
+    require_different(bags)
     target = report
     if target is None and len(bags) == 1 and bags[0].is_dir():
         target = bags[0] / "report.html"

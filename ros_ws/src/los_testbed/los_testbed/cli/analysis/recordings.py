@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -42,6 +44,41 @@ OpticsFile = Annotated[
         help="TOML file with a table optics: aperture, wavelength, pixel. Default: the bag's.",
     ),
 ]
+
+
+def require_different(bags: Sequence[Path]) -> None:
+    """Refuse a recording that is given twice, also as a copy: it would count as a run of its own.
+
+    Raises
+    ------
+    ValueError
+        Names both.
+    """
+    known: dict[tuple[int, str], Path] = {}
+    sizes = Counter(_size(bag) for bag in bags)
+    for bag in bags:
+        size = _size(bag)
+        same = known.setdefault((size, _digest(bag) if sizes[size] > 1 else ""), bag)
+        if same is not bag:
+            raise ValueError(f"recordings must be different ones, got {bag}, which is the same as {same}")
+
+
+def _files(bag: Path) -> list[Path]:
+    return sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
+
+
+def _size(bag: Path) -> int:
+    return sum(file.stat().st_size for file in _files(bag) if file.is_file())
+
+
+def _digest(bag: Path) -> str:
+    total = hashlib.sha256()
+    for file in _files(bag):
+        if file.is_file():
+            with file.open("rb") as stream:
+                for block in iter(lambda: stream.read(1 << 20), b""):
+                    total.update(block)
+    return total.hexdigest()
 
 
 def open_runs(

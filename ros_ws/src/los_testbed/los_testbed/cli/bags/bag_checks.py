@@ -14,7 +14,7 @@ from rich.text import Text
 
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
-from los_testbed.run.summary.screen import Screen, numbers, say
+from los_testbed.run.summary.screen import Screen, numbers, printable, say
 
 INFO_EXAMPLES = """Show what a bag holds: times, topics with types and counts, the run with its seed, hashes.
 
@@ -96,7 +96,8 @@ def verify(
 
     key = None if public_key is None else read_key("--public-key", public_key)
     found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
-    table = Table(title=Text(f"{bag}: {found.title}"), title_justify="left")
+    title = printable(f"{bag}: {found.title}").replace("\n", "\\n")
+    table = Table(title=Text(title), title_justify="left")
     for head in ("check", "result", "found"):
         table.add_column(head, overflow="fold")
     for row in found.rows:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -89,6 +91,11 @@ def _one_line(text: str) -> str:
     return printable(text).replace("\n", "\\n")
 
 
+def _named(name: str) -> str:
+    """Name of a parameter; in quotation marks where it could be read as more than a name."""
+    return name if re.fullmatch(r"[\w.\-]{1,80}", name) else _one_line(json.dumps(name, ensure_ascii=False))
+
+
 def _interval(low: float, high: float) -> str:
     """Ends of an interval for all of which something is proven, rounded inwards."""
     return f"[{at_most(low, 6)}, {at_least(high, 6)}]"
@@ -110,13 +117,12 @@ def _check_system(file: Path, json_: bool) -> None:
     if json_:
         print_json({**vars(checked), "band": band, "margin": min(checked.margin, 1e300)})
         return
-    box = ", ".join(f"{_one_line(name)} in {_interval(*ends)}" for name, ends in checked.box.items())
+    box = ", ".join(f"{_named(name)} in {_interval(*ends)}" for name, ends in checked.box.items())
     upper = "on" if band[1] is None else f"to {at_least(checked.band[1], 6)} rad/s"
     frequencies = f"from {at_most(checked.band[0], 6)} rad/s {upper}"
     if checked.kind == "gain":
         sys.stdout.write(f"proven: gain below {at_most(checked.level or 0.0, 6)} at all frequencies {frequencies}\n")
-    if checked.stable:
-        sys.stdout.write("proven: stable\n")
+    sys.stdout.write("proven: stable\n" if checked.stable else f"{_stability(0.0)}\n")
     sys.stdout.write(f"for all {box or 'parameters (there are none)'}\n")
     sys.stdout.write(
         f"{checked.cells} parts; smallest margin {at_least(checked.margin, 3)} times the bound of all rounding\n"
@@ -155,7 +161,7 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
         sys.stdout.write(f"of {whose}: their loop was made anew, and the scalings of the file prove this of it\n")
     else:
         sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
-    box = ", ".join(f"{name} {_interval(*ends)}" for name, ends in zip(checked.names, checked.box))
+    box = ", ".join(f"{_named(name)} {_interval(*ends)}" for name, ends in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
     box, about = _one_line(box), _one_line(about)
     sys.stdout.write(f"proven: {about}: below {at_most(checked.level, 6)} of the limit\n")
@@ -196,7 +202,7 @@ def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
 def _sentences(checked: CheckedBundle) -> list[str]:
     """What a bundle proves."""
     subject = checked.subject
-    box = ", ".join(f"{name} {_interval(*ends)}" for name, ends in checked.box.items())
+    box = ", ".join(f"{_named(name)} {_interval(*ends)}" for name, ends in checked.box.items())
     lines = [
         f"bundle {checked.name}: K_FSM {subject.k_fsm}, K_PMA {subject.k_pma}, telescope {subject.telescope}",
         *(f"requirement: {text}" for text in checked.requirements),
