@@ -399,10 +399,10 @@ def _frames_without_angles(run: Recording) -> str:
 
 
 def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple[int, int, float]]) -> None:
-    """Samples a topic lacks at the start or the end against the truth topic; one command period is no loss."""
+    """Samples a topic lacks at the start or the end against all others, the truth as well; one period is no loss."""
     if "truth/los" not in stamps:
         return
-    first, last, _ = stamps["truth/los"]
+    first, last = min(begin for begin, _, _ in stamps.values()), max(end for _, end, _ in stamps.values())
     for name, (begin, end, period) in stamps.items():
         step = period * 1e9
         short = int(max(begin - first, 0) / step + 1e-6) + int(max(last - end, 0) / step + 1e-6)

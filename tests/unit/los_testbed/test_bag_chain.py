@@ -283,4 +283,4 @@ def test_a_bag_without_settings_and_manifests_says_that_it_had_them(bag: Path) -
     before = Run.open(bag)
     assert not before.problems and before.parameters["mode"] == "inprocess"
     run = changed(bag, [record for record in apart(bag) if record[0] not in (OP_METADATA, OP_MANIFEST)])
-    assert any("it was recorded with a metadata record" in text for text in run.problems), run.problems
+    assert any("was recorded with a metadata record" in text for text in run.problems), run.problems

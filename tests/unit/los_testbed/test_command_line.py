@@ -85,7 +85,8 @@ def test_analyse_gives_the_figures_again(run):
     code, out, _ = run("analyse", "b", "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1]) == first
-    code, out, _ = run("analyse", "b", "b", "--json", "--report=two.html")
+    run("run", "--mode=inprocess", "--duration=3", "--seed=9", "--output=c", *run.controllers)
+    code, out, _ = run("analyse", "b", "c", "--json", "--report=two.html")
     assert code == 0
     assert len(json.loads(out.splitlines()[-1])["runs"]) == 2
     assert (run.here / "two.html").exists()
