@@ -21,6 +21,7 @@ from pointing_analysis.requirements.summary import (
     Knowledge,
     Performance,
     Summary,
+    _add_ends,
     applicable,
     scenario_of,
     summarise,
@@ -92,6 +93,14 @@ def test_figures_of_a_bag(tmp_path: Path) -> None:
         None,
     )
     assert content["lost_messages"] == {} and content["budget_rpe_mas"]["total"] is not None
+
+
+def test_the_ends_that_the_truth_lacks_are_lost() -> None:
+    """Stamps [ns] of a truth that ends, or begins, a second after all others."""
+    for ends in ((0, 9_000_000_000), (1_000_000_000, 10_000_000_000)):
+        lost, problems = {"truth/los": 0, "m1/accel": 0}, list[str]()
+        _add_ends(lost, problems, {"truth/los": (*ends, 1e-3), "m1/accel": (0, 10_000_000_000, 1e-3)})
+        assert lost == {"truth/los": 1000, "m1/accel": 0} and len(problems) == 1
 
 
 def test_what_is_told_of_lost_samples(tmp_path: Path) -> None:
