@@ -125,7 +125,8 @@ def test_changes_apply_at_the_tick_that_the_bag_names(controlled):
     command, truth = run["fsm/command"], run["truth/los"]
     tick = (command.stamp - truth.stamp[0]) // TICK_NS
     switched = changes["loop", "isolator"]
-    assert np.all(command.values[tick >= switched + FADE_TICKS - 1, :2] == 0.0)
+    faded = command.values[tick >= switched][FADE_TICKS - 1 :, :2]  # in steps of the law: ticks may be missed
+    assert len(faded) > 100 and np.all(faded == 0.0)
     steps = np.abs(np.diff(command.values[:, :2], axis=0)).max(axis=1) / np.diff(tick)
     largest = np.abs(command.values[:, :2]).max()
     assert steps[tick[1:] >= switched].max() < 0.2 * largest, "over 20 ticks, not at once"
