@@ -117,6 +117,7 @@ paper: $(READY)
 	$(BIN)/python examples/paper/all.py docs/figures/paper
 	for table in paper_gammas paper_decades paper_reduction; do \
 	    $(BIN)/python docs/fill_tables.py $$table < docs/figures/paper/results.json || exit 1; done
+	$(BIN)/python docs/fill_tables.py paper_orders < examples/paper/orders.json
 
 stages: $(READY)
 	$(BIN)/los-testbed stages

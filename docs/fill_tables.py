@@ -30,7 +30,7 @@ DOCS = Path(__file__).parent
 PAGES = dict.fromkeys(("gammas", "stages", "prediction"), DOCS / "results.md")
 PAGES |= dict.fromkeys(("worst_case", "proven", "run"), DOCS.parent / "README.md")
 PAGES["bounds"] = DOCS / "certificates.md"
-PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction"), DOCS / "paper.md")
+PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction", "paper_orders"), DOCS / "paper.md")
 FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}
 """Figures of ``design certify``."""
 TONES = ("APE", "RPE, slow", "RPE, fast")
@@ -108,6 +108,25 @@ REDUCTION = (
     ("largest value, FSM + PMA [mas]", lambda row: f"{row['peak_mas'][1]:.3g}"),
 )
 """Lines of what the proof masses take from the mirror's curve."""
+
+
+def orders(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Gammas of both controllers of each order.
+
+    Examples
+    --------
+    >>> gammas = {"APE": 0.7, "RPE": 0.69, "mirror": 0.999, "noise -> APE": 0.6, "force": 0.2}
+    >>> design = {"gammas": gammas, "status": "converged"}
+    >>> print(orders([{"order": 2, "k-fsm": design, "k-pma": design}]).splitlines()[-1])
+    | 2 | 0.7000 | 0.6900 | 0.9990 | `converged` | 0.7000 | 0.6900 | 0.6000 | 0.2000 | `converged` |
+    """
+    columns = {"k-fsm": ("APE", "RPE", "mirror"), "k-pma": ("APE", "RPE", "noise -> APE", "force")}
+    head, lines = ["order"], [[str(row["order"])] for row in rows]
+    for kind, names in columns.items():
+        head += [*(f"{DESIGNS[kind]}: {name.replace('->', '→')}" for name in names), "status"]
+        for line, row in zip(lines, rows):
+            line += [*(f"{row[kind]['gammas'][name]:.4f}" for name in names), f"`{row[kind]['status']}`"]
+    return markdown(head, lines)
 
 
 def with_status(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -263,6 +282,8 @@ def table_of(name: str, text: str) -> str:
     if name.startswith("paper_"):
         rows = json.loads(text)[name.removeprefix("paper_")]
         lines = {"paper_decades": DECADES, "paper_reduction": REDUCTION}
+        if name == "paper_orders":
+            return orders(rows)
         return by_band(rows, lines[name]) if name in lines else gammas([with_status(row) for row in rows])
     if name in ("bounds", "proven"):
         return {"bounds": bounds, "proven": proven}[name](json.loads(text)["figures"])
