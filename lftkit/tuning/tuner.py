@@ -30,7 +30,6 @@ from lftkit.tuning.descent.start_runner import (
     StartSearch,
     ended,
     run_first,
-    run_screened,
     run_starts,
 )
 from lftkit.tuning.descent.starts import given_starts, random_starts, start_checked, start_sizes
@@ -116,7 +115,6 @@ def tune(
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
-    candidates: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     min_decay: float = MIN_DECAY,
     met: float = -np.inf,
@@ -138,9 +136,6 @@ def tune(
         requirements.
     initial : sequence of array_like, shape (size,)
         Given starts, taken before the random ones.
-    candidates : sequence of array_like, shape (size,)
-        More of them: all are screened in short descents, and the best two carried on, each with an equal part of the
-        time that is left.
     loop_delay : float
         Delay of the loop [s].
     min_decay : float
@@ -182,20 +177,20 @@ def tune(
     options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
-    given, others = ([start_checked(x, structure) for x in points] for points in (initial, candidates))
-    if structure.size and not (given or others or options.starts):
+    given = [start_checked(x, structure) for x in initial]
+    if structure.size and not (given or options.starts):
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
-    problem.limit = limits_from(options, start_sizes(problem, [*given, *others], options.seed))
+    problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     if (fixed := slow_fixed_pole(problem)) is not None:
-        first = replace(only_point(problem, next(iter([*given, *others]), None)), status=TuningStatus.NOT_STABILISED)
+        first = replace(only_point(problem, next(iter(given), None)), status=TuningStatus.NOT_STABILISED)
         found = result_of(problem, [first], time.monotonic() - start_time)
         return replace(found, status=TuningStatus.NOT_STABILISED, advice=fixed.advice(min_decay))
     # one thread: the matrices are small, and the result must not depend on how many cores there are
     with one_thread(), Progress("tuning", options.progress) as progress:
         alone = StartSearch((only_point(problem),), True) if not structure.size else None
-        search = alone or _search(problem, given, options, deadline, progress, candidates=others)
+        search = alone or _search(problem, given, options, deadline, progress)
         runs = list(search.results)
         further: Any = options.seed, limits_of(options, deadline), options.band
         runs = [*runs, *feasibility_runs(problem, runs, *further)]
@@ -218,9 +213,8 @@ def _search(
     batches: int = MAX_BATCHES,
     *,
     asked: bool = True,
-    candidates: Sequence[FloatArray] = (),
 ) -> StartSearch:
-    """Given starts, candidates, the best controller of one order less (found likewise), batches of random starts.
+    """Given starts, the best controller of one order less (found likewise), batches of random starts.
 
     Beside the one of lower order stand reduced full-order controllers. In problems of few states a first look at the
     order that is asked for comes before the lower ones, at which there is none.
@@ -228,9 +222,6 @@ def _search(
     limits = limits_of(options, deadline)
     common = limits, options.band, options.workers, progress
     first = run_starts(problem, given_starts(given, options.seed), lambda _: (), *common)
-    if candidates and first.complete and not ended(first.results):
-        more = run_screened(problem, given_starts(candidates, options.seed), *common)
-        first = StartSearch(first.results + more.results, more.complete)
     if not options.starts or ended(first.results) or not first.complete:
         return first
     own = _own_order_first(problem, options, deadline, progress) if asked else StartSearch((), True)

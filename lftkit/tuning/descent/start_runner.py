@@ -132,24 +132,6 @@ def run_first(
     return StartSearch(tuple(runner.results), runner.complete)
 
 
-def run_screened(
-    problem: Problem,
-    starts: Sequence[Start],
-    limits: DescentOptions,
-    band: float,
-    workers: int,
-    progress: Progress,
-) -> StartSearch:
-    """All starts in short descents, then the best few of them to their ends, each with an equal part of the time left.
-
-    The first results are those of the short descents, in order. Parameters are those of :func:`run_starts`.
-    """
-    runner = _Runner(problem, limits, band, workers, progress)
-    few = len(starts) <= CARRIED_OF_PORTION
-    runner.run_shared(starts if few else _carried(starts, runner.run(_screened, starts), CARRIED_OF_PORTION))
-    return StartSearch(tuple(runner.results), runner.complete)
-
-
 def _with_perturbed(starts: Sequence[Start], results: Sequence[StartResult]) -> list[Start]:
     """The starts of a batch, every second one replaced by a perturbed copy of the best point so far."""
     best = min(results, key=lambda run: run.rank, default=None)

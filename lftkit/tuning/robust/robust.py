@@ -60,7 +60,6 @@ def tune_robust(
     nominal: Mapping[str, float] | None = None,
     active: Sequence[Mapping[str, float]] = (),
     initial: Sequence[ArrayLike] = (),
-    candidates: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     slack: float = 0.01,
     met: float = -np.inf,
@@ -75,7 +74,7 @@ def tune_robust(
     build : callable
         From parameter values by name to a :class:`System`.
     box : mapping of str to (lowest, highest)
-    requirements, structure, initial, candidates, loop_delay
+    requirements, structure, initial, loop_delay
         As in :func:`lftkit.tuning.tune`.
     nominal : mapping, optional
         First active parameters; the middle of the box otherwise.
@@ -104,9 +103,9 @@ def tune_robust(
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
     ready, needs = resolved_build(build, requirements, chosen[0])
-    given, others = ([start_checked(x, structure) for x in points] for points in (initial, candidates))
+    given = [start_checked(x, structure) for x in initial]
     with one_thread(), Progress("robust design", options.progress) as progress:
-        common = (loop_delay, options, search, start_time, slack, met, chosen, given, others, progress)
+        common = (loop_delay, options, search, start_time, slack, met, chosen, given, progress)
         design = _Design(ready, box, needs, structure, *common)
         found = in_rounds(design, max_rounds, deadline=design.deadline)
     advice = _advice(found.status, found.tuned, design.starts)
@@ -140,7 +139,6 @@ class _Design:
     met: float
     chosen: list[dict[str, float]]
     given: list[FloatArray]
-    candidates: list[FloatArray]
     progress: Progress
     rounds: list[Round] = field(default_factory=list)
     worst: tuple[WorstCase, ...] = ()
@@ -160,7 +158,7 @@ class _Design:
         """With the models that are active."""
         models = [self.build(p).named(_label(p)) for p in self.chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
-        problem.limit = limits_from(self.options, start_sizes(problem, self.given + self.candidates, self.options.seed))
+        problem.limit = limits_from(self.options, start_sizes(problem, self.given, self.options.seed))
         return problem
 
     def tuned(self, number: int) -> TuningResult:
@@ -185,23 +183,18 @@ class _Design:
     def _first_round(self) -> list[TuningResult]:
         """The given starts, or the first random one, as they would be alone, and the further ones."""
         options = replace(self.options, wall_limit=FIRST_SHARE * self.options.wall_limit, progress=False)
-        given = bool(self.given or self.candidates)
-        alone = replace(options, starts=0 if given else min(options.starts, 1))
-        runs = [self._started(self.given, self.candidates, alone)]
+        alone = replace(options, starts=0 if self.given else min(options.starts, 1))
+        runs = [self._started(self.given, alone)]
         count = options.starts - alone.starts
         if count and self.structure.size and not _enough(runs[0]) and time.monotonic() < self.deadline:
-            runs.append(self._started((), (), replace(options, starts=count, seed=options.seed + alone.starts)))
+            runs.append(self._started((), replace(options, starts=count, seed=options.seed + alone.starts)))
         self.starts = tuple(value for run in runs for value in run.starts)
         return runs
 
-    def _started(
-        self, given: Sequence[FloatArray], candidates: Sequence[FloatArray], options: TuningOptions
-    ) -> TuningResult:
+    def _started(self, given: Sequence[FloatArray], options: TuningOptions) -> TuningResult:
         left = max(min(options.wall_limit, self.deadline - time.monotonic()), LEAST_SHARE)
         common: Any = {"loop_delay": self.loop_delay, "options": replace(options, wall_limit=left)}
-        models = self.problem.models
-        found = tune(models, self.requirements, self.structure, initial=given, candidates=candidates, **common)
-        return self._judged(found)
+        return self._judged(tune(self.problem.models, self.requirements, self.structure, initial=given, **common))
 
     def _again(self, tuning: TuningResult) -> TuningResult:
         """A tuning gone on with, on all models that are active, in its share of the time left."""

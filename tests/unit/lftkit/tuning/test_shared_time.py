@@ -128,19 +128,6 @@ def test_the_better_one_by_worst_case_is_the_result(order: tuple[float, ...], mo
     assert on.worst[0].value == pytest.approx(5.0 / 6.0, rel=1e-2), "k = -1/6 on both ends"
 
 
-def test_candidates_are_screened_and_the_best_carried_on() -> None:
-    """Their values come first, in order; of those that never become stable too."""
-    model = System([[1.0]], [[1, 1]], [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]], *PORTS)
-    needs = [HinfGain("w", "z"), HinfGain("w", "effort", bound=20.0, hard=True)]
-    points = [[-1.5], [-3.0], [-2.0], [-1.1]]
-    common: Any = {"options": TuningOptions(starts=0)}
-    result = tune([model], needs, LAW, candidates=points, **common)
-    again = tune([model], needs, LAW, candidates=points, **common)
-    assert len(result.starts) in (5, 6) and result.x.tobytes() == again.x.tobytes()
-    alone = tune([model], needs, LAW, initial=points, **common)
-    assert result.soft == pytest.approx(alone.soft, rel=1e-3)
-
-
 def test_few_random_starts_have_equal_parts_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of them begins although the first would take all; time is counted in evaluations."""
     clock = Clock()
