@@ -205,7 +205,8 @@ def _designed(
             start = partial(choose_paper_start, task, telescope, options, observer, report, compared)
         outcome = design_in_rounds(task, start, _effort(options), report, kept)
         if isinstance(task, PaperTask):
-            outcome = _without_hidden_peaks(task, telescope, parameters, options, outcome, report)
+            deadline = begin + options.wall_limit
+            outcome = _without_hidden_peaks(task, telescope, parameters, options, outcome, report, deadline)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": ", ".join(outcome.commits),
@@ -234,8 +235,13 @@ def _without_hidden_peaks(
     options: DesignOptions,
     outcome: Outcome,
     report: Report,
+    deadline: float,
 ) -> Outcome:
-    """The design goes on while the norms of the nominal loop show peaks between or above its samples."""
+    """The design goes on while the norms of the nominal loop show peaks between or above its samples.
+
+    Until the deadline: a design that still has such peaks then is ``out_of_time``, after :data:`MAX_HIDDEN` times
+    ``rounds``.
+    """
     nominal, tuned = task.samples.open_loop.point({}), outcome.tuned
     for _ in range(MAX_HIDDEN):
         pair = []
@@ -250,12 +256,16 @@ def _without_hidden_peaks(
         ]
         if not peaks:
             return outcome
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            return replace(outcome, status=TuningStatus.OUT_OF_TIME)
         report(
             f"goes on: the nominal loop has peaks beside the samples at {', '.join(f'{w:.5g}' for w in peaks)} rad/s"
         )
         for omega in peaks:
             task.samples.add_around(omega, nominal)
-        outcome = design_in_rounds(task, lambda x=outcome.x: x, _effort(options), report)  # type: ignore[misc]
+        within, x = replace(task, wall_limit=left), outcome.x
+        outcome = design_in_rounds(within, lambda x=x: x, _effort(options), report)  # type: ignore[misc]
         tuned = outcome.tuned
     return replace(outcome, status=TuningStatus.ROUNDS)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ import pytest
 from fsm_pma_controller.problem import actuator_plant, actuator_structure
 from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.tuning import certify
+from lftkit.tuning import TuningStatus, certify
+from los_design.synthesis import synthesis
 from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.pair_problem import named
+from los_design.synthesis.paper_problem import PaperTask
+from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import design_actuators, design_observer
@@ -78,3 +83,22 @@ def test_the_nominal_k_pma_is_converged_and_certified(k_fsm) -> None:
     for requirement, upper in zip(asked, found.upper[:, 0], strict=True):
         assert upper == pytest.approx(k_pma.provenance["tuned_values"][requirement.name], rel=5e-3)
         assert upper <= k_fsm.provenance["tuned_values"]["APE"] * 1.001 or requirement.hard
+
+
+def test_a_design_with_hidden_peaks_ends_at_its_wall_limit(monkeypatch) -> None:
+    """Each going on takes 40 s of 100 s, and the norms always show another peak: what is left is the limit."""
+    now, limits = [0.0], list[float]()
+
+    def design(task: PaperTask, start, effort, report, kept=None) -> Outcome:
+        limits.append(task.wall_limit)
+        now[0] += 40.0
+        names = (named(name, stage) for stage in task.stages for name in task.limits(stage))
+        return Outcome(start(), TuningStatus.CONVERGED, dict.fromkeys(names, 0.0), {}, {}, [], [])
+
+    monkeypatch.setattr(synthesis, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(synthesis, "design_in_rounds", design)
+    monkeypatch.setattr(synthesis, "hidden_peaks", lambda *_: [1.0])
+    options = DesignOptions(nominal=True, loop_delay=0.0, wall_limit=100.0)
+    k_fsm = design_observer(telescope(FILE), load_parameters(FILE), options)
+    assert k_fsm.provenance["status"] == "out_of_time"
+    assert limits == [100.0, 60.0, 20.0]
