@@ -9,6 +9,7 @@ from typing import Any
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import motion_of
+from pointing_analysis.read.mcap.bag_files import bag_files, files_digest
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.rows import css_class, digits
@@ -22,16 +23,10 @@ LINES_SHOWN = 12
 def _digest(run: Recording) -> str:
     if not run.path.exists():
         return "no file"
-    inside = (f for f in run.path.glob("*.mcap*") if f.is_file() and not f.is_symlink())
-    files = sorted(inside) if run.path.is_dir() else [run.path]
+    files = bag_files(run.path).files
     if sum(f.stat().st_size for f in files) > HASH_LIMIT:
         return "not computed (large bag)"
-    total = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                total.update(block)
-    return total.hexdigest()
+    return files_digest(files)
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, str]]:

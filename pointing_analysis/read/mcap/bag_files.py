@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,16 @@ def bag_files(path: Path) -> BagFiles:
         got = "links to files only" if any(f.is_symlink() for f in of_name) else "none"
         raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got {got}")
     return BagFiles(tuple(files), _counts(info), tuple(problems))
+
+
+def files_digest(files: Sequence[Path]) -> str:
+    """SHA-256 of the contents of files, one after another, hexadecimal."""
+    total = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                total.update(block)
+    return total.hexdigest()
 
 
 def _description(path: Path) -> tuple[dict[str, Any], list[str]]:

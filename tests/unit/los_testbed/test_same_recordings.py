@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.cli.analysis.recordings import require_different
 from los_testbed.cli.app import main
 
 
@@ -34,3 +35,21 @@ def test_a_recording_or_its_copy_is_no_further_run(table: Path, capsys: pytest.C
 
 def test_a_column_is_not_both_axes(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "los must be two different columns" in refused(capsys, "analyse", table, "--los", "x_mas,x_mas")
+
+
+def test_recordings_that_are_not_there_are_not_called_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "analyse", tmp_path / "a", tmp_path / "b")
+    assert f"{tmp_path / 'a'}: no such bag" in said and "different ones" not in said
+
+
+def test_compressed_bags_are_compared_by_their_content(tmp_path: Path) -> None:
+    """Files as ``ros2 bag record --compression-mode file`` names them; the same one twice is refused."""
+    bags = [tmp_path / name for name in "abc"]
+    for bag, content in zip(bags, (b"first", b"other", b"first")):
+        bag.mkdir()
+        (bag / "bag_0.mcap.zstd").write_bytes(content)
+    require_different(bags[:2])
+    with pytest.raises(ValueError, match=r"c, which is the same as .*a$"):
+        require_different(bags)

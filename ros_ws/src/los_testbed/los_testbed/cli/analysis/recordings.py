@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -52,33 +50,17 @@ def require_different(bags: Sequence[Path]) -> None:
     Raises
     ------
     ValueError
-        Names both.
+        Names both; or a recording that is not there.
     """
+    from pointing_analysis.read.mcap.bag_files import bag_files, files_digest
+
     known: dict[tuple[int, str], Path] = {}
-    sizes = Counter(_size(bag) for bag in bags)
-    for bag in bags:
-        size = _size(bag)
-        same = known.setdefault((size, _digest(bag) if sizes[size] > 1 else ""), bag)
+    files = [bag_files(bag).files for bag in bags]
+    sizes = [sum(file.stat().st_size for file in each) for each in files]
+    for bag, each, size in zip(bags, files, sizes, strict=True):
+        same = known.setdefault((size, files_digest(each) if sizes.count(size) > 1 else ""), bag)
         if same is not bag:
             raise ValueError(f"recordings must be different ones, got {bag}, which is the same as {same}")
-
-
-def _files(bag: Path) -> list[Path]:
-    return sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
-
-
-def _size(bag: Path) -> int:
-    return sum(file.stat().st_size for file in _files(bag) if file.is_file())
-
-
-def _digest(bag: Path) -> str:
-    total = hashlib.sha256()
-    for file in _files(bag):
-        if file.is_file():
-            with file.open("rb") as stream:
-                for block in iter(lambda: stream.read(1 << 20), b""):
-                    total.update(block)
-    return total.hexdigest()
 
 
 def open_runs(
