@@ -56,8 +56,9 @@ def test_every_tick_gets_its_command(told):
 
 
 def test_frames_are_used_with_their_age_and_counted_by_name(told):
+    """A frame is published 7 ticks late; DDS orders no topic before another, so it may be used some ticks later."""
     reports = told["reports"]
-    assert float(reports["frames_camera/los_age_max_ms"]) == 7.0
+    assert 7.0 <= float(reports["frames_camera/los_age_max_ms"]) < 20.0, "used before the next frame is taken"
     assert int(reports["frames_camera/los_old"]) >= 24
     assert 2 <= int(reports["frames_camera/los_absent"]) <= 4
     assert not {"frames_camera/los_late", "frames_camera/los_off_phase", "frames_camera/los_early"} & set(reports)
