@@ -23,11 +23,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
-from lftkit import SampledSystem
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.responses import ControllerBlock, PlantSamples, ResponseGain, ResponseNoise, ResponseProblem
 from lftkit.tuning.responses.blocks import gain_matrices
@@ -138,11 +138,6 @@ def response_noises(samples: PaperSamples, stages: Sequence[tuple[int, ...]]) ->
     return tuple(noise(stage) for stage in stages)
 
 
-def no_pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
-    """The paper's problem has no sampled controllers."""
-    raise NotImplementedError("the paper's problem is continuous")
-
-
 class PaperSamples(Samples):
     """Samples up to frequencies at which only direct paths are left, at the nominal point."""
 
@@ -152,15 +147,13 @@ class PaperSamples(Samples):
         above: FloatArray = np.asarray(np.unique([*dense, *np.geomspace(DENSE_TO, UPPERMOST, ABOVE)]), dtype=float)
         self._samples.append(sample(open_loop, above, open_loop.point({})[None]))
 
-    @property
+    @cached_property
     def at_noise_frequencies(self) -> PlantSamples:
         """Samples of the nominal point at the frequencies of :func:`response_noises`."""
-        if "noise" not in vars(self):
-            below = noise_frequencies()
-            above = np.geomspace(below[-1], UPPERMOST, ABOVE_FOR_NOISE)[1:]
-            omega: FloatArray = np.asarray(np.concatenate([below, above]), dtype=float)
-            self.noise = sample(self.open_loop, omega, self.open_loop.point({})[None])
-        return self.noise
+        below = noise_frequencies()
+        above = np.geomspace(below[-1], UPPERMOST, ABOVE_FOR_NOISE)[1:]
+        omega: FloatArray = np.asarray(np.concatenate([below, above]), dtype=float)
+        return sample(self.open_loop, omega, self.open_loop.point({})[None])
 
 
 @dataclass(frozen=True)

@@ -73,13 +73,12 @@ def choose_paper_start(
     problem, reached = small.problem(), list[tuple[float, FloatArray]]()
     for seed in range(max(1, options.starts)):
         laws = (parameters_of(task.blocks, [mirror, _law(task, options.seed + seed, gain)]) for gain in GAINS)
-        stable = [law for law in laws if all(task.stable(law, values) for values in at)]
-        if not stable:
+        law = next((law for law in laws if all(task.stable(law, values) for values in at)), None)
+        if law is None:
             raise ValueError("K_FSM must stabilise the telescope without K_PMA, got one that does not")
-        x = stable[0]
-        first = largest(problem, x)
-        found = descend(ResponseSource(problem, task.stable), x, DescentOptions(STEPS, TOLERANCE, 0.0)).x
-        found = found if all(task.stable(found, values) for values in at) else x
+        first = largest(problem, law)
+        found = descend(ResponseSource(problem, task.stable), law, DescentOptions(STEPS, TOLERANCE, 0.0)).x
+        found = found if all(task.stable(found, values) for values in at) else law
         reached.append((largest(problem, found), found))
         compared.append({"seed": options.seed + seed, "first": first, "reached": reached[-1][0]})
         report(f"random K_PMA, seed {options.seed + seed}: {first:.4g}, after a short descent {reached[-1][0]:.4f}")

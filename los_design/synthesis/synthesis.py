@@ -36,14 +36,14 @@ from los_design.synthesis.pair_problem import (
     blocks,
     named,
 )
-from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask, no_pair
+from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask
 from los_design.synthesis.paper_start import choose_paper_start
 from los_design.synthesis.round_state import Kept, Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import zero_controller
 from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
-from los_design.synthesis.task import Task
+from los_design.synthesis.task import ImplementedTask, Task
 from los_estimator.kalman import sampled_observer
 from los_loop.continuous_loop import continuous_open_loop
 from los_loop.loop_plant import loop_plant
@@ -196,6 +196,7 @@ def _designed(
     """Design some of the controllers in rounds; the others stay as they are."""
     begin = time.monotonic()
     compared: list[dict[str, Any]] = []
+    task: Task
     with Workers(options.workers) as own:
         if options.implemented:
             task = _task(telescope, parameters, options, tuned, workers or own)
@@ -292,12 +293,12 @@ def _paper_task(
     orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
     fine = not options.nominal
     common = options.seed, options.wall_limit, workers
-    return PaperTask(samples, STAGES_OF[tuned], tuned, no_pair, *common, orders=orders, fine=fine)
+    return PaperTask(samples, STAGES_OF[tuned], tuned, *common, orders=orders, fine=fine)
 
 
 def _task(
     telescope: Telescope, parameters: Parameters, options: DesignOptions, tuned: tuple[int, ...], workers: Workers
-) -> Task:
+) -> ImplementedTask:
     """The task for a telescope, with no parameter points yet."""
     stages = STAGES_OF[tuned]
 
@@ -319,7 +320,8 @@ def _task(
     if not (options.nominal or is_reference(parameters)):
         names = [STAGE_NAMES[stage] for stage in stages]
         known = tuple(point for name in names for point in load_worst_points()[name].values())
-    return Task(samples, stages, tuned, pair, options.seed, options.wall_limit, workers, known)
+    common = options.seed, options.wall_limit, workers, known
+    return ImplementedTask(samples, stages, tuned, *common, sampled=pair)
 
 
 def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -22,7 +23,7 @@ HALVINGS = 7
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(ABC):
     """What is designed.
 
     Parameters
@@ -32,8 +33,6 @@ class Task:
         Whose requirements count.
     tuned : tuple of int
         Which controllers are tuned.
-    sampled : callable
-        From the parameter vector to the sampled K_FSM and K_PMA.
     seed : int
     wall_limit : float
         Of the whole design [s].
@@ -46,11 +45,48 @@ class Task:
     samples: Samples
     stages: tuple[tuple[int, ...], ...]
     tuned: tuple[int, ...]
-    sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]]
     seed: int = 0
     wall_limit: float = np.inf
     workers: Workers = field(default_factory=Workers)
     known: tuple[WorstPoint, ...] = ()
+
+    @property
+    @abstractmethod
+    def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
+        """The controllers."""
+
+    @abstractmethod
+    def problem(self) -> ResponseProblem:
+        """What is tuned, on the samples that there are."""
+
+    @abstractmethod
+    def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
+        """What a gain of 1 stands for in a stage."""
+
+    def of_limit(self, name: str, value: float) -> float:
+        """A value of a gain or noise of :meth:`problem` over what :meth:`limits` says."""
+        return float(value)
+
+    @abstractmethod
+    def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
+        """Search of a stage with the controllers of `x`."""
+
+    @abstractmethod
+    def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
+        """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
+
+
+@dataclass(frozen=True)
+class ImplementedTask(Task):
+    """What is designed in the implemented loop.
+
+    Parameters
+    ----------
+    sampled : callable
+        From the parameter vector to the sampled K_FSM and K_PMA.
+    """
+
+    sampled: Callable[[FloatArray], tuple[SampledSystem, SampledSystem]] = field(kw_only=True)
 
     @property
     def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
@@ -64,10 +100,6 @@ class Task:
     def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
         """What a gain of 1 stands for in a stage: what is tuned for."""
         return limits(self.samples.open_loop.parameters, stage)
-
-    def of_limit(self, name: str, value: float) -> float:
-        """A value of a gain or noise of :meth:`problem` over what :meth:`limits` says."""
-        return float(value)
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""

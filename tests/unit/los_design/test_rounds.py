@@ -19,7 +19,7 @@ from los_design.synthesis import rounds
 from los_design.synthesis import task as task_module
 from los_design.synthesis.pair_problem import BOTH
 from los_design.synthesis.rounds import MAX_NEW, Effort, design_in_rounds
-from los_design.synthesis.task import Task
+from los_design.synthesis.task import ImplementedTask
 
 QUICK, THOROUGH = SearchOptions(seed=1), SearchOptions(seed=2)
 SHARES = {"soft tones": 0.5, "hard tones": 1.0}
@@ -94,7 +94,7 @@ class Bench:
     def design(self, count: int = 5, kept=None, points: int = 0, known=()):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
-        task = Task(self.samples, (BOTH,), (0, 1), no_controllers, known=known)
+        task = ImplementedTask(self.samples, (BOTH,), (0, 1), known=known, sampled=no_controllers)
         return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
 
 
@@ -104,8 +104,8 @@ def bench(monkeypatch):
 
     def make(answers, **options):
         made = Bench(monkeypatch, answers, **options)
-        monkeypatch.setattr(Task, "search", lambda task, *rest: made.search(task, *rest))
-        monkeypatch.setattr(Task, "stable", lambda task, *rest: made.stable(task, *rest))
+        monkeypatch.setattr(ImplementedTask, "search", lambda task, *rest: made.search(task, *rest))
+        monkeypatch.setattr(ImplementedTask, "stable", lambda task, *rest: made.stable(task, *rest))
         return made
 
     return make
@@ -164,7 +164,7 @@ def test_an_unstable_point_is_watched_and_the_descent_repeated(bench) -> None:
 def test_a_point_that_is_unstable_all_along_ends_nothing(bench, monkeypatch) -> None:
     """It is not watched: no descent could begin at it. What is sampled of it is the last stable point on the way."""
     made = bench([[peak("soft tones", 0.6, 100.0)], [], []])
-    monkeypatch.setattr(Task, "stable", lambda task, x, values=None: not values or values["p"] > 0.3)
+    monkeypatch.setattr(ImplementedTask, "stable", lambda task, x, values=None: not values or values["p"] > 0.3)
     found = made.design()
     assert made.tuned == [1, 2] and found.status == "converged"
     at = made.samples.points[1]  # on the way from 0.5 to 0.1

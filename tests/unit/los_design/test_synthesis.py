@@ -98,11 +98,6 @@ def test_one_controller_is_designed_with_the_other_as_it_is(kind: str, parameter
     assert not np.array_equal(found.A, other.A)
 
 
-def test_a_pair_is_designed_for_the_implemented_loop_only(parameters) -> None:
-    with pytest.raises(ValueError, match="got no loop delay"):
-        synthesis.design_pair(telescope(), parameters, DesignOptions(loop_delay=0.0))
-
-
 def test_the_stored_start_stabilises_the_reference_telescope(parameters) -> None:
     matrices = []
     for kind in PORTS:

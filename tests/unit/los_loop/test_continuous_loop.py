@@ -12,7 +12,7 @@ from lftkit.arrays import FloatArray
 from lftkit.tuning.responses import parameters_of
 from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.pair_problem import ACTUATORS, ALONE, BOTH, OBSERVER
-from los_design.synthesis.paper_problem import TUNED, PaperSamples, PaperTask, no_pair, paper_limits
+from los_design.synthesis.paper_problem import TUNED, PaperSamples, PaperTask, paper_limits
 from los_design.synthesis.starts import random_law
 from los_estimator.kalman import kalman_observer
 from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
@@ -110,7 +110,7 @@ def test_slopes_are_those_of_differences(name: str, open_loop: OpenLoop, matrice
 
 def task_of(open_loop: OpenLoop, stage: tuple[int, ...]) -> PaperTask:
     tuned = (OBSERVER,) if stage == ALONE else (ACTUATORS,)
-    return PaperTask(PaperSamples(open_loop), (stage,), tuned, no_pair, fine=True)
+    return PaperTask(PaperSamples(open_loop), (stage,), tuned, fine=True)
 
 
 @pytest.mark.parametrize("stage", [ALONE, BOTH])
