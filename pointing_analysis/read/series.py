@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.records import BagError
-from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, on_whole_ns, regular
+from pointing_analysis.read.time_grid import OFF_GRID, TimeGrid, on_whole_ns, regular, time_grid
 from pointing_analysis.read.topic import NANO, Topic, make_topic
 from pointing_analysis.units import ANGLES
 
@@ -29,6 +29,8 @@ LONGEST = 1e9
 """Longest time from the first sample to the last one [s]; beyond it the times are in another unit."""
 LARGEST_ANGLE = 1e9
 """Largest sample that counts as an angle [rad]: far above any, and its square is still a number."""
+OUT_OF_STEP = 0.5
+"""Samples by which a given rate may be out of step with the times from the first to the last one."""
 FEW = 0.01
 """Share of the samples that may miss the grid, or fall on a place that is taken."""
 
@@ -146,6 +148,12 @@ def gridded(stamps: IntArray, rate: float) -> tuple[IntArray, BoolArray, tuple[s
     typical = NANO / max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
     if not 0.9 < found / rate < 1.1 and not 0.9 < typical / rate < 1.1:
         raise ValueError(f"rate must be that of the samples, about {typical:.6g} Hz, got {rate:g} Hz")
+    own = time_grid((stamps - stamps.min()) / NANO)
+    if own is not None and abs(own.period * rate - 1.0) * np.ptp(own.place) > OUT_OF_STEP:
+        raise ValueError(
+            f"rate must be that of the samples, {1 / own.period:.9g} Hz by their times, got {rate:.9g} Hz: "
+            "without one it is taken from the times"
+        )
     place = np.rint((stamps - stamps[0]) * (rate / NANO)).astype(np.int64)
     first = np.zeros(stamps.size, bool)
     first[np.unique(place, return_index=True)[1]] = True

@@ -40,15 +40,13 @@ def read_parquet(path: Path) -> Table:
     if len(set(table.column_names)) < len(table.column_names):
         raise TableError(f"{path}: columns must have different names, got {', '.join(table.column_names)}")
     found: dict[str, Column] = {}
-    units: dict[str, str] = {}
+    units: dict[str, list[str]] = {}
     for name in table.column_names:
         column = table.column(name)
         time = pyarrow.types.is_timestamp(column.type)
         found[name] = (column.cast(pyarrow.timestamp("ns")) if time else column).to_numpy()
         about = table.schema.field(name).metadata or {}
-        unit = next((about[key] for key in (b"unit", b"units") if key in about), b"")
-        if unit:
-            units[name] = unit.decode("utf-8", "replace")
+        units[name] = [about[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in about]
     return Table(path, "Parquet", found, units)
 
 

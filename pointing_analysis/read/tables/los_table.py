@@ -7,6 +7,7 @@ are the line of sight; of three the first is the time. Times: `pointing_analysis
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,7 +20,7 @@ from pointing_analysis.read.series import Series, make_series, scale_of, stamps_
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
-from pointing_analysis.read.tables.table import Column, Table, TableError, split_unit, unit_name
+from pointing_analysis.read.tables.table import Column, Table, TableError, same_rate, split_unit, unit_name
 from pointing_analysis.read.tables.text import read_text
 from pointing_analysis.read.tables.times import UNITS as TIME_UNITS
 from pointing_analysis.read.tables.times import column_stamps, time_column
@@ -35,6 +36,8 @@ READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
     }
 )
 """Reader of each format but that of bags."""
+OTHER_RATE = 1e-3
+"""Part by which a rate that the file says may differ from that of its times without a note."""
 X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"))
 
 
@@ -85,8 +88,11 @@ def read_los_table(
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
     unused = _others(columns, x, y) if when is None else ""
-    if when is None and rate is None:
-        rate = table.rate
+    said_rate, problems = table.rate((x, y)), list(table.left_out)
+    if when is None and said_rate is not None:
+        if rate is not None and not same_rate(rate, said_rate):
+            raise TableError(f"{path}: rate must be {said_rate:.9g} Hz, which the file says of {x}, got {rate:.9g}")
+        rate = said_rate
     try:
         if when is None:
             stamps = stamps_of(None, len(xy), rate)
@@ -95,11 +101,10 @@ def read_los_table(
             stamps = column_stamps(when, columns[when], rate, unit_of_time if said in ("", *ANGLES) else said)
     except ValueError as error:
         raise TableError(f"{path}: {error}{unused}") from None
-    problems = list(table.left_out)
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
-    return make_series(
+    found = make_series(
         stamps,
         xy,
         unit=unit,
@@ -110,6 +115,16 @@ def read_los_table(
         kind=table.kind,
         label=f"{x}, {y}",
     )
+    return found if said_rate is None else _with_rate_note(found, said_rate)
+
+
+def _with_rate_note(found: Series, said: float) -> Series:
+    """A note where the times have another rate than the file says."""
+    own = 1.0 / found.topic.period
+    if len(found.topic) < 2 or abs(own - said) <= OTHER_RATE * own:
+        return found
+    note = f"the file says {said:.6g} Hz of {found.label}, its times have {own:.6g} Hz: the times are used"
+    return replace(found, problems=(*found.problems, note))
 
 
 def _others(columns: Mapping[str, Column], x: str, y: str) -> str:

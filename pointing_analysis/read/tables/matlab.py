@@ -151,9 +151,9 @@ def _add_attributes(found: Gathered, name: str, attributes: Any) -> None:
         if value.size != 1:
             continue
         if key in UNIT_KEYS:
-            found.units[name] = _text(value.reshape(-1)[0])
+            found.add_unit(name, _text(value.reshape(-1)[0]))
         elif value.dtype.kind in "fiu":
-            found.add_setting(key, value)
+            found.add_setting(f"{name}.{key}" if name else key, value)
 
 
 def _text(value: Any) -> str:

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 from lftkit.support.input_limits import UNPACKED, UNPACKED_RATIO, most_unpacked
 from pointing_analysis.arrays import FloatArray, IntArray
+from pointing_analysis.units import ANGLES
 
 Column = FloatArray | IntArray | NDArray[np.datetime64]
 WIDEST = 12
 """Columns that an array of two dimensions may have to be columns of a table."""
 LISTED = 20
 """Names of columns in a message."""
+SAME_RATE = 1e-6
+"""Part by which two statements of one sampling rate may differ: a period is written with six digits or more."""
 RATES = ("rate", "fs", "sampling_rate", "sample_rate", "samplerate", "sampling_frequency", "rate_hz", "fs_hz")
 PERIODS = ("dt", "ts", "sample_time", "sampling_period", "sampling_time", "dt_s", "ts_s")
 _SPELLINGS = {
@@ -73,6 +76,11 @@ _AT_THE_END = re.compile(rf"^(.+?)_((?i:{_ANGLES_AT_THE_END}|{_OTHERS_AT_THE_END
 _TIME_AT_THE_END = re.compile(r"^((?:.*\.)?(?:t|time|timestamp|stamp))_(min|h|d)$", re.IGNORECASE)
 
 
+def same_rate(one: float, other: float) -> bool:
+    """Whether two rates [Hz] are the same but for the digits with which they are written."""
+    return abs(one - other) <= SAME_RATE * one
+
+
 class TableError(ValueError):
     """A table that cannot be used; the message says what it must be and what it is."""
 
@@ -114,16 +122,16 @@ class Table:
     path : the file
     kind : its format in words
     columns : (n,) each, by name; n may differ between columns
-    units : of columns, where the file says them beside the names
-    rate : sampling rate [Hz] that the file says
+    units : of columns, each as the file says it beside the name: as attribute, as text, in a comment
+    rates : sampling rates [Hz] of columns, each as the file says it
     left_out : what of the file is not used, one sentence each
     """
 
     path: Path
     kind: str
     columns: Mapping[str, Column]
-    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    rate: float | None = None
+    units: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+    rates: Mapping[str, Sequence[float]] = field(default_factory=lambda: MappingProxyType({}))
     left_out: tuple[str, ...] = ()
 
     def find(self, name: str) -> str | None:
@@ -134,8 +142,32 @@ class Table:
         return found[0] if len(found) == 1 else None
 
     def unit(self, name: str) -> str:
-        """Unit of a column by attribute or header; empty where nothing says it."""
-        return unit_name(self.units.get(name, "")) or split_unit(name)[1]
+        """Unit of a column by attribute, comment or header; empty where nothing says it.
+
+        Raises
+        ------
+        TableError
+            Two units of one column.
+        """
+        said = [unit_name(text) for text in self.units.get(name, ())]
+        units = list(dict.fromkeys(unit for unit in (*said, split_unit(name)[1]) if unit))
+        if len(units) > 1:
+            raise TableError(f"{self.path}: unit of {name} must be one, got {' and '.join(units)} in the file")
+        return units[0] if units else ""
+
+    def rate(self, names: Sequence[str]) -> float | None:
+        """Sampling rate [Hz] that the file says of columns; None where it says none.
+
+        Raises
+        ------
+        TableError
+            Two rates.
+        """
+        rates = sorted({rate for name in names for rate in self.rates.get(name, ())})
+        if rates and not same_rate(rates[0], rates[-1]):
+            said = f"{rates[0]:.9g} and {rates[-1]:.9g} Hz"
+            raise TableError(f"{self.path}: rate of {' and '.join(names)} must be one, got {said} in the file")
+        return rates[0] if rates else None
 
     def of_length(self, n: int) -> dict[str, Column]:
         """Columns of `n` rows."""
@@ -158,11 +190,11 @@ def check_unpacked(path: Path, size: int) -> None:
 
 @dataclass
 class Gathered:
-    """What a file with named arrays holds, found one by one: columns, units, and a rate."""
+    """What a file with named arrays holds, found one by one: columns, and what it says of units and rates by owner."""
 
     columns: dict[str, Column] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    rate: float | None = None
+    units: dict[str, list[str]] = field(default_factory=dict)
+    rates: dict[str, list[float]] = field(default_factory=dict)
 
     def add(self, name: str, array: NDArray[Any], unit: str = "") -> None:
         """An array: a column, some columns side by side, or a scalar that may be the rate; another one is left out."""
@@ -189,31 +221,42 @@ class Gathered:
 
     def add_setting(self, name: str, value: NDArray[np.generic] | str) -> None:
         """A number or text beside the arrays: the rate, the period, or the unit of an array."""
-        short = name.rpartition(".")[2].lower()
+        owner, _, short = name.rpartition(".")
+        short = short.lower()
         if isinstance(value, str):
             if short in ("unit", "units"):
-                self.units[name.rpartition(".")[0]] = value
+                self.add_unit(owner, value)
             elif short.endswith(("_unit", "_units")):
-                self.units[name.rpartition("_")[0]] = value
+                self.add_unit(name.rpartition("_")[0], value)
             return
         number = float(value.reshape(-1)[0]) if value.dtype.kind in "fiu" else np.nan
-        if 0 < number < np.inf:
-            if short in RATES:
-                self.rate = number
-            elif short in PERIODS:
-                self.rate = 1 / number
+        if 0 < number < np.inf and short in (*RATES, *PERIODS):
+            self.rates.setdefault(owner, []).append(number if short in RATES else 1 / number)
+
+    def add_unit(self, owner: str, unit: str) -> None:
+        """A unit that the file says of an array or of all in a group."""
+        self.units.setdefault(owner, []).append(unit)
 
     def _put(self, name: str, array: NDArray[np.generic], unit: str) -> None:
         self.columns[name] = np.ascontiguousarray(array)
         if unit:
-            self.units[name] = unit
+            self.add_unit(name, unit)
 
     def table(self, path: Path, kind: str, left_out: Sequence[str] = ()) -> Table:
-        """The table; the unit of an array is that of its columns, that of a group of all in it."""
-        units = {name: unit for name in self.columns if (unit := self._unit(name))}
-        return Table(path, kind, self.columns, units, self.rate, tuple(left_out))
+        """The table; what is said of an array is said of its columns, what is said of a group of all in it."""
+        named = {
+            owner: unit
+            for name in self.columns
+            for owner in _owners(name)
+            if (unit := split_unit(owner)[1]) and (owner == name or unit in ANGLES)
+        }
+        units = {owner: [*self.units.get(owner, ()), *filter(None, [named.get(owner)])] for owner in self.units | named}
+        about = {name: next((units[o] for o in _owners(name) if o in units), ()) for name in self.columns}
+        rates = {name: next((self.rates[o] for o in _owners(name) if o in self.rates), ()) for name in self.columns}
+        return Table(path, kind, self.columns, about, rates, tuple(left_out))
 
-    def _unit(self, name: str) -> str:
-        parts = name.split(".")
-        owners = [".".join(parts[:i]) for i in range(len(parts), -1, -1)]
-        return next((self.units[owner] for owner in owners if owner in self.units), "")
+
+def _owners(name: str) -> list[str]:
+    """An array, the groups that it is in, from the nearest one on, and the file."""
+    parts = name.split(".")
+    return [".".join(parts[:i]) for i in range(len(parts), -1, -1)]

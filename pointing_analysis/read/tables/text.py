@@ -52,14 +52,14 @@ def read_text(path: Path) -> Table:
     notes = [f"{sum(empty)} rows without any value left out"] if any(empty) else []
     if texts := [name for name, column in columns.items() if column is None]:
         notes.append(f"columns of text left out: {', '.join(texts)}")
-    units = {name: unit for unit in _unit_in(comments) for name in names if not split_unit(name)[1]}
+    units = {name: _units_in(comments) for name in names if split_unit(name)[1] in ("", *ANGLES)}
     return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, units, left_out=tuple(notes))
 
 
-def _unit_in(comments: Sequence[str]) -> list[str]:
-    """Unit of angle that a comment names; empty without one."""
-    found = [match for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
-    return [unit for match in found[-1:] if (unit := unit_name(match[1])) in ANGLES]
+def _units_in(comments: Sequence[str]) -> list[str]:
+    """Units of angle that comments name."""
+    found = [unit_name(match[1]) for line in comments if (match := UNIT_IN_COMMENT.fullmatch(line))]
+    return [unit for unit in found if unit in ANGLES]
 
 
 def _names_in(comments: Sequence[str], separator: str | None, count: int) -> list[str] | None:
