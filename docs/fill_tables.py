@@ -130,12 +130,14 @@ def orders(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def with_status(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of gammas that says how its design ended.
+    """A row of gammas that says how its design ended, if it has a status.
 
     Examples
     --------
-    >>> with_status({"variant": "nominal, family", "status": "converged"})["variant"]
-    'nominal, over the family, `converged`'
+    >>> with_status({"variant": "robust", "status": "converged"})["variant"]
+    'robust, with the other, `converged`'
+    >>> with_status({"variant": "nominal, family", "status": ""})["variant"]
+    'nominal, over the family'
     """
     name = PROBLEMS.get(row["variant"], row["variant"])
     return {**row, "variant": f"{name}, `{row['status']}`" if row["status"] else name}

@@ -139,6 +139,7 @@ def test_gammas_are_rows_of_the_paper_s_limits(case: PaperCase, monkeypatch: pyt
     assert asked == [(robust, 2), (nominal, 1), (nominal, 2)]
     published = [row for row in rows if row["variant"] == "published, nominal"]
     assert published[1]["gammas"] == {"APE": 0.7115, "RPE": 0.7115, "noise -> APE": 0.6150, "force": 0.4266}
+    assert {row["variant"] for row in rows if row["status"]} == {"robust", "nominal"}
     assert rows[0]["gammas"] == {"APE": 0.5, "RPE": 0.6, "mirror": "inf"}
     assert [row["variant"] for row in rows[:5]] == [row["variant"] for row in rows[5:]]
 
