@@ -197,9 +197,9 @@ class PaperTask(Task):
         """A value of a gain or noise of :meth:`problem` over the limit."""
         if name == named(NOISE.name, ALONE):
             return OBSERVER_SHARE * float(value)
-        rows = {named(row.name, stage): row for stage in self.stages for row in paper_gains(STAGE_NAMES[stage])}
-        hard = name in rows and rows[name].hard
-        return (TUNED if hard else 1.0) * float(value)
+        gains = ((row, stage) for stage in self.stages for row in paper_gains(STAGE_NAMES[stage]))
+        hard = {named(row.name, stage) for row, stage in gains if row.hard}
+        return (TUNED if name in hard else 1.0) * float(value)
 
     def loop(self, x: FloatArray, stage: tuple[int, ...]) -> ContinuousLoop:
         """The loop of a stage."""
