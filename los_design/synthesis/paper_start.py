@@ -1,7 +1,7 @@
-"""Starts of a design of the paper's problem: the Kalman observer for K_FSM, random laws for K_PMA.
+"""Starts of a design of the paper's problem: the Kalman observer for K_FSM, random laws for K_PMA, or given ones.
 
 Random laws are compared after a short descent at few parameter points, with K_FSM if both are tuned, and the best of
-them is designed.
+them is designed. A given start may be of lower order: it gets states that have no effect yet.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from los_design.synthesis.pair_problem import ACTUATORS
 from los_design.synthesis.paper_problem import PaperTask
 from los_design.synthesis.rounds import TOLERANCE
 from los_design.synthesis.start_choice import at_points, largest
-from los_design.synthesis.starts import random_law
+from los_design.synthesis.starts import padded, random_law
 from los_design.synthesis.store import continuous
 from los_design.synthesis.task import first_points
 from los_estimator.problem import kalman_of_order
@@ -37,6 +37,7 @@ def choose_paper_start(
     telescope: Telescope,
     options: DesignOptions,
     observer: SampledSystem | None,
+    law: SampledSystem | None,
     report: Report,
     compared: list[dict[str, Any]],
 ) -> FloatArray:
@@ -48,7 +49,9 @@ def choose_paper_start(
     telescope : Telescope
     options : DesignOptions
     observer : SampledSystem or None
-        K_FSM that is given; it stays as it is, or is the start where both are tuned.
+        K_FSM that is given; it stays as it is, or is the start where it is tuned.
+    law : SampledSystem or None
+        K_PMA that is the start; without it random ones are compared.
     report : callable
         Receives one line for each start that is compared.
     compared : list of dict
@@ -57,16 +60,27 @@ def choose_paper_start(
     Raises
     ------
     ValueError
-        No start stabilises the telescope.
+        No start stabilises the telescope, or a given one is of higher order.
     """
-    parameters = task.samples.open_loop.parameters
-    guess = kalman_of_order(task.orders[0], telescope, parameters) if observer is None else continuous(observer).at({})
-    mirror = gain_matrix_of(guess)
-    if ACTUATORS not in task.tuned:
-        x = parameters_of(task.blocks, [mirror, _law(task, 0, 0.0)])
-        if not task.stable(x):
-            raise ValueError("the Kalman observer must stabilise the telescope, got a loop that is not stable")
-        return x
+    order, parameters = task.orders[0], task.samples.open_loop.parameters
+    if observer is None:
+        mirror = gain_matrix_of(kalman_of_order(order, telescope, parameters))
+    else:
+        mirror = gain_matrix_of(padded(continuous(observer).at({}), order))
+    if ACTUATORS in task.tuned and law is None:
+        return _best_random(task, mirror, options, report, compared)
+    force = _law(task, 0, 0.0) if law is None else gain_matrix_of(padded(continuous(law).at({}), task.orders[1]))
+    x = parameters_of(task.blocks, [mirror, force])
+    if not task.stable(x):
+        name = "the Kalman observer" if observer is None else "the start"
+        raise ValueError(f"{name} must stabilise the telescope, got a loop that is not stable")
+    return x
+
+
+def _best_random(
+    task: PaperTask, mirror: FloatArray, options: DesignOptions, report: Report, compared: list[dict[str, Any]]
+) -> FloatArray:
+    """The best of the random laws beside a K_FSM, after short descents."""
     points = first_points(task, 0 if options.nominal else POINTS)
     small, at = at_points(task, points), [task.samples.open_loop.values(point) for point in points]
     assert isinstance(small, PaperTask)

@@ -10,6 +10,8 @@ import numpy as np
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import SampledSystem, System
 from lftkit.systems.ports import spread_columns
+from lftkit.tuning.nested_orders import with_decaying_state
+from lftkit.tuning.structures.structures import gain_matrix_of
 from los_design.synthesis.store import design_ports
 from titop_plant.interface import DT
 
@@ -44,3 +46,20 @@ def random_law(seed: int, gain: float = START_GAIN, order: int = ACTUATOR_ORDER)
     C = gain * rng.standard_normal((6, order))
     D = np.zeros((6, 6)) if order else gain / np.sqrt(np.prod(START_POLES)) * rng.standard_normal((6, 6))
     return System(np.diag(poles), B, C, D, *design_ports("k-pma"), f"start {seed}")
+
+
+def padded(system: System, order: int) -> System:
+    """A controller with more states and the same response: they decay, have inputs and act on nothing.
+
+    Raises
+    ------
+    ValueError
+        It has more states than `order`.
+    """
+    if system.order > order:
+        raise ValueError(f"start must be of order {order} or lower, got {system.order}")
+    rng = np.random.default_rng(order)
+    for speed in np.geomspace(*START_POLES, order - system.order + 2)[1:-1]:
+        more = with_decaying_state(gain_matrix_of(system), system.order, float(speed), rng)
+        system = System(*more, system.inputs, system.outputs, system.name)
+    return system

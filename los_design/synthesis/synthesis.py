@@ -38,6 +38,7 @@ from los_design.synthesis.pair_problem import (
 )
 from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask
 from los_design.synthesis.paper_start import choose_paper_start
+from los_design.synthesis.provenance import digest
 from los_design.synthesis.round_state import Kept, Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
@@ -87,8 +88,9 @@ def design_observer(
     options: DesignOptions,
     report: Report = _silent,
     kept: Kept | None = None,
+    start: SampledSystem | None = None,
 ) -> SampledSystem:
-    """Tune K_FSM from the Kalman observer.
+    """Tune K_FSM from the Kalman observer, or from a given one.
 
     Parameters
     ----------
@@ -99,6 +101,9 @@ def design_observer(
         Receives one line for each step.
     kept : (Path, mapping), optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
+    start : SampledSystem, optional
+        K_FSM of this order or lower that a design of the paper's problem begins with, with its continuous form in the
+        provenance.
 
     Returns
     -------
@@ -106,7 +111,8 @@ def design_observer(
         K_FSM with the washout, ports of :mod:`los_estimator.runtime`; its provenance holds command, commit, parameters
         hash, seed, status, tuned values and the continuous controller.
     """
-    return _designed(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], kept=kept)[0]
+    _check_start(options, start)
+    return _designed(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], start, kept)[0]
 
 
 def design_actuators(
@@ -116,8 +122,9 @@ def design_actuators(
     options: DesignOptions,
     report: Report = _silent,
     kept: Kept | None = None,
+    start: SampledSystem | None = None,
 ) -> SampledSystem:
-    """Tune K_PMA with the mirror loop of an observer closed, from random starts.
+    """Tune K_PMA with the mirror loop of an observer closed, from random starts or a given one.
 
     Parameters
     ----------
@@ -130,13 +137,17 @@ def design_actuators(
         Receives one line for each step.
     kept : (Path, mapping), optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
+    start : SampledSystem, optional
+        K_PMA of this order or lower that a design of the paper's problem begins with, with its continuous form in the
+        provenance.
 
     Returns
     -------
     SampledSystem
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
-    return _designed(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept)[1]
+    _check_start(options, start)
+    return _designed(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept, law=start)[1]
 
 
 def design_pair(
@@ -182,6 +193,11 @@ def design_pair(
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
 
+def _check_start(options: DesignOptions, start: SampledSystem | None) -> None:
+    if start is not None and options.implemented:
+        raise ValueError("start must be left out with a loop delay, got one")
+
+
 def _designed(
     telescope: Telescope,
     parameters: Parameters,
@@ -192,6 +208,7 @@ def _designed(
     observer: SampledSystem | None = None,
     kept: Kept | None = None,
     workers: Workers | None = None,
+    law: SampledSystem | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
     """Design some of the controllers in rounds; the others stay as they are."""
     begin = time.monotonic()
@@ -203,7 +220,7 @@ def _designed(
             start = partial(choose_start, task, telescope, parameters, options, observer, report)
         else:
             task = _paper_task(telescope, parameters, options, tuned, workers or own, observer)
-            start = partial(choose_paper_start, task, telescope, options, observer, report, compared)
+            start = partial(choose_paper_start, task, telescope, options, observer, law, report, compared)
         outcome = design_in_rounds(task, start, _effort(options), report, kept)
         if isinstance(task, PaperTask):
             deadline = begin + options.wall_limit
@@ -219,6 +236,8 @@ def _designed(
     }
     if compared:
         common["starts"] = compared
+    if begun := observer if OBSERVER in tuned else law:
+        common["start"] = digest(begun)
     found = []
     placed = task.samples.open_loop.placed
     for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):

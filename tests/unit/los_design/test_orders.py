@@ -12,7 +12,8 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.tuning.structures.structures import controller
 from los_design.synthesis import paper_start, synthesis
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.starts import random_law
+from los_design.synthesis.provenance import digest
+from los_design.synthesis.starts import padded, random_law, zero_controller
 from los_design.synthesis.store import continuous
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -53,6 +54,44 @@ def test_random_laws_of_every_order_are_stable_and_small(order: int) -> None:
     law = random_law(3, order=order)
     assert law.order == order and np.any(frequency_response(law, OMEGA))
     assert order == 0 or np.linalg.eigvals(law.A).real.max() < 0.0
+
+
+@pytest.mark.parametrize("order", [0, 4])
+def test_a_padded_controller_has_the_same_response(order: int) -> None:
+    """Its further states decay, have inputs, and act on nothing; their poles differ."""
+    law = random_law(3, order=order)
+    found = padded(law, order + 3)
+    poles = np.linalg.eigvals(found.A).real
+    assert found.order == order + 3 and poles.max() < 0.0 and len(set(np.round(poles, 6))) == order + 3
+    np.testing.assert_array_equal(frequency_response(found, OMEGA), frequency_response(law, OMEGA))
+    assert np.all(np.abs(found.B[order:]).max(axis=1) > 0.0) and not found.C[:, order:].any()
+    assert padded(law, order) is law
+    with pytest.raises(ValueError, match=f"start must be of order 2 or lower, got {order + 3}"):
+        padded(found, 2)
+
+
+def test_a_design_begins_with_the_one_of_lower_order(parameters, monkeypatch) -> None:
+    """Its first look has the values that the other ended with; K_PMA compares no random starts."""
+    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=6))
+    monkeypatch.setattr(synthesis, "MAX_HIDDEN", 0)
+    monkeypatch.setattr(paper_start, "STEPS", 1)
+    low, high = (DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1) for order in (1, 2))
+    k_fsm = synthesis.design_observer(telescope(), parameters, low)
+    k_pma = synthesis.design_actuators(telescope(), parameters, k_fsm, low)
+    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=0))
+    more = [
+        synthesis.design_observer(telescope(), parameters, high, start=k_fsm),
+        synthesis.design_actuators(telescope(), parameters, k_fsm, high, start=k_pma),
+    ]
+    for below, above in zip((k_fsm, k_pma), more):
+        assert continuous(above).order == 2 and "starts" not in above.provenance
+        assert above.provenance["start"] == digest(below) and "start" not in below.provenance
+        assert above.provenance["tuned_values"] == pytest.approx(below.provenance["tuned_values"], rel=1e-5)
+
+
+def test_a_start_is_refused_with_a_loop_delay(parameters) -> None:
+    with pytest.raises(ValueError, match="start must be left out with a loop delay, got one"):
+        synthesis.design_observer(telescope(), parameters, DesignOptions(), start=zero_controller("k-fsm"))
 
 
 @pytest.mark.parametrize("order", [0, 1, 6])
