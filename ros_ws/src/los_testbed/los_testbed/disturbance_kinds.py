@@ -197,7 +197,7 @@ def _rate(entry: Entry, table: Table, n: int) -> float:
     """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
     given = entry.number("rate", None, 0.0) if "rate" in entry.table else None
     when = time_column(table.of_length(n), [])
-    own = _rate_by_times(entry, table, when, given) if when is not None else table.rate
+    own = _rate_by_times(entry, table, when, given) if when is not None else table.rate(list(table.of_length(n)))
     if own is None:
         return entry.number("rate", None, 0.0)
     if given is not None and abs(given - own) > SAME_RATE * own:
