@@ -96,7 +96,7 @@ def verify(
 
     key = None if public_key is None else read_key("--public-key", public_key)
     found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
-    title = printable(f"{bag}: {found.title}").replace("\n", "\\n")
+    title = printable(f"{bag}: {found.title}")
     table = Table(title=Text(title), title_justify="left")
     for head in ("check", "result", "found"):
         table.add_column(head, overflow="fold")

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, printable
 
 TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
 
@@ -29,7 +29,9 @@ def topics(
     from pointing_analysis.read.external_bag import candidates
 
     found = candidates(bag)
-    table = Table(title=f"{bag.name}: what could be the line of sight", title_justify="left", box=None, padding=(0, 1))
+    table = Table(
+        title=printable(f"{bag.name}: what could be the line of sight"), title_justify="left", box=None, padding=(0, 1)
+    )
     table.add_column("--los", no_wrap=True, overflow="fold")  # to be copied
     for head in ("type", "values", "time", "count", "Hz"):
         table.add_column(head, justify="right" if head in ("count", "Hz") else "left", overflow="fold")

@@ -82,18 +82,13 @@ def check_proof(
     except TextError as error:
         raise ValueError(f"{file}: {error}") from None
     except ProofError as error:
-        sys.stderr.write(f"refused: {_one_line(str(error))}\n")
+        sys.stderr.write(f"refused: {printable(str(error))}\n")
         raise typer.Exit(1) from None
-
-
-def _one_line(text: str) -> str:
-    """Words that may have those of a file in them."""
-    return printable(text).replace("\n", "\\n")
 
 
 def _named(name: str) -> str:
     """Name of a parameter; in quotation marks where it could be read as more than a name."""
-    return name if re.fullmatch(r"[\w.\-]{1,80}", name) else _one_line(json.dumps(name, ensure_ascii=False))
+    return name if re.fullmatch(r"[\w.\-]{1,80}", name) else printable(json.dumps(name, ensure_ascii=False))
 
 
 def _interval(low: float, high: float) -> str:
@@ -147,7 +142,7 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
         loop = loops_of(of, [stage])[0][stage]
         compared = compare_proof(proof, loop, figure)
         proof = proof_of_loop(proof, loop, figure) if compared.same else proof
-    other = _one_line(", ".join(compared.mismatches))
+    other = printable(", ".join(compared.mismatches))
     if of is not None and other:
         raise ProofError(f"it is not of {whose}: other {other}")
     with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
@@ -163,7 +158,7 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
         sys.stdout.write(f"not of {whose} (other {other}); what the file says it is about is not confirmed\n")
     box = ", ".join(f"{_named(name)} {_interval(*ends)}" for name, ends in zip(checked.names, checked.box))
     about = ", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in checked.about.items())
-    box, about = _one_line(box), _one_line(about)
+    box, about = printable(box), printable(about)
     sys.stdout.write(f"proven: {about}: below {at_most(checked.level, 6)} of the limit\n")
     low, high = at_most(checked.band[0], 6), at_least(checked.band[1], 6)
     sys.stdout.write(f"at all frequencies from {low} to {high} rad/s\n")
@@ -196,7 +191,7 @@ def _check_bundle(file: Path, cluster: Cluster, json_: bool) -> None:
     if json_:
         print_json(as_mapping(checked))
         return
-    sys.stdout.write("\n".join(map(_one_line, _sentences(checked))) + "\n")
+    sys.stdout.write("\n".join(map(printable, _sentences(checked))) + "\n")
 
 
 def _sentences(checked: CheckedBundle) -> list[str]:

@@ -10,14 +10,14 @@ from rich.text import Text
 
 
 def printable(text: str) -> str:
-    r"""The text with characters that would control the terminal spelled out; lines stay lines.
+    r"""The text on one line, with characters that would control the terminal or begin a line spelled out.
 
     Examples
     --------
-    >>> print(printable("red" + chr(27) + "[31m"))
-    red\x1b[31m
+    >>> print(printable("red" + chr(27) + "[31m" + chr(10) + "bag is whole"))
+    red\x1b[31m\nbag is whole
     """
-    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class Screen(Console):
@@ -38,8 +38,8 @@ class Screen(Console):
         super().__init__(stderr=stderr, markup=False, emoji=False)
 
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
-        """A text as it is shown."""
-        return super().render_str(printable(text), **options)
+        """A text as it is shown; lines stay lines."""
+        return super().render_str("\n".join(map(printable, text.split("\n"))), **options)
 
 
 def numbers(*heads: str, **options: Any) -> list[Column]:

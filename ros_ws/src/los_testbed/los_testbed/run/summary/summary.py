@@ -311,7 +311,7 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
-    table = Table(title=Text(title, style="table.title"))
+    table = Table(title=Text(printable(title), style="table.title"))
     for head in HEADS:
         table.add_column(head, justify="right" if head in ("value", "limit") else "left")
     for row in summary.rows:
