@@ -2,8 +2,8 @@
 
     python plain_plant.py DOMAIN TICKS      prints a JSON object when it is over
 
-A tick begins when the command of the one before has come, or after ten seconds: what is tried is what the loop does with
-the stamps, not how fast it is. Of each ten frames of the camera the fifth is lost; the others come 7 ticks late.
+A tick begins when the command of the one before has come, or after ten seconds: what is tried is what the loop does
+with the stamps, not how fast it is. Of each ten frames of the camera the fifth is lost; the others come 7 ticks late.
 """
 
 from __future__ import annotations
