@@ -93,7 +93,7 @@ def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(parame
         stored = np.array_equal(P, gain_matrix_of(continuous(load_designs("implemented")[1]).at({})))
         return np.array_equal(F, kalman) and np.abs(P).max() < KEPT and not stored
 
-    monkeypatch.setattr(synthesis.Task, "stable", stable)
+    monkeypatch.setattr(synthesis.ImplementedTask, "stable", stable)
     monkeypatch.setattr(start_choice, "descended", lambda task, problem, x: x)
     monkeypatch.setattr(start_choice, "POINTS", 0)
     (F, P), lines = chosen(parameters, telescope())
@@ -101,7 +101,7 @@ def test_where_the_stored_ones_do_not_stabilise_it_is_the_kalman_observer(parame
     values = [float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("start from a random K_PMA")]
     assert len(values) == len(lines) - 1 == 2 and values == sorted(values)
 
-    monkeypatch.setattr(synthesis.Task, "stable", lambda *rest: False)
+    monkeypatch.setattr(synthesis.ImplementedTask, "stable", lambda *rest: False)
     with pytest.raises(ValueError, match="K_FSM must stabilise the telescope with a small K_PMA, got one that does"):
         chosen(parameters, telescope())
 
