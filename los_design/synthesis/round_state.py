@@ -47,6 +47,8 @@ class RoundState:
         Of a descent that is not at its end.
     commits : list of str
         Of the source that it was made with: one, or all of those with which the design went on.
+    hidden : list of (int, list of float)
+        For each time that it went on for peaks that samples had missed: length of `added`, and their frequencies.
     """
 
     x: FloatArray
@@ -61,6 +63,7 @@ class RoundState:
     watched: list[dict[str, float]] = field(default_factory=list)
     inside: DescentState | None = None
     commits: list[str] = field(default_factory=list)
+    hidden: list[tuple[int, list[float]]] = field(default_factory=list)
 
     def save(self, kept: Kept | None) -> None:
         """Write the state with what it was made for.
@@ -86,6 +89,7 @@ class RoundState:
             "watched": self.watched,
             "inside": self.inside and self.inside.to_mapping(),
             "commits": self.commits,
+            "hidden": self.hidden,
         }
         write_text(path, json.dumps(content))
 
@@ -120,6 +124,7 @@ class RoundState:
                 list(content.get("watched", [])),
                 inside,
                 list(content.get("commits", ["unknown"])),
+                [(int(after), [float(omega) for omega in peaks]) for after, peaks in content.get("hidden", [])],
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None

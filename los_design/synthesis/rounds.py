@@ -3,8 +3,7 @@
 The descent (on :mod:`lftkit.tuning.responses`) sees the implemented loop at the frequencies and parameter points
 of :mod:`los_design.synthesis.pair_problem`; the search (:mod:`los_design.search.worst_case_search`) sees it everywhere,
 by ascents. What is added are the worst points of the bands in which a requirement exceeds what the descent reached. A
-design is
-``converged`` when a thorough search finds none.
+design is ``converged`` when a thorough search finds none.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import islice
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, named
 from los_design.synthesis.provenance import commit
 from los_design.synthesis.round_state import Kept, Outcome, RoundState
-from los_design.synthesis.task import Task, first_points, sample_around, stable_point
+from los_design.synthesis.task import Task, first_points, sample_around, sample_peaks, stable_point
 
 Report = Callable[[str], None]
 MAX_NEW = 16
@@ -39,6 +39,8 @@ UNSEEN = 0.01
 soft gains are minimised."""
 NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
+MAX_HIDDEN = 12
+"""Times that a design goes on for peaks of the nominal loop that its samples have missed."""
 TOLERANCE = 2e-3
 """A descent ends when four looks at all samples together lower the value by less than this part."""
 
@@ -76,6 +78,7 @@ def design_in_rounds(
     effort: Effort,
     report: Report = lambda text: None,
     kept: Kept | None = None,
+    hidden: Callable[[Outcome], Sequence[float]] = lambda outcome: (),
 ) -> Outcome:
     """Tune, search, add, until the thorough search finds nothing worse or the rounds are over.
 
@@ -90,18 +93,38 @@ def design_in_rounds(
         Receives one line for each step.
     kept : (Path, mapping), optional
         File of the state in and after each descent and each search, and what it must have been made for.
+    hidden : callable
+        Frequencies [rad/s] of peaks of the nominal loop that samples and searches have missed. While there are some
+        the rounds begin anew with samples at them, :data:`MAX_HIDDEN` times and within the wall limit.
     """
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
-    design = _Design(task, state, effort, report, kept, begin)
+    while True:
+        outcome = _in_rounds(_Design(task, state, effort, report, kept, begin))
+        if not (peaks := hidden(outcome)):
+            return outcome
+        if time.monotonic() >= begin + task.wall_limit:
+            return replace(outcome, status=TuningStatus.OUT_OF_TIME)
+        if len(state.hidden) >= MAX_HIDDEN:
+            return replace(outcome, status=TuningStatus.ROUNDS)
+        at = ", ".join(f"{omega:.5g}" for omega in peaks)
+        report(f"goes on: the nominal loop has peaks beside the samples at {at} rad/s")
+        state.hidden.append((len(state.added), list(peaks)))
+        state.number, state.descent, state.searched, state.exceeded = 0, None, 0, []
+        sample_peaks(task, peaks)
+        state.save(kept)
+
+
+def _in_rounds(design: _Design) -> Outcome:
+    """The rounds from a state."""
+    task, state, effort = design.task, design.state, design.effort
     found = in_rounds(design, effort.rounds, state.number - (state.descent is not None))
     worst, values = _worst(task, design.found)
     status = found.status if found.worse.goes_on else TuningStatus.CONVERGED
     status = status if effort.searches else found.tuned.status
     active = [task.samples.open_loop.values(p) for p in state.points]
-    return Outcome(
-        state.x, status, _tuned(task, design.problem, found.tuned.point), worst, values, active, state.commits
-    )
+    tuned = _tuned(task, design.problem, found.tuned.point)
+    return Outcome(state.x, status, tuned, worst, values, active, state.commits)
 
 
 @dataclass
@@ -168,11 +191,7 @@ class _Design:
 
 
 def _begin(
-    task: Task,
-    start: Callable[[], FloatArray],
-    effort: Effort,
-    report: Report,
-    kept: Kept | None,
+    task: Task, start: Callable[[], FloatArray], effort: Effort, report: Report, kept: Kept | None
 ) -> RoundState:
     """The state that is kept, or a new one; its parameter points are sampled."""
     state = RoundState.load(kept)
@@ -186,12 +205,20 @@ def _begin(
             + ", in the descent of the next" * bool(state.inside)
         )
     state.commits += [now for now in [commit()] if now not in state.commits]
-    first = len(state.points) - sum(state.added)
-    task.samples.add(np.array(state.points[:first]))
-    for end, count in zip(np.cumsum(state.added), state.added):
-        sample_around(task, state.around[end - count : end])
+    _sample_again(task, state)
     state.save(kept)
     return state
+
+
+def _sample_again(task: Task, state: RoundState) -> None:
+    """Sample what a state has, in the order in which it came: for the same bits."""
+    task.samples.add(np.array(state.points[: len(state.points) - sum(state.added)]))
+    around = iter(state.around)
+    for number in range(len(state.added) + 1):
+        for peaks in (peaks for after, peaks in state.hidden if after == number):
+            sample_peaks(task, peaks)
+        if number < len(state.added):
+            sample_around(task, [*islice(around, state.added[number])])
 
 
 def _begin_with_known(task: Task, state: RoundState) -> None:

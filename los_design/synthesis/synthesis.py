@@ -19,7 +19,6 @@ from fsm_pma_controller.problem import sampled_controller
 from lftkit import SampledSystem, System, state_space
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.workers import Workers
-from lftkit.tuning import TuningStatus
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
@@ -66,8 +65,6 @@ NOMINAL_EFFORT = Effort(rounds=1, points=0, first=3000, iterations=0, target=0.0
 PAPER_EFFORT = Effort(rounds=30, points=30, first=150, iterations=60, target=0.0, searches=(QUICK, THOROUGH))
 """Effort of a robust design of the paper's problem, whose largest soft value is minimised."""
 
-MAX_HIDDEN = 12
-"""Times that a design goes on for peaks of the nominal loop that its samples have missed."""
 STAGES_OF: Mapping[tuple[int, ...], tuple[tuple[int, ...], ...]] = {
     (OBSERVER,): (ALONE,),
     (ACTUATORS,): (BOTH,),
@@ -221,10 +218,8 @@ def _designed(
         else:
             task = _paper_task(telescope, parameters, options, tuned, workers or own, observer)
             start = partial(choose_paper_start, task, telescope, options, observer, law, report, compared)
-        outcome = design_in_rounds(task, start, _effort(options), report, kept)
-        if isinstance(task, PaperTask):
-            deadline = begin + options.wall_limit
-            outcome = _without_hidden_peaks(task, telescope, parameters, options, outcome, report, deadline)
+        hidden = partial(_hidden, task, telescope, parameters)
+        outcome = design_in_rounds(task, start, _effort(options), report, kept, hidden)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": ", ".join(outcome.commits),
@@ -248,46 +243,19 @@ def _designed(
     return found[0], found[1]
 
 
-def _without_hidden_peaks(
-    task: PaperTask,
-    telescope: Telescope,
-    parameters: Parameters,
-    options: DesignOptions,
-    outcome: Outcome,
-    report: Report,
-    deadline: float,
-) -> Outcome:
-    """The design goes on while the norms of the nominal loop show peaks between or above its samples.
-
-    Until the deadline: a design that still has such peaks then is ``out_of_time``, after :data:`MAX_HIDDEN` times
-    ``rounds``.
-    """
-    nominal, tuned = task.samples.open_loop.point({}), outcome.tuned
-    for _ in range(MAX_HIDDEN):
-        pair = []
-        for kind, M in zip(DESIGN_PACKAGES, gain_matrices(task.blocks, outcome.x), strict=True):
-            pair.append(System(*_state_space(kind, M, NO_DEVICES), *design_ports(kind), kind))
-        peaks = [
-            omega
-            for stage in task.stages
-            for omega in hidden_peaks(
-                telescope, parameters, pair, STAGE_NAMES[stage], {n: tuned[named(n, stage)] for n in task.limits(stage)}
-            )
-        ]
-        if not peaks:
-            return outcome
-        left = deadline - time.monotonic()
-        if left <= 0.0:
-            return replace(outcome, status=TuningStatus.OUT_OF_TIME)
-        report(
-            f"goes on: the nominal loop has peaks beside the samples at {', '.join(f'{w:.5g}' for w in peaks)} rad/s"
-        )
-        for omega in peaks:
-            task.samples.add_around(omega, nominal)
-        within, x = replace(task, wall_limit=left), outcome.x
-        outcome = design_in_rounds(within, lambda x=x: x, _effort(options), report)  # type: ignore[misc]
-        tuned = outcome.tuned
-    return replace(outcome, status=TuningStatus.ROUNDS)
+def _hidden(task: Task, telescope: Telescope, parameters: Parameters, outcome: Outcome) -> list[float]:
+    """Peaks of the nominal loop between or above the samples of a design of the paper's problem, by its norms."""
+    if not isinstance(task, PaperTask):
+        return []
+    pair = [
+        System(*_state_space(kind, M, NO_DEVICES), *design_ports(kind), kind)
+        for kind, M in zip(DESIGN_PACKAGES, gain_matrices(task.blocks, outcome.x), strict=True)
+    ]
+    peaks = list[float]()
+    for stage in task.stages:
+        reached = {name: outcome.tuned[named(name, stage)] for name in task.limits(stage)}
+        peaks += hidden_peaks(telescope, parameters, pair, STAGE_NAMES[stage], reached)
+    return [*dict.fromkeys(peaks)]
 
 
 def _effort(options: DesignOptions) -> Effort:

@@ -146,3 +146,9 @@ def sample_around(task: Task, around: Sequence[tuple[float, FloatArray]]) -> Non
     task.samples.add(np.array([at for _, at in around]))
     for omega, at in around:
         task.samples.add_around(omega, at)
+
+
+def sample_peaks(task: Task, peaks: Sequence[float]) -> None:
+    """Sample the nominal point closely around frequencies [rad/s]."""
+    for omega in peaks:
+        task.samples.add_around(omega, task.samples.open_loop.point({}))

@@ -73,7 +73,7 @@ def test_a_padded_controller_has_the_same_response(order: int) -> None:
 def test_a_design_begins_with_the_one_of_lower_order(parameters, monkeypatch) -> None:
     """Its first look has the values that the other ended with; K_PMA compares no random starts."""
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=6))
-    monkeypatch.setattr(synthesis, "MAX_HIDDEN", 0)
+    monkeypatch.setattr(synthesis, "hidden_peaks", lambda *given: [])
     monkeypatch.setattr(paper_start, "STEPS", 1)
     low, high = (DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1) for order in (1, 2))
     k_fsm = synthesis.design_observer(telescope(), parameters, low)

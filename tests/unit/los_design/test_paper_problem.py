@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +11,9 @@ import pytest
 from fsm_pma_controller.problem import actuator_plant, actuator_structure
 from lftkit import System
 from lftkit.arrays import FloatArray
-from lftkit.tuning import TuningStatus, certify
+from lftkit.tuning import certify
 from los_design.synthesis import synthesis
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.pair_problem import named
-from los_design.synthesis.paper_problem import PaperTask
-from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import design_actuators, design_observer
@@ -85,20 +82,21 @@ def test_the_nominal_k_pma_is_converged_and_certified(k_fsm) -> None:
         assert upper <= k_fsm.provenance["tuned_values"]["APE"] * 1.001 or requirement.hard
 
 
-def test_a_design_with_hidden_peaks_ends_at_its_wall_limit(monkeypatch) -> None:
-    """Each going on takes 40 s of 100 s, and the norms always show another peak: what is left is the limit."""
-    now, limits = [0.0], list[float]()
+def test_a_design_goes_on_while_the_norms_show_hidden_peaks(monkeypatch) -> None:
+    """Of the nominal loop, at what was reached there; a frequency of two of them is one."""
+    answers, lines, looked = [[3.0, 5.0, 3.0], [], []], list[str](), []
 
-    def design(task: PaperTask, start, effort, report, kept=None) -> Outcome:
-        limits.append(task.wall_limit)
-        now[0] += 40.0
-        names = (named(name, stage) for stage in task.stages for name in task.limits(stage))
-        return Outcome(start(), TuningStatus.CONVERGED, dict.fromkeys(names, 0.0), {}, {}, [], [])
+    def peaks(telescope, parameters, pair, stage, reached):
+        looked.append((stage, sorted(reached)))
+        return answers.pop(0)
 
-    monkeypatch.setattr(synthesis, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(synthesis, "design_in_rounds", design)
-    monkeypatch.setattr(synthesis, "hidden_peaks", lambda *_: [1.0])
-    options = DesignOptions(nominal=True, loop_delay=0.0, wall_limit=100.0)
-    k_fsm = design_observer(telescope(FILE), load_parameters(FILE), options)
-    assert k_fsm.provenance["status"] == "out_of_time"
-    assert limits == [100.0, 60.0, 20.0]
+    monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
+    monkeypatch.setattr(synthesis, "hidden_peaks", peaks)
+    options = DesignOptions(nominal=True, loop_delay=0.0)
+    design_observer(telescope(FILE), load_parameters(FILE), options, lines.append)
+    assert looked == [("fsm", ["APE", "RPE", "mirror"])] * 2
+    assert [line for line in lines if line.startswith("goes on")] == [
+        "goes on: the nominal loop has peaks beside the samples at 3, 5 rad/s"
+    ]
+    first, second = (int(line.split()[2]) for line in lines if "samples," in line)
+    assert 0 < second - first < 30, "closely around two frequencies, nothing again"

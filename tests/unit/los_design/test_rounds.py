@@ -91,11 +91,11 @@ class Bench:
     def stable(self, task, x, values=None):
         return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
 
-    def design(self, count: int = 5, kept=None, points: int = 0, known=()):
+    def design(self, count: int = 5, kept=None, points: int = 0, known=(), hidden=lambda outcome: [], limit=np.inf):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
-        task = ImplementedTask(self.samples, (BOTH,), (0, 1), known=known, sampled=no_controllers)
-        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
+        task = ImplementedTask(self.samples, (BOTH,), (0, 1), 0, limit, known=known, sampled=no_controllers)
+        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept, hidden)
 
 
 @pytest.fixture
@@ -300,3 +300,48 @@ def test_a_design_out_of_time_says_so(bench) -> None:
     worse = [peak("soft tones", 0.6, 10.0)]
     found = bench([worse, worse], status="out_of_time").design()
     assert found.status == "out_of_time"
+
+
+def test_hidden_peaks_begin_the_rounds_anew_with_what_is_there(bench) -> None:
+    """Points and worst points stay, nothing is sampled twice, and all requirements are looked at again."""
+    hidden = iter([[7.0, 8.0], []])
+    made = bench([[peak("soft tones", 0.6, 10.0)], [], [], [], []])
+    found = made.design(points=2, hidden=lambda outcome: next(hidden))
+    assert found.status == "converged" and made.tuned == [3, 4, 4]
+    assert len(made.samples.points) == 4 and made.samples.around == [10.0, 7.0, 8.0]
+    assert [seed for seed, _, _ in made.searched] == [1, 1, 2, 1, 2]
+    assert [len(names) for _, names, _ in made.searched] == [1, 1, 2, 1, 2]
+    assert len(found.active) == 4
+    np.testing.assert_array_equal(found.x, [3.0, 3.0])
+
+
+def test_an_interrupted_design_has_its_hidden_peaks_again_in_their_order(bench, tmp_path) -> None:
+    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    known, late = [peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]
+    hidden = iter([[7.0], [8.0], []])
+
+    def peaks(outcome):
+        return next(hidden)
+
+    with pytest.raises(StopIteration):
+        bench([known, [], [], late, [], []]).design(kept=(kept, key), hidden=peaks)
+    again = bench([[], []])
+    found = again.design(kept=(kept, key), hidden=peaks)
+    assert found.status == "converged" and again.tuned == []
+    assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]]
+    assert again.samples.around == [10.0, 7.0, 20.0, 8.0]
+
+
+def test_hidden_peaks_end_with_the_wall_limit_or_their_number(bench, monkeypatch) -> None:
+    """Each going on takes 40 s of 100 s, and there is always another peak."""
+    now = [0.0]
+
+    def peaks(outcome):
+        now[0] += 40.0
+        return [1.0]
+
+    monkeypatch.setattr(rounds, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    made = bench(itertools.repeat([]))
+    assert made.design(hidden=peaks, limit=100.0).status == "out_of_time" and len(made.tuned) == 3
+    made = bench(itertools.repeat([]))
+    assert made.design(hidden=peaks).status == "rounds" and len(made.tuned) == rounds.MAX_HIDDEN + 1
