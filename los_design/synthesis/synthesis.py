@@ -231,8 +231,8 @@ def _designed(
     }
     if compared:
         common["starts"] = compared
-    if begun := observer if OBSERVER in tuned else law:
-        common["start"] = digest(begun)
+    if given := observer if OBSERVER in tuned else law:
+        common["start"] = digest(given)
     found = []
     placed = task.samples.open_loop.placed
     for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
