@@ -28,11 +28,13 @@ class BagFiles:
     files : MCAP files in the order of recording
     counts : messages of each topic by metadata.yaml, where it says them
     problems : what is wrong with metadata.yaml
+    message_count : all messages by metadata.yaml; None where it does not say it
     """
 
     files: tuple[Path, ...]
     counts: Mapping[str, int]
     problems: tuple[str, ...]
+    message_count: int | None = None
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -87,7 +89,7 @@ def bag_files(path: Path) -> BagFiles:
     if not files:
         got = "links to files only" if any(f.is_symlink() for f in of_name) else "none"
         raise BagError(f"{path}: a rosbag2 folder must hold .mcap files, got {got}")
-    return BagFiles(tuple(files), _counts(info), tuple(problems))
+    return BagFiles(tuple(files), _counts(info), tuple(problems), _count(info.get("message_count")))
 
 
 def files_digest(files: Sequence[Path]) -> str:
@@ -139,7 +141,12 @@ def _counts(info: Mapping[str, Any]) -> dict[str, int]:
     for row in rows if isinstance(rows, list) else []:
         about = row.get("topic_metadata") if isinstance(row, dict) else None
         name = about.get("name") if isinstance(about, dict) else None
-        count = row.get("message_count") if isinstance(row, dict) else None
-        if isinstance(name, str) and isinstance(count, int) and not isinstance(count, bool) and 0 <= count < 1 << 48:
+        count = _count(row.get("message_count")) if isinstance(row, dict) else None
+        if isinstance(name, str) and count is not None:
             found[name] = count
     return found
+
+
+def _count(value: object) -> int | None:
+    """A number of messages; None for anything else."""
+    return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 48 else None

@@ -135,6 +135,7 @@ class FileInfo:
     chunks : chunks that were unpacked
     unproved : messages that are used where the file was cut off, and that no checksum proves
     statistics : messages of each channel as the summary counts them; None without a whole summary
+    message_count : all messages as the summary counts them; None likewise
     finished : whether the file has the end of its data
     max_chunk : largest chunk that is unpacked [byte]
     unpacks : whether to unpack a chunk, by the times [ns] of its first and last message
@@ -154,6 +155,7 @@ class FileInfo:
     chunks: int = 0
     unproved: int = 0
     statistics: dict[int, int] | None = None
+    message_count: int | None = None
     library: str = ""
     finished: bool = False
     max_chunk: int = MAX_CHUNK
@@ -286,6 +288,7 @@ def _read_statistics(info: FileInfo, body: bytes) -> None:
     (n,) = struct.unpack_from("<I", body, 42)
     if n % 10 or 46 + n > len(body):
         raise struct.error("counts beyond the end of the record")
+    (info.message_count,) = struct.unpack_from("<Q", body)
     info.statistics = dict(struct.iter_unpack("<HQ", body[46 : 46 + n]))
 
 

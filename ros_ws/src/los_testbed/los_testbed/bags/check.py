@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
 from los_testbed.exit_codes import ExitCode
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
 
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
 """``early``: whole, of a run that did not end by its plan."""
+
+NAMED = 3
+"""Places that are named of those that count messages and agree."""
 
 
 @dataclass(frozen=True)
@@ -118,13 +123,12 @@ def _check(
     path: Path, max_chunk: int, key: Ed25519PublicKey | None
 ) -> tuple[BagCheck, list[FileInfo], tuple[Path, ...]]:
     bag = bag_files(path)
-    reading, messages = BagPass(path, bag, max_chunk), Counter[str]()
+    reading, contents = BagPass(path, bag, max_chunk), Contents()
     for info, block in reading.blocks():
-        for channel, places in block.by_channel(info.channels):
-            messages[channel.topic] += int(places.size)
+        contents.add(len(reading.infos) - 1, info, block)
     infos, losses = reading.infos, reading.losses()
     damage = _damage(reading, bag)
-    counts = _counts(infos, bag, messages, bool(losses or damage or reading.cut))
+    counts = _counts(_sources(infos, bag, contents), contents, bool(losses or damage or reading.cut))
     rows = (
         Row("end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))),
         Row("checksums", *(("damaged", _first(damage)) if damage else ("agrees", "no damage"))),
@@ -139,7 +143,7 @@ def _check(
     found = tuple(row for row in rows if row is not None)
     told = [f"{row.name}: {row.found}" for row in (counts, found[-1]) if row.state == "contradicts"]
     problems = tuple(dict.fromkeys([*reading.problems(), *told]))
-    result = BagCheck(path, found, (*reading.contradictions, *told), problems, dict(messages), losses)
+    result = BagCheck(path, found, (*reading.contradictions, *told), problems, dict(contents.topics), losses)
     return result, infos, bag.files
 
 
@@ -193,26 +197,62 @@ def _chain(infos: list[FileInfo]) -> Row:
     return Row("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")
 
 
-def _counts(infos: list[FileInfo], bag: BagFiles, messages: Counter[str], incomplete: bool) -> Row:
-    """Messages against the summary of each file and metadata.yaml."""
-    summary = Counter[str]()
-    for info in infos:
-        for number, count in (info.statistics or {}).items():
-            summary[info.channels[number].topic if number in info.channels else f"channel {number}"] += count
-    sources = [("metadata.yaml", bag.counts)] if bag.counts else []
-    if all(info.statistics is not None for info in infos):
-        sources.append(("the summary", summary))
-    wrong = [
-        f"{topic}: {where} counts {known.get(topic, 0)} messages, {messages[topic]} can be read"
-        for where, known in sources
-        for topic in sorted({*known, *messages})
-        if known.get(topic, 0) != messages[topic]
-    ]
+@dataclass(frozen=True)
+class _Source:
+    """Who counts messages: what it counts in all and by topic, and what was read of that; None: it does not say."""
+
+    name: str
+    total: int | None
+    topics: Mapping[str, int] | None
+    read: Mapping[str, int]
+
+    @property
+    def wrong(self) -> list[str]:
+        """Where it counts otherwise than was read, one sentence each."""
+        known, read = self.topics, sum(self.read.values())
+        found = [
+            f"{topic}: {self.name} counts {known.get(topic, 0)} messages, {self.read.get(topic, 0)} can be read"
+            for topic in (() if known is None else sorted({*known, *self.read}))
+            if known is not None and known.get(topic, 0) != self.read.get(topic, 0)
+        ]
+        if self.total is None or self.total == read:
+            return found
+        return [*found, f"{self.name} counts {self.total} messages in all, {read} can be read"]
+
+
+def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents) -> list[_Source]:
+    """metadata.yaml and the summary of each file, as far as they count messages."""
+    found = []
+    if bag.counts or bag.message_count is not None:
+        found.append(_Source("metadata.yaml", bag.message_count, bag.counts or None, contents.topics))
+    for number, info in enumerate(infos):
+        name = "the summary" if len(infos) == 1 else f"the summary of {bag.files[number].name}"
+        read = contents.files[number] if number < len(contents.files) else {}
+        if info.statistics is not None:
+            found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
+    return found
+
+
+def _by_topic(info: FileInfo) -> Counter[str]:
+    """Messages of each topic as the summary of a file counts them."""
+    found = Counter[str]()
+    for number, count in (info.statistics or {}).items():
+        found[info.channels[number].topic if number in info.channels else f"channel {number}"] += count
+    return found
+
+
+def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) -> Row:
+    """Messages that were read against those that are counted elsewhere in the bag."""
+    wrong = [text for source in sources for text in source.wrong]
     if wrong:
         return Row("counts", "damaged" if incomplete else "contradicts", _first(wrong))
-    names = " and ".join(where for where, _ in sources)
-    text = f"{messages.total()} messages of {len(messages)} topics"
-    return Row("counts", "agrees", f"{text}, as in {names}") if sources else Row("counts", "none", text)
+    names = [source.name for source in sources]
+    if len(names) > NAMED:
+        names[NAMED - 1 :] = [f"{len(names) - NAMED + 1} further summaries"]
+    text = f"{contents.topics.total()} messages of {len(contents.topics)} topics"
+    if not names:
+        return Row("counts", "none", text)
+    return Row("counts", "agrees", f"{text}, as in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}")
 
 
 def _end_of_run(infos: list[FileInfo]) -> Row | None:
