@@ -25,7 +25,8 @@ from pointing_analysis.read.mcap.bag_pass import WHOLE, BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, FileInfo
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.messages.topic_columns import KNOWN, Column, decode_block
-from pointing_analysis.read.topic import Topic
+from pointing_analysis.read.topic import NANO, Topic
+from pointing_analysis.read.unsent import OF_EVERY_TICK
 
 MEMORY_LIMIT = 6_000_000_000
 
@@ -245,6 +246,18 @@ class Run:
             self._topics.clear()  # keep the latest; another one is read again when asked for
         self._topics[name] = topic
         return topic
+
+    @property
+    def covered_ticks(self) -> int | None:
+        """Ticks from the first to the last one with samples, known losses counted; None of a part of a bag."""
+        if self._window != WHOLE:
+            return None
+        found = [topic for name in OF_EVERY_TICK if name in self and len(topic := self[name]) and topic.period > 0]
+        if not found:
+            return 0
+        first = min(topic.grid_start for topic in found)
+        last = max(int(topic.stamp[-1]) + round(topic.lost_after * topic.period * NANO) for topic in found)
+        return round((last - first) / (found[0].period * NANO)) + 1
 
     def messages(self, name: str) -> tuple[bytes, ...]:
         """Messages of a topic as they were recorded, in the order of the files; also of a type that is no columns.

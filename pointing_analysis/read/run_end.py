@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pointing_analysis.files.structured_text import is_number
@@ -10,18 +11,89 @@ from pointing_analysis.files.structured_text import is_number
 PLANNED = "planned_ticks"
 """Statistic of the plant: ticks that the run was to have."""
 
+OUTSIDE = "unsent_outside"
+"""Statistic of the plant: ticks before the first and after the last one of which it has sent samples."""
+
 BY_NODES = ("realtime", "lockstep")
 """Modes in which the plant reports its ticks while the run goes on."""
 
 
-def early_end(parameters: Mapping[str, Any]) -> str:
-    """What is said of a run that did not end by its plan; empty where it did, or where nothing is known of a plan.
+@dataclass(frozen=True)
+class RunEnd:
+    """How a run ended, in ticks; None where a number is not known.
+
+    Attributes
+    ----------
+    planned : by the plan of the run
+    done : by the last report of its plant
+    sent : of these, from the first to the last one of which the plant has sent samples
+    covered : from the first to the last one of which the recording has samples, those that are known to be lost counted
+    unreported : whether the plant must have reported and has not
+    """
+
+    planned: int | None
+    done: int | None
+    sent: int | None
+    covered: int | None
+    unreported: bool = False
+
+    @property
+    def text(self) -> str:
+        """What is said of a run that did not end by its plan, or whose messages do not show that it did; else empty."""
+        if self.unreported:
+            return "the plant has reported no tick: how the run ended is not known"
+        unplanned = self.planned is not None and self.done is not None and self.done < self.planned
+        early = f"the run ended before its plan: after {self.done} of {self.planned} ticks" if unplanned else ""
+        if self.covered is None or self.sent is None or self.covered >= self.sent:
+            return early
+        if early:
+            return f"{early}; the messages cover {self.covered} of the {self.sent} ticks in the run's record"
+        plan = "" if self.planned is None else "by its plan, "
+        return (
+            f"the run's record says that it ended {plan}after {self.sent} ticks, "
+            f"but the messages cover {self.covered} of them"
+        )
+
+    @property
+    def by_plan(self) -> bool:
+        """Whether plan, record and messages are there and agree."""
+        return None not in (self.planned, self.done, self.covered) and not self.text
+
+
+def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd:
+    """How a run ended.
 
     The plant counts its ticks: of a run that was killed, too, its last report has what was done and what was to be.
 
     Parameters
     ----------
     parameters : what the recorder wrote about the run (:attr:`pointing_analysis.read.run.Run.parameters`)
+    covered : ticks that the messages cover, see :class:`RunEnd`
+
+    Examples
+    --------
+    >>> known = {"duration": 10.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "10000"}}}
+    >>> run_end(known, covered=10000).by_plan
+    True
+    >>> run_end(known, covered=7500).text
+    "the run's record says that it ended by its plan, after 10000 ticks, but the messages cover 7500 of them"
+    """
+    statistics = parameters.get("statistics")
+    if not isinstance(statistics, dict):
+        return RunEnd(None, None, None, covered)
+    plant = statistics.get("plant")
+    counts = plant if isinstance(plant, dict) else {}
+    done, planned = _count(counts.get("ticks")), _count(counts.get(PLANNED))
+    if planned is None:
+        planned = _by_duration(parameters.get("duration"), parameters.get("rate_hz"))
+    if done is None:
+        ours = planned is not None and parameters.get("mode") in BY_NODES
+        return RunEnd(planned, None, None, covered, unreported=ours)
+    return RunEnd(planned, done, done - (_count(counts.get(OUTSIDE)) or 0), covered)
+
+
+def early_end(parameters: Mapping[str, Any], covered: int | None = None) -> str:
+    """:attr:`RunEnd.text` of a run; the arguments are those of :func:`run_end`.
 
     Examples
     --------
@@ -30,20 +102,7 @@ def early_end(parameters: Mapping[str, Any]) -> str:
     >>> early_end({"duration": 10.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "10000"}}})
     ''
     """
-    statistics = parameters.get("statistics")
-    if not isinstance(statistics, dict):
-        return ""
-    plant = statistics.get("plant")
-    counts = plant if isinstance(plant, dict) else {}
-    done, planned = _count(counts.get("ticks")), _count(counts.get(PLANNED))
-    if planned is None:
-        planned = _by_duration(parameters.get("duration"), parameters.get("rate_hz"))
-    if done is None:
-        ours = planned is not None and parameters.get("mode") in BY_NODES
-        return "the plant has reported no tick: how the run ended is not known" if ours else ""
-    if planned is None or done >= planned:
-        return ""
-    return f"the run ended before its plan: after {done} of {planned} ticks"
+    return run_end(parameters, covered).text
 
 
 def missed_share(plant: Mapping[str, Any]) -> float:

@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 import zstandard
 from fuzz.record_mutations import Record, put_together, taken_apart
+from los_testbed.bags.writer import BagWriter
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
 
+from pointing_analysis.read.mcap.bag_files import bag_files
+from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, with_hash
+from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.chain import SEAL, Chain
 from pointing_analysis.read.mcap.chunks import block_of, take_apart, unpack_zstd
 from pointing_analysis.read.mcap.manifest import RUN, decode_manifest, encode_manifest
@@ -28,8 +32,10 @@ from pointing_analysis.read.mcap.records import (
     OP_METADATA_INDEX,
     RECORD,
     FileInfo,
+    table_at,
     text_at,
 )
+from pointing_analysis.read.run import Run
 
 TRUTH = "/telescope/truth/los"
 
@@ -144,3 +150,41 @@ def rechained(found: list[Record]) -> list[Record]:
             chain.add(op, body)
         made.append((op, body))
     return made
+
+
+def cut_short(bag: Path, target: Path, seconds: float) -> Path:
+    """A bag of the first seconds of another one, with its metadata and files: whole, and nothing in it says more."""
+    run, end = Run.open(bag), 0
+    table, _ = merged([head_of(bag)])
+    files = {name: ("application/json", data) for name, data in run.attachments.items()}
+    with BagWriter(target, {METADATA_NAME: table}, files, namespace=run.namespace) as made:
+        reading = BagPass(bag, bag_files(bag))
+        for info, block in reading.blocks():
+            end = end or int(block.heads["log"].min()) + round(seconds * 1e9)
+            for channel, rows in block.by_channel(info.channels):
+                kept = rows[block.heads["log"][rows] < end]
+                log = block.heads["log"][kept].astype(np.int64)
+                for same, payloads in block.payloads(kept):
+                    made.write(channel.topic, log[same], log[same], payloads)
+            made.end_chunk()
+    return target
+
+
+def head_of(bag: Path) -> FileInfo:
+    """What the file of a bag says beside its messages."""
+    reading = BagPass(bag, bag_files(bag), heads_only=True)
+    for _ in reading.blocks():
+        pass
+    return reading.infos[0]
+
+
+def with_metadata(bag: Path, **entries: str) -> None:
+    """Change entries of the settings and results in a bag, with their hashes and the chain made anew."""
+    file = next(bag.glob("*.mcap"))
+    found = taken_apart(file.read_bytes())
+    for at in (at for at in places(found, OP_METADATA) if text_at(found[at][1], 0)[0] == METADATA_NAME):
+        builder = RecordBuilder()
+        table = table_at(found[at][1], 4 + len(METADATA_NAME))
+        Metadata(name=METADATA_NAME, metadata=with_hash({**table, **entries})).write(builder)
+        found[at] = (OP_METADATA, builder.end()[9:])
+    file.write_bytes(put_together(right_places(rechained(found)), True))

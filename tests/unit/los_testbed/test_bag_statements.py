@@ -1,7 +1,8 @@
-"""What a bag says of its messages, against the messages that it holds."""
+"""What a bag says of its messages and of the end of its run, against the messages that it holds."""
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +12,13 @@ import pytest
 import yaml
 from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.bags.check import BagCheck, Row, check_bag
-from support.forged_bags import places
+from support.forged_bags import cut_short, places, with_metadata
 
 from pointing_analysis.read.mcap.records import OP_STATISTICS
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
+
+Call = Callable[..., tuple[int, str, str]]
 
 
 def row_of(found: BagCheck, name: str) -> Row:
@@ -36,6 +41,59 @@ def with_yaml(bag: Path, **entries: Any) -> None:
     content = yaml.safe_load(file.read_text())
     content["rosbag2_bagfile_information"].update(entries)
     file.write_text(yaml.safe_dump(content))
+
+
+def test_a_whole_run_ends_by_its_plan(bag: Path) -> None:
+    found = check_bag(bag)
+    assert row_of(found, "end of the run") == Row("end of the run", "agrees", "by its plan, after 3000 ticks")
+    assert found.code == 0 and Run.open(bag).covered_ticks == 3000
+    assert row_of(found, "counts").found.endswith("topics, as in metadata.yaml and the summary")
+
+
+def test_messages_that_end_before_the_record_of_the_run_are_told(bag: Path, tmp_path: Path, call: Call) -> None:
+    """The run is 3 s long and says so; the bag was made anew of its first two, and all its counts agree."""
+    cut = cut_short(bag, tmp_path / "cut", 2.0)
+    found = check_bag(cut)
+    said = "the run's record says that it ended by its plan, after 3000 ticks, but the messages cover 2000 of them"
+    assert row_of(found, "end of the run") == Row("end of the run", "early", said)
+    counts = row_of(found, "counts")
+    assert counts.state == "contradicts" and counts.found.startswith("the run's record counts")
+    assert found.code == 5 and not found.losses
+    assert said in summarise(Run.open(cut)).problems
+    code, out, _ = call("bag", "verify", str(cut))
+    assert code == 5 and "by its plan, after 3000 ticks, but" in " ".join(out.split())
+
+
+def test_a_part_of_a_bag_is_not_compared_with_the_whole_run(bag: Path) -> None:
+    part = Run.open(bag, stop=2.0)
+    assert part.covered_ticks is None
+    assert not [text for text in summarise(part).problems if "record" in text]
+
+
+def test_an_early_end_says_which_of_its_ticks_the_messages_cover(bag: Path, tmp_path: Path) -> None:
+    statistics = {"plant": {"ticks": "2500"}, "recorder": {}}
+    cut = cut_short(bag, tmp_path / "cut", 2.0)
+    with_metadata(cut, statistics=json.dumps(statistics))
+    assert row_of(check_bag(cut), "end of the run").found == (
+        "the run ended before its plan: after 2500 of 3000 ticks; "
+        "the messages cover 2000 of the 2500 ticks in the run's record"
+    )
+
+
+@pytest.mark.parametrize("entries", [{"duration": "long"}, {"statistics": "{}"}, {"rate_hz": "none"}])
+def test_without_plan_or_ticks_nothing_is_said_to_have_gone_by_plan(bag: Path, entries: dict[str, str]) -> None:
+    with_metadata(bag, **entries)
+    row = row_of(check_bag(bag), "end of the run")
+    assert row.state == "none" and "not known" in row.found
+
+
+def test_messages_that_a_repair_left_out_are_no_contradiction(bag: Path, call: Call) -> None:
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 20_000] = bytes(20_000)
+    file.write_bytes(data)
+    assert call("bag", "repair", str(bag), "--output", "repaired")[0] in (0, 1)
+    assert "contradicts" not in {row.state for row in check_bag(Path("repaired")).rows}
 
 
 @pytest.mark.parametrize("more", [-1, 1, 10**6])
@@ -66,3 +124,10 @@ def test_the_total_alone_is_compared_where_no_topic_is_counted(bag: Path) -> Non
     assert row_of(check_bag(bag), "counts").state == "agrees"
     with_yaml(bag, message_count=7)
     assert row_of(check_bag(bag), "counts").state == "contradicts"
+
+
+def test_the_recorder_counts_no_more_messages_than_there_are(bag: Path) -> None:
+    run = Run.open(bag).parameters["statistics"]
+    for count, state in (("5", "agrees"), ("9999999", "contradicts")):
+        with_metadata(bag, statistics=json.dumps({**run, "recorder": {"messages": count}}))
+        assert row_of(check_bag(bag), "counts").state == state

@@ -11,18 +11,19 @@ from typing import TYPE_CHECKING, Any, Literal
 from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
 from los_testbed.exit_codes import ExitCode
+from los_testbed.topics import DIAGNOSTICS_TOPIC
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of
 from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, FileInfo
-from pointing_analysis.read.run_end import early_end
+from pointing_analysis.read.run_end import run_end
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
-"""``early``: whole, of a run that did not end by its plan."""
+"""``early``: whole, of a run that did not end by its plan, or whose messages do not show that it did."""
 
 NAMED = 3
 """Places that are named of those that count messages and agree."""
@@ -128,7 +129,8 @@ def _check(
         contents.add(len(reading.infos) - 1, info, block)
     infos, losses = reading.infos, reading.losses()
     damage = _damage(reading, bag)
-    counts = _counts(_sources(infos, bag, contents), contents, bool(losses or damage or reading.cut))
+    known = {key: value_of(text) for key, text in merged(infos)[0].items()}
+    counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
         Row("end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))),
         Row("checksums", *(("damaged", _first(damage)) if damage else ("agrees", "no damage"))),
@@ -137,7 +139,7 @@ def _check(
         Row("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
         counts,
         Row("lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))),
-        _end_of_run(infos),
+        _end_of_run(known, contents, losses),
         _signature(bag, infos, key),
     )
     found = tuple(row for row in rows if row is not None)
@@ -205,6 +207,7 @@ class _Source:
     total: int | None
     topics: Mapping[str, int] | None
     read: Mapping[str, int]
+    at_least: bool = False  # a message that came twice is counted once
 
     @property
     def wrong(self) -> list[str]:
@@ -215,13 +218,13 @@ class _Source:
             for topic in (() if known is None else sorted({*known, *self.read}))
             if known is not None and known.get(topic, 0) != self.read.get(topic, 0)
         ]
-        if self.total is None or self.total == read:
+        if self.total is None or self.total == read or (self.at_least and self.total < read):
             return found
         return [*found, f"{self.name} counts {self.total} messages in all, {read} can be read"]
 
 
-def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents) -> list[_Source]:
-    """metadata.yaml and the summary of each file, as far as they count messages."""
+def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents, known: Mapping[str, Any]) -> list[_Source]:
+    """metadata.yaml, the summary of each file, and the recorder of the run, as far as they count messages."""
     found = []
     if bag.counts or bag.message_count is not None:
         found.append(_Source("metadata.yaml", bag.message_count, bag.counts or None, contents.topics))
@@ -230,6 +233,12 @@ def _sources(infos: list[FileInfo], bag: BagFiles, contents: Contents) -> list[_
         read = contents.files[number] if number < len(contents.files) else {}
         if info.statistics is not None:
             found.append(_Source(name, info.message_count, _by_topic(info) or None, read))
+    statistics = known.get("statistics")
+    recorder = statistics.get("recorder") if isinstance(statistics, dict) else None
+    told = str(recorder.get("messages")) if isinstance(recorder, dict) else ""
+    if told.isascii() and told.isdecimal() and len(told) < 16:
+        recorded = {topic: count for topic, count in contents.topics.items() if topic != DIAGNOSTICS_TOPIC}
+        found.append(_Source("the run's record", int(told), None, recorded, at_least=True))
     return found
 
 
@@ -246,7 +255,7 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     wrong = [text for source in sources for text in source.wrong]
     if wrong:
         return Row("counts", "damaged" if incomplete else "contradicts", _first(wrong))
-    names = [source.name for source in sources]
+    names = [source.name for source in sources if not source.at_least]
     if len(names) > NAMED:
         names[NAMED - 1 :] = [f"{len(names) - NAMED + 1} further summaries"]
     text = f"{contents.topics.total()} messages of {len(contents.topics)} topics"
@@ -255,13 +264,16 @@ def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) ->
     return Row("counts", "agrees", f"{text}, as in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}")
 
 
-def _end_of_run(infos: list[FileInfo]) -> Row | None:
-    """Whether the run ended by its plan; None where its recorder wrote no results."""
-    known = {key: value_of(text) for key, text in merged(infos)[0].items()}
+def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[TopicLoss]) -> Row | None:
+    """Whether the run ended by its plan, and the messages show it; None where its recorder wrote no results."""
     if "statistics" not in known:
         return None
-    early = early_end(known)
-    return Row("end of the run", "early", early) if early else Row("end of the run", "agrees", "by its plan")
+    end = run_end(known, contents.covered_ticks(known, losses))
+    if end.text:
+        return Row("end of the run", "early", end.text)
+    if end.by_plan:
+        return Row("end of the run", "agrees", f"by its plan, after {end.done} ticks")
+    return Row("end of the run", "none", "not known: the run's record does not hold its plan and its ticks")
 
 
 def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> Row:
