@@ -1,7 +1,8 @@
 """Bounds that are proven for the loop of a run, as its recording has them, beside what was measured.
 
 A run of ten seconds shows no percentile at a stated confidence. Where a proof holds for the loop and for the tone that
-acts, its bound stands in the table.
+acts, its bound stands in the table. The recording states it; whether it is so, is compared where certificates are
+(`ProvenBound.checked`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ METADATA = "proof_bounds"
 ABSOLUTE, SLOW, FAST, BOTH = "APE", "slow", "fast", "both"
 """What a bound is of: the absolute error; the relative error of slow, of fast, of tones of both kinds."""
 
+AS_STATED = "as the bag states, not checked here"
+"""Said of what a bag states of proofs, unless it was compared with the certificates at hand."""
+
 NO_PROOF = "no proof for this loop"
 OTHER_DISTURBANCE = "no proof for what acts"
 OTHER_QUANTITY = "no proof of this quantity"
@@ -42,28 +46,36 @@ class ProvenBound:
         Share of the instants, or of the windows, that keep it.
     condition : str
         What happened in the run that the proof does not cover; empty where it holds for the run.
+    checked : bool
+        Whether the certificates at hand say the same of this loop. A bag can state any number.
     """
 
     value: float
     probability: float
     condition: str = ""
+    checked: bool = False
 
     def text(self, scale: float, unit: str) -> str:
         """The bound in a unit of `scale` [rad], rounded up.
 
         Examples
         --------
-        >>> ProvenBound(3.99851e-7, 0.997).text(1e-9, "nrad")
+        >>> ProvenBound(3.99851e-7, 0.997, checked=True).text(1e-9, "nrad")
         '399.9 nrad, proven (99.7 %)'
-        >>> ProvenBound(3.99851e-7, 0.997, "16 missed ticks").text(1e-9, "nrad")
+        >>> ProvenBound(3.99851e-7, 0.997, "16 missed ticks", checked=True).text(1e-9, "nrad")
         '399.9 nrad, proven (99.7 %) without the 16 missed ticks'
+        >>> ProvenBound(3.99851e-7, 0.997).text(1e-9, "nrad")
+        '399.9 nrad (99.7 %), as the bag states, not checked here'
         """
+        proven, whose = (", proven", "") if self.checked else ("", f", {AS_STATED}")
         tail = f" without the {self.condition}" if self.condition else ""
-        return f"{at_most(self.value / scale)} {unit}, proven ({100 * self.probability:.12g} %){tail}"
+        return f"{at_most(self.value / scale)} {unit}{proven} ({100 * self.probability:.12g} %){tail}{whose}"
 
 
 def proven_bound(run: Recording, requirement: Requirement) -> ProvenBound | None:
-    """The bound that is proven of a requirement's index; None where none is, or where it is not for the tones that act.
+    """The bound that a recording states to be proven of a requirement's index, unchecked.
+
+    None where it states none, or one that is not for the tones that act.
 
     Parameters
     ----------

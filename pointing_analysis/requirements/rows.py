@@ -82,7 +82,7 @@ class Beside:
 
     Attributes
     ----------
-    proven : bound that is proven for the loop and the tones that act; None where none is
+    proven : bound that is proven for the loop and the tones that act, or stated to be; None where none is
     unproven : what is said where the run is too short for a bound and none is proven
     disturbed : why the verdict is not of the loop alone; empty where it is
     """
@@ -273,13 +273,14 @@ class RequirementRow:
         }
 
     def _proven_dict(self) -> dict[str, Any]:
-        """Proven bound for JSON, rounded up."""
+        """Proven bound for JSON, rounded up; one that the bag states and nobody checked has another name."""
         proven = self.beside.proven
         if proven is None:
             return {}
         value = float(at_most(proven.value / self._scale, 6))
-        condition = {"proven_without": proven.condition} if proven.condition else {}
-        return {"proven_bound": value, "proven_probability": proven.probability, **condition}
+        kind = "proven" if proven.checked else "stated"
+        condition = {f"{kind}_without": proven.condition} if proven.condition else {}
+        return {f"{kind}_bound": value, f"{kind}_probability": proven.probability, **condition}
 
 
 def rows_of(verdicts: Sequence[Verdict], beside: Sequence[Beside], run: str = "") -> list[RequirementRow]:

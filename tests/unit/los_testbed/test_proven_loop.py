@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from los_testbed.bags.metadata import final_metadata, run_metadata
 from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.summary.summary import remarks_of
+from los_testbed.run.summary.local_proofs import confirmed
+from los_testbed.run.summary.summary import judged, remarks_of
 from simple_telescope import SimpleTelescope
+from support.forged_bags import with_metadata
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
@@ -145,3 +149,79 @@ def test_bag_and_summary_say_the_reason(tmp_path: Path) -> None:
     remarks = remarks_of(run, summarise(run))
     assert "no proof of this run: camera_dropout is 0.95, proofs have 0" in remarks
     assert "proven" not in json.dumps(remarks)
+
+
+@pytest.fixture(scope="module")
+def proven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bag of a run of the loop that the shipped certificates are about."""
+    path = tmp_path_factory.mktemp("proven") / "bag"
+    run_in_process(RunConfig(duration=1.0, mode="inprocess"), path)
+    return path
+
+
+def shown(bag: Path) -> tuple[list[str], list[str]]:
+    """Bounds in the table, and remarks on proofs."""
+    found = judged([Run.open(bag)], None, None)
+    words = ("proven", "proof", "as the bag states")
+    remarks = [text for text in found.remarks[0] if any(word in text for word in words)]
+    return [row.bound_text for row in found.summaries[0].rows], remarks
+
+
+def test_what_the_certificates_say_of_the_loop_in_the_bag_is_proven(proven: Path) -> None:
+    assert confirmed(Run.open(proven)) == set(PROOF_KEYS)
+    bounds, remarks = shown(proven)
+    assert all("proven" in text and "as the bag states" not in text for text in bounds)
+    assert len(remarks) == 3 and all("proven" in text and "as the bag states" not in text for text in remarks)
+
+
+def test_forged_words_of_proof_are_not_shown_as_proven(proven: Path, tmp_path: Path) -> None:
+    """Bounds of no size, with hash and chain made anew: nothing in the bag contradicts them."""
+    bag = Path(shutil.copytree(proven, tmp_path / "bag"))
+    bounds = {**Run.open(bag).parameters[PROOF_BOUNDS], "APE": [1e-9, 0.9999], "fast": [1e-9, 0.9999]}
+    forged = {
+        "proof": "proven for every telescope of the family: APE 0.001 of 10 arcsec",
+        "proof_noise": "with noise, proven: APE 0.001 of 10 arcsec",
+        "proof_rpe": json.dumps({"rms_rad": 1e-12, "exposure_s": 0.02}),
+        PROOF_BOUNDS: json.dumps(bounds),
+    }
+    with_metadata(bag, **forged)
+    assert not Run.open(bag).contradictions and confirmed(Run.open(bag)) == set()
+    texts, remarks = shown(bag)
+    assert all("proven" not in text and text.endswith("as the bag states, not checked here") for text in texts)
+    assert len(remarks) == 3 and all(text.startswith("as the bag states, not checked here: ") for text in remarks)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"parameters_hash": json.dumps("0123456789ab")},
+        {"statistics": json.dumps({"plant": {"ticks": "1000", "missed_ticks": "7"}})},
+        {"statistics": json.dumps({"controller": {"changes": '[{"name": "loop", "value": "fsm"}]'}})},
+        {"plant": "my:Plant"},
+    ],
+)
+def test_words_of_proof_beside_another_run_are_not_confirmed(
+    proven: Path, tmp_path: Path, change: dict[str, str]
+) -> None:
+    """Another telescope, ticks with an older command, another stage, another plant."""
+    bag = Path(shutil.copytree(proven, tmp_path / "bag"))
+    with_metadata(bag, **change)
+    assert confirmed(Run.open(bag)) == set()
+
+
+@pytest.mark.parametrize("name", ["k_fsm.json", "run.yaml"])
+def test_words_of_proof_are_not_confirmed_without_controllers_or_settings(
+    proven: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    run = Run.open(proven)
+    left = {key: data for key, data in run.attachments.items() if key != name}
+    monkeypatch.setattr(Run, "attachments", property(lambda self: left))
+    assert confirmed(run) == set()
+
+
+def test_words_of_proof_are_not_confirmed_of_other_controllers(proven: Path) -> None:
+    run = Run.open(proven)
+    law = json.loads(run.attachments["k_fsm.json"])
+    law["D"] = (2.0 * np.array(law["D"])).tolist()
+    other = run.changed(run.parameters, {"k_fsm.json": json.dumps(law).encode()})
+    assert confirmed(other) == set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -75,15 +76,30 @@ def test_what_is_no_bound_is_none(odd: Any) -> None:
     assert proven_bound(recorded(proof_bounds=found), parse(RPE, "RPE")) is None
 
 
+def checked(beside: Beside) -> Beside:
+    """As where the certificates say the same."""
+    assert beside.proven is not None and not beside.proven.checked
+    return replace(beside, proven=replace(beside.proven, checked=True))
+
+
+def test_a_bound_that_nobody_checked_is_not_said_to_be_proven() -> None:
+    """Whoever writes a bag can write any bound into it."""
+    requirement = parse(RPE, "RPE, finest")
+    short = decide(requirement, 25.0 * MAS * (1 + 0.1 * (1.0 * np.arange(100) % 2)), 100.0, 2.0)
+    (row,) = rows_of([short], [beside_of(recorded(), requirement)])
+    assert row.bound_text == "39.99 mas (99.7 %), as the bag states, not checked here"
+    assert "stated_bound" in row.as_dict() and not [key for key in row.as_dict() if "proven" in key]
+
+
 def test_a_row_has_the_proven_bound_where_the_record_shows_none() -> None:
     """Rounded up, in the unit of the requirement, with its probability; the same in JSON."""
     requirement = parse(RPE, "RPE, finest")
     short = decide(requirement, 25.0 * MAS * (1 + 0.1 * (1.0 * np.arange(100) % 2)), 100.0, 2.0)
-    (row,) = rows_of([short], [beside_of(recorded(), requirement)])
+    (row,) = rows_of([short], [checked(beside_of(recorded(), requirement))])
     assert row.bound_text == "39.99 mas, proven (99.7 %)"
     assert row.as_dict()["proven_bound"] == pytest.approx(39.9841, abs=2e-4) and row.as_dict()["upper_bound"] is None
     late = recorded(proof_bounds={**BOUNDS, "condition": "16 missed ticks"})
-    (row,) = rows_of([short], [beside_of(late, requirement)])
+    (row,) = rows_of([short], [checked(beside_of(late, requirement))])
     assert row.bound_text == "39.99 mas, proven (99.7 %) without the 16 missed ticks"
     other = SimpleNamespace(parameters={"loop": "fsm"})
     assert rows_of([short], [beside_of(other, requirement)])[0].bound_text == "no proof for this loop"

@@ -16,6 +16,7 @@ from rich.text import Text
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
+from los_testbed.run.summary.local_proofs import stated_lines, with_confirmed
 from los_testbed.run.summary.screen import met, numbers, printable, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
 from los_testbed.topics import UNSENT_TICKS
@@ -27,6 +28,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.conditions import differences
+from pointing_analysis.requirements.guarantee import NOISE as PROOF_NOISE
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.rows import HEADS, cells
@@ -170,7 +172,10 @@ def judged(
     """Verdicts on open recordings; the arguments are attributes of `JudgedRuns`."""
     assumed = [requirements is None and is_older(run) for run in found]
     runs = tuple(with_requirements(run) if older else run for run, older in zip(found, assumed))
-    summaries = tuple(summarise_all(runs, transient=transient, requirements=requirements))
+    measured = summarise_all(runs, transient=transient, requirements=requirements)
+    summaries = tuple(
+        with_confirmed(run, summary) if isinstance(run, Run) else summary for run, summary in zip(runs, measured)
+    )
     shares = [_shares_or_reason(run) for run in runs]
     remarks = tuple(
         (
@@ -196,11 +201,12 @@ def remarks_of(run: Run, summary: Summary) -> tuple[str, ...]:
     from los_testbed.run.summary.control_effect import control_effect
 
     effect = control_effect(run, summary)
-    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "idle_devices", "proof", "proof_noise"))
+    notes = (str(run.parameters.get(name, "")) for name in ("start_note", "idle_devices"))
     proven, star = run.parameters.get(PROOF_RPE), summary.star
     image = "" if proven is None or star is None else proven_text(proven, star.optics, star.figures)
-    camera = ON_CAMERA if on_camera(run) else ""
-    found = (effect.remark if effect else "", camera, _lost_periods(run, summary), *notes, image, *requested(run))
+    lines = {name: str(run.parameters.get(name, "")) for name in ("proof", PROOF_NOISE)} | {PROOF_RPE: image}
+    camera, lost = ON_CAMERA if on_camera(run) else "", _lost_periods(run, summary)
+    found = (effect.remark if effect else "", camera, lost, *notes, *stated_lines(run, lines), *requested(run))
     return tuple(text for text in found if text)
 
 

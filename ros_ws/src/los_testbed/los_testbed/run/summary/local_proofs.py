@@ -1,0 +1,73 @@
+"""What a bag states to be proven of its loop, compared with the certificates at hand.
+
+Whoever writes a bag can write any bound into it. What the certificates say is looked up anew, by the digests of the
+controllers in the bag and of the telescope, with the settings and the statistics of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
+from los_testbed.config import RunConfig, is_code
+from los_testbed.factories import RunParts
+from los_testbed.run.replay import controller_of
+from pointing_analysis.files.structured_text import load_yaml
+from pointing_analysis.read.mcap.bag_metadata import value_of
+from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.guarantee import AS_STATED
+from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
+from pointing_analysis.requirements.summary import Summary
+
+CONTROLLERS = ("k_fsm", "k_pma")
+PARAMETERS_HASH = "parameters_hash"
+
+
+def confirmed(run: Run) -> frozenset[str]:
+    """Keys of a bag's statements on proofs (`PROOF_KEYS`) that the certificates at hand say word for word of its loop.
+
+    None where the bag does not hold its configuration and controllers, or where the telescope's file is another now.
+    """
+    stated = {key: run.parameters[key] for key in PROOF_KEYS if run.parameters.get(key)}
+    if not stated or "run.yaml" not in run.attachments:
+        return frozenset()
+    try:
+        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
+        code = any(is_code(text) for name in CONTROLLERS if (text := getattr(config, name)))
+        laws = None if code else {name: controller_of(run, name)[0] for name in CONTROLLERS}
+        parts = RunParts(config, laws)
+        if parts.basis.parameters_hash != run.parameters.get(PARAMETERS_HASH):
+            return frozenset()
+        found = {key: value_of(text) for key, text in proof_of(parts, _statistics(run, config)).items()}
+    except (ValueError, TypeError, OSError, OverflowError):
+        return frozenset()
+    return frozenset(key for key, value in stated.items() if value == found.get(key))
+
+
+def stated_lines(run: Run, lines: Mapping[str, str]) -> list[str]:
+    """Lines by the keys of the statements that they are of; those of statements that are not confirmed say so."""
+    known = confirmed(run) if any(lines.values()) else frozenset()
+    return [text if not text or key in known else f"{AS_STATED}: {text}" for key, text in lines.items()]
+
+
+def with_confirmed(run: Run, summary: Summary) -> Summary:
+    """The summary of a run, whose bounds count as proven where they are :func:`confirmed`."""
+    if not any(one.proven for one in summary.beside) or PROOF_BOUNDS not in confirmed(run):
+        return summary
+    beside = (
+        one if one.proven is None else replace(one, proven=replace(one.proven, checked=True)) for one in summary.beside
+    )
+    return replace(summary, beside=tuple(beside))
+
+
+def _statistics(run: Run, config: RunConfig) -> dict[str, dict[str, str]]:
+    """Statistics of each node; of a plant that is an object of a program its name is beside them in the bag."""
+    recorded: Any = run.parameters.get("statistics")
+    tables = recorded.items() if isinstance(recorded, dict) else ()
+    found = {str(k): {str(n): str(v) for n, v in table.items()} for k, table in tables if isinstance(table, dict)}
+    name = str(run.parameters.get("plant") or "")
+    if name != str(config.plant or ""):
+        found.setdefault("plant", {})["plant"] = name
+    return found
