@@ -46,6 +46,7 @@ found = {
 }
 """
 
+CERTIFY = 'design certify --output proofs --stage fsm+pma --figure "force, slow"'
 FIGURE_VALUES = """
 from los_design.verification.verification import check_implemented
 from los_testbed.campaign.model_depth import ModelDepth
@@ -71,6 +72,21 @@ def test_a_figure_of_merit_is_tuned_searched_proven_and_a_column(copy: PackageCo
     assert found["tuned for"] == 5.0 and found["searched"]
     assert found["proven"][0] == 0.0 and found["proven"][1] == pytest.approx(85.0)
     assert found["columns"].count("force_slow_gain") == 1
+
+
+def test_certify_takes_a_figure_that_was_added(copy: PackageCopy) -> None:
+    """A second is too short for a proof; the whole one is below."""
+    copy.follow("Add a figure of merit")
+    with pytest.raises(RuntimeError, match=r"fsm\+pma, force, slow: open"):
+        copy.run(f"{CERTIFY} --wall-limit 1")
+
+
+@pytest.mark.slow
+def test_a_figure_that_was_added_is_proven(copy: PackageCopy) -> None:
+    copy.follow("Add a figure of merit")
+    (bounds,) = json.loads(copy.run(f"{CERTIFY} --json").splitlines()[-1])["figures"]
+    assert (bounds["figure"], bounds["status"]) == ("force, slow", "proven")
+    assert (copy.folder / "proofs" / bounds["proof"]).exists()
 
 
 @pytest.mark.slow

@@ -64,16 +64,6 @@ figure is violated or not proven to its end.
 """
 
 SUMMARY = "bounds.json"
-FIGURES = {"fsm": ("APE", "slow", "fast", "mirror"), "fsm+pma": ("APE", "slow", "fast", "mirror", "force")}
-PARTS_OF_FAST = ("85 to 126", "126 to 128.5", "128.5 to 132", "132 to 138", "138 to 150", "150 to 200")
-FRAMES = ("frames, seen", "frames, images")
-AT_MIRROR = ("sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror", "noise")
-NEAR_EDGE = tuple(f"fast, {part}" for part in PARTS_OF_FAST)
-BY_NAME = {
-    "fsm": (*AT_MIRROR, *FRAMES, *NEAR_EDGE),
-    "fsm+pma": (*AT_MIRROR, "sensitivity, forces", "gain x0.5, forces", *FRAMES, *NEAR_EDGE),
-}
-"""Margins, noise of the sensors, what frames do, parts of the fast tones' band: proven where they are asked for."""
 
 
 @with_cluster
@@ -89,8 +79,8 @@ def certify(
     figure: Annotated[
         str | None,
         typer.Option(
-            help="APE, slow, fast, mirror or force (default: all), a margin as `sensitivity, mirror`, noise, or a part "
-            "of the fast tones' band as `fast, 85 to 126`."
+            help="A gain of the table of figures: APE, slow, fast, mirror, force (default: all of them); a margin as "
+            "`sensitivity, mirror`, noise, or a part of the fast tones' band as `fast, 85 to 126`."
         ),
     ] = None,
     uncertain: Uncertain = None,
@@ -173,13 +163,18 @@ def prove_figures(
 
 
 def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
-    """Stages and figures of the options: one figure, or all but those by name."""
-    stages = list(FIGURES) if stage is None else [stage]
+    """Stages and figures of the options: one figure, or all gains of the table from the disturbances."""
+    from los_design.verification.loop_models import figures_of, provable
+    from los_design.verification.noise_certificate import NOISE
+    from titop_plant.telescope.parameters import load_parameters
+
+    parameters, stages = load_parameters(), list(MIRROR_STAGES) if stage is None else [stage]  # names alone
     if figure is None:
-        return [(s, name) for s in stages for name in FIGURES[s]]
-    found = [(s, name) for s in stages for name in FIGURES[s] + BY_NAME[s] if name == figure]
+        return [(s, name) for s in stages for name in figures_of(parameters, s)]
+    known = [(s, name) for s in stages for name in (*provable(parameters, s), NOISE)]
+    found = [(s, name) for s, name in known if name == figure]
     if not found:
-        names = dict.fromkeys(repr(name) for s in stages for name in FIGURES[s] + BY_NAME[s])
+        names = dict.fromkeys(repr(name) for _, name in known)
         raise ValueError(f"--figure must be one of {', '.join(names)} with these stages, got {figure}")
     return found
 

@@ -21,7 +21,7 @@ from los_testbed.cli.designs.mission import (
     sources_of_mission,
     verify_mission,
 )
-from los_testbed.cli.designs.proofs import FIGURES, loops_of, prove_figures, show_bounds
+from los_testbed.cli.designs.proofs import loops_of, prove_figures, show_bounds
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
@@ -198,6 +198,7 @@ def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float
     ValueError
         The telescope of the folder is not that of the designs, or the controllers were made for another one.
     """
+    from los_design.verification.loop_models import figures_of
     from titop_plant.telescope.layout import mirror_stages
     from titop_plant.telescope.parameters import parameters_hash
 
@@ -206,7 +207,7 @@ def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float
         raise ValueError(f"{folder / TELESCOPE_FILE} must be of the telescope {wanted} to be proven, got {found}")
     stages = mirror_stages(telescope)
     loops, known = loops_of(folder, list(stages), same_telescope=True)
-    chosen = [(stage, name) for stage in stages for name in FIGURES[stage]]
+    chosen = [(stage, name) for stage in stages for name in figures_of(telescope, stage)]
     return prove_figures(chosen, loops, known, folder, workers, until)
 
 
