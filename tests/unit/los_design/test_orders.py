@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import runpy
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +23,7 @@ from los_estimator.problem import kalman_start, observer_plant, observer_structu
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation.build import telescope
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "paper"
 OMEGA = np.geomspace(1e-2, 1e3, 30)
 
 
@@ -117,3 +122,31 @@ def test_a_design_of_another_order_is_stored_and_loads_again(order: int, paramet
 def test_other_orders_are_refused_with_a_loop_delay() -> None:
     with pytest.raises(ValueError, match="order must be 4 with a loop delay, at least 0 without, got 3"):
         DesignOptions(order=3)
+
+
+def test_no_order_of_the_paper_s_table_is_worse_than_a_lower_one() -> None:
+    script, rows = runpy.run_path(str(EXAMPLE / "orders.py")), json.loads((EXAMPLE / "orders.json").read_text("utf-8"))
+    assert [row["order"] for row in rows["orders"]] == list(range(9))
+    for kind, soft in script["SOFT"].items():
+        values = [max(row[kind]["gammas"][name] for name in soft) for row in rows["orders"]]
+        assert all(value <= 1.001 * min(values[: k + 1]) for k, value in enumerate(values))
+
+
+def test_an_order_that_ends_worse_begins_again_from_the_one_below() -> None:
+    """The better of the two counts, and the next order begins with it; a tie within the descents' ends is none."""
+    script, asked = runpy.run_path(str(EXAMPLE / "orders.py")), []
+
+    def design(value: float) -> SampledSystem:
+        values = {"APE": value, "RPE": 0.1, "mirror": 2.0}
+        return replace(zero_controller("k-fsm"), provenance={"tuned_values": values, "status": "", "seconds": 0.0})
+
+    own = {0: 0.7, 1: 0.70001, 2: 2.5, 3: 0.8}
+    again = {2: 0.69, 3: 0.9}
+
+    def made(kind, order, observer, start=None):
+        asked.append((order, start and start.provenance["tuned_values"]["APE"]))
+        return design(own[order] if start is None else again[order])
+
+    found = script["Orders"].all(SimpleNamespace(made=made), "k-fsm", [3, 2, 1, 0])
+    assert asked == [(0, None), (1, None), (2, None), (2, 0.70001), (3, None), (3, 0.69)]
+    assert [found[order].provenance["tuned_values"]["APE"] for order in range(4)] == [0.7, 0.70001, 0.69, 0.8]
