@@ -134,6 +134,8 @@ class FileInfo:
     digests : chunks whose content was compared with the digest in their manifest, and agrees
     chunks : chunks that were unpacked
     unproved : messages that are used where the file was cut off, and that no checksum proves
+    unchecked : messages for which the file has no checksum but perhaps that of all its data
+    data_checksum : whether the checksum of all data agrees; None without one
     statistics : messages of each channel as the summary counts them; None without a whole summary
     message_count : all messages as the summary counts them; None likewise
     finished : whether the file has the end of its data
@@ -154,6 +156,8 @@ class FileInfo:
     digests: int = 0
     chunks: int = 0
     unproved: int = 0
+    unchecked: int = 0
+    data_checksum: bool | None = None
     statistics: dict[int, int] | None = None
     message_count: int | None = None
     library: str = ""

@@ -36,6 +36,19 @@ MAX_SUMMARY = 64_000_000
 """Largest summary that is read [byte]: that of a recording of some weeks."""
 
 
+PIECE = 1 << 20
+"""Bytes that are read at once for the checksum of the data."""
+
+
+def checksum_before(stream: BinaryIO, end: int) -> int:
+    """CRC-32 of a file from its beginning to a place."""
+    found, left = 0, end
+    stream.seek(0)
+    while left and (part := stream.read(min(left, PIECE))):
+        found, left = zlib.crc32(part, found), left - len(part)
+    return found
+
+
 @dataclass
 class SummarySection:
     """Places of records.

@@ -54,7 +54,7 @@ from pointing_analysis.read.mcap.records import (
     text_at,
     with_article,
 )
-from pointing_analysis.read.mcap.summary import SummarySection, read_summary
+from pointing_analysis.read.mcap.summary import SummarySection, checksum_before, read_summary
 from pointing_analysis.read.mcap.unbound import Unbound
 
 MAX_RATIO, MAX_SPARE = 100, 1 << 30
@@ -99,6 +99,7 @@ class _Walk:
                     self.info.note(self.where, frame.at, "the end of the data stands in front of data")
                     continue
                 self.info.finished = True
+                self._check_data(frame)
                 self._refuted(frame, self.info.chain.check_end())
                 self._side_records_after(frame.end)
                 self._data_records_after(frame.end)
@@ -251,6 +252,7 @@ class _Walk:
         if not found.content:
             return None
         block = block_of(self.info, found.content, indexed, self.where, frame.at, len(packed.data))
+        self.info.unchecked += 0 if block is None or packed.checksum else len(block.heads)
         proved = found.proved and (followed or bool(packed.checksum))
         return block if proved or block is None else self._unproved(frame, block)
 
@@ -287,7 +289,16 @@ class _Walk:
         for begin, end in self.unbound.pieces():
             block = block_of(self.info, self.framing.peek(begin, end - begin), [], self.where)
             if block is not None:
+                self.info.unchecked += len(block.heads)
                 yield block
+
+    def _check_data(self, end: Frame) -> None:
+        """Compare the data with the checksum at their end, which most files leave out."""
+        body = self._body(end)
+        if end.op == OP_DATA_END and len(body) == 4 and any(body):
+            self.info.data_checksum = checksum_before(self.stream, end.at) == int.from_bytes(body, "little")
+            if not self.info.data_checksum:
+                self.info.note(self.where, end.at, "the checksum of the data does not agree")
 
     def _data_after(self, end: Frame) -> bool:
         """Whether an end of the data is out of place: records follow it that stand in no summary."""

@@ -148,6 +148,7 @@ def split(bag: Path, tmp_path: Path) -> Path:
     description = yaml.safe_load((bag / "metadata.yaml").read_text())
     about = description["rosbag2_bagfile_information"]
     about["relative_file_paths"] = ["bag_0.mcap", "bag_1.mcap"]
+    about["message_count"] += len(times)
     for topic in about["topics_with_message_count"]:
         if topic["topic_metadata"]["name"] == TRUTH_LOS.path:
             topic["message_count"] += len(times)

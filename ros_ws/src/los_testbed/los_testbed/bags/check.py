@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 State = Literal["agrees", "none", "early", "damaged", "contradicts"]
 """``early``: whole, of a run that did not end by its plan, or whose messages do not show that it did."""
 
+CHECKSUMS = "checksums"
 NAMED = 3
 """Places that are named of those that count messages and agree."""
 
@@ -61,9 +62,11 @@ class BagCheck:
 
     @property
     def title(self) -> str:
-        """Whether it is whole, and that its run ended early."""
+        """Whether it is whole, that no checksum proves it, and that its run ended early."""
         early = "".join(f"; {row.found}" for row in self.rows if row.state == "early")
-        return f"{'not whole' if self.code else 'whole'}{early}"
+        unproved = "".join(f"; {row.found}" for row in self.rows if row.name == CHECKSUMS and row.state == "none")
+        whole = "complete" if unproved else "whole"
+        return f"{'not whole' if self.code else whole}{unproved}{early}"
 
     @property
     def code(self) -> int:
@@ -133,7 +136,7 @@ def _check(
     counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
         Row("end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))),
-        Row("checksums", *(("damaged", _first(damage)) if damage else ("agrees", "no damage"))),
+        _checksums(infos, damage, contents.topics.total()),
         _digests(infos),
         _chain(infos),
         Row("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
@@ -147,6 +150,16 @@ def _check(
     problems = tuple(dict.fromkeys([*reading.problems(), *told]))
     result = BagCheck(path, found, (*reading.contradictions, *told), problems, dict(contents.topics), losses)
     return result, infos, bag.files
+
+
+def _checksums(infos: list[FileInfo], damage: list[str], messages: int) -> Row:
+    if damage:
+        return Row(CHECKSUMS, "damaged", _first(damage))
+    unchecked = sum(info.unchecked for info in infos if not info.data_checksum)
+    if not unchecked:
+        return Row(CHECKSUMS, "agrees", "no damage")
+    which = f"any of the {messages}" if unchecked >= messages else f"{unchecked} of the {messages}"
+    return Row(CHECKSUMS, "none", f"the file has no checksum of {which} messages: damage to them does not show")
 
 
 def _first(texts: list[str]) -> str:
