@@ -47,7 +47,7 @@ from mcap.stream_reader import StreamReader
 from support.forged_bags import TRUTH, places, rechained, scaled
 from support.simple_telescope import SimpleTelescope, write_controllers
 
-from pointing_analysis.read.mcap.bag_metadata import HASH, METADATA_NAME, with_hash
+from pointing_analysis.read.mcap.bag_metadata import HASH, METADATA_NAME, value_of, with_hash
 from pointing_analysis.read.mcap.chain import Chain
 from pointing_analysis.read.mcap.chunks import take_apart, unpack_zstd
 from pointing_analysis.read.mcap.manifest import decode_manifest, encode_manifest
@@ -78,7 +78,10 @@ One = tuple[str, int, int, int, bytes]
 
 @dataclass(frozen=True)
 class Signed:
-    """A signed bag, its records, what a reader gets of it, the records of another run, and the public key."""
+    """A signed bag, its records, what a reader gets of it, the records of another run, and the public key.
+
+    `said` are the settings that any record of it has, also one that a later record of it replaces.
+    """
 
     folder: Path
     found: list[Record]
@@ -87,6 +90,7 @@ class Signed:
     read: Rows
     content: frozenset[One]
     key: Any
+    said: frozenset[bytes]
 
 
 def what_is_read(run: Run) -> Rows:
@@ -115,7 +119,13 @@ def make_signed(folder: Path) -> Signed:
     read = what_is_read(Run.open(folder / "bag"))
     assert check_bag(folder / "bag", key=key.public_key()).code == 0
     content = frozenset((*key_, *rest) for key_, rest in messages(data).items())
-    return Signed(folder, found, inside, foreign, read, content, key.public_key())
+    return Signed(folder, found, inside, foreign, read, content, key.public_key(), said_in(found))
+
+
+def said_in(found: list[Record]) -> frozenset[bytes]:
+    """Settings of all metadata records, as :func:`what_is_read` has them."""
+    tables = [table_at(body, text_at(body, 0)[1]) for op, body in found if op == OP_METADATA]
+    return frozenset(f"{k}: {value_of(text)!r}".encode() for table in tables for k, text in table.items())
 
 
 def content_of(body: bytes) -> bytes:
@@ -286,6 +296,8 @@ def verdict(signed: Signed, bag: Path, anew: bool) -> str:
         return f"verified as whole, yet {shown(more, 'more')} {shown(less, 'less')} {run.contradictions[:1]}"
     if anew:
         return ""
+    more["settings"] = more.get("settings", frozenset()) - signed.said  # what a later record replaces, which is damaged
+    more = {name: rows for name, rows in more.items() if rows}
     if more and not run.contradictions:
         return f"read without a contradiction though not signed: {shown(more, 'more')}; {run.problems[:3]}"
     if less and not (run.contradictions or run.losses or run.problems):
