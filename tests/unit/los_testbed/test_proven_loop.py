@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_K
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.summary.local_proofs import confirmed
+from los_testbed.run.summary.local_proofs import confirmed, with_confirmed
 from los_testbed.run.summary.summary import judged, remarks_of
 from simple_telescope import SimpleTelescope
 from support.forged_bags import with_metadata
@@ -191,6 +192,20 @@ def test_forged_words_of_proof_are_not_shown_as_proven(proven: Path, tmp_path: P
     assert len(remarks) == 3 and all(text.startswith("as the bag states, not checked here: ") for text in remarks)
 
 
+def test_a_bound_that_the_record_is_far_above_is_not_of_its_loop(proven: Path) -> None:
+    """Everything agrees but the line of sight, which is that of another run."""
+    run = Run.open(proven)
+    summary = summarise(run)
+    assert all(one.proven is None or one.proven.checked for one in with_confirmed(run, summary).beside)
+    above = [
+        replace(v, quantile=replace(v.quantile, value=2.0 * one.proven.value)) if one.proven else v
+        for v, one in zip(summary.verdicts, summary.beside)
+    ]
+    found = with_confirmed(run, replace(summary, verdicts=tuple(above)))
+    assert any(one.proven for one in found.beside)
+    assert not any(one.proven.checked for one in found.beside if one.proven)
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -198,6 +213,13 @@ def test_forged_words_of_proof_are_not_shown_as_proven(proven: Path, tmp_path: P
         {"statistics": json.dumps({"plant": {"ticks": "1000", "missed_ticks": "7"}})},
         {"statistics": json.dumps({"controller": {"changes": '[{"name": "loop", "value": "fsm"}]'}})},
         {"plant": "my:Plant"},
+        {"loop": "isolator"},
+        {"loop": "none"},
+        {"nonlinear": "true"},
+        {"camera_dropout": "0.5"},
+        {"fsm_authority": "0.001"},
+        {"k_fsm": "my:Observer"},
+        {"theta_rate": "0.1"},
     ],
 )
 def test_words_of_proof_beside_another_run_are_not_confirmed(

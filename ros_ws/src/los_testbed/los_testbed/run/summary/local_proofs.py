@@ -23,6 +23,9 @@ from pointing_analysis.requirements.summary import Summary
 
 CONTROLLERS = ("k_fsm", "k_pma")
 PARAMETERS_HASH = "parameters_hash"
+AUTHORITIES = ("fsm_authority", "pma_authority")
+ABOVE = 1.1
+"""Part of a proven bound up to which a quantile of a record may be, which scatters."""
 
 
 def confirmed(run: Run) -> frozenset[str]:
@@ -34,11 +37,12 @@ def confirmed(run: Run) -> frozenset[str]:
     if not stated or "run.yaml" not in run.attachments:
         return frozenset()
     try:
-        config = RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag"))
+        given = load_yaml(run.attachments["run.yaml"].decode(), "run.yaml of the bag")
+        config = RunConfig.from_mapping(given)
         code = any(is_code(text) for name in CONTROLLERS if (text := getattr(config, name)))
         laws = None if code else {name: controller_of(run, name)[0] for name in CONTROLLERS}
         parts = RunParts(config, laws)
-        if parts.basis.parameters_hash != run.parameters.get(PARAMETERS_HASH):
+        if parts.basis.parameters_hash != run.parameters.get(PARAMETERS_HASH) or not _agree(run, parts, given):
             return frozenset()
         found = {key: value_of(text) for key, text in proof_of(parts, _statistics(run, config)).items()}
     except (ValueError, TypeError, OSError, OverflowError):
@@ -53,13 +57,26 @@ def stated_lines(run: Run, lines: Mapping[str, str]) -> list[str]:
 
 
 def with_confirmed(run: Run, summary: Summary) -> Summary:
-    """The summary of a run, whose bounds count as proven where they are :func:`confirmed`."""
+    """The summary of a run, whose bounds count as proven where they are :func:`confirmed`.
+
+    Not so a bound that the record is far above: it is not of the loop that was proven.
+    """
     if not any(one.proven for one in summary.beside) or PROOF_BOUNDS not in confirmed(run):
         return summary
     beside = (
-        one if one.proven is None else replace(one, proven=replace(one.proven, checked=True)) for one in summary.beside
+        one
+        if one.proven is None or verdict.quantile.value > ABOVE * one.proven.value
+        else replace(one, proven=replace(one.proven, checked=True))
+        for one, verdict in zip(summary.beside, summary.verdicts)
     )
     return replace(summary, beside=tuple(beside))
+
+
+def _agree(run: Run, parts: RunParts, given: Mapping[str, Any]) -> bool:
+    """Whether the settings of a bag's metadata, by which it is shown, are those of its configuration `given`."""
+    plain = {name: value for name, value in parts.config.to_plain().items() if name in given}
+    limits = {name: getattr(parts.basis, name) for name in AUTHORITIES}
+    return all(run.parameters.get(name) == value for name, value in {**plain, **limits}.items())
 
 
 def _statistics(run: Run, config: RunConfig) -> dict[str, dict[str, str]]:
