@@ -32,6 +32,9 @@ Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]
 OfTestbed = Callable[[Entry], Sequence[Requirement]]
 """Requirements of the telescope of such a table."""
 INDICES = ("APE", "RPE")
+MOST_DRAWS = 10_000_000
+BEYOND = 4
+"""Draws that must be beyond a required share, so that its quantile and the bounds of it are draws."""
 TOP = {"title", "unit", "axes", "summation", "draws", "seed", "total", "requirement", "sources"}
 
 
@@ -136,10 +139,23 @@ def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfT
     if not requirements and not totals:
         raise BudgetError(f"{file}: must hold a list requirement or total, got neither")
     draws, seed = int(content.get("draws", 50_000)), int(content.get("seed", 1))
-    if not 1000 <= draws <= 10_000_000:
-        raise BudgetError(f"{file}: draws must be 1000 to 10000000, got {draws}")
+    if not 1000 <= draws <= MOST_DRAWS:
+        raise BudgetError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
+    if summation == "distribution":
+        _check_draws(file, draws, requirements)
     title = str(content.get("title", file.stem))
     return Budget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
+
+
+def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) -> None:
+    """Refuse a share that so many draws cannot show: `BEYOND` of them must be beyond it."""
+    for requirement in requirements:
+        needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
+        if needed > MOST_DRAWS:
+            most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
+            raise BudgetError(f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}')
+        if draws < needed:
+            raise BudgetError(f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}")
 
 
 def testbed_table(table: Entry) -> Entry | None:
@@ -244,6 +260,10 @@ class _Reader:
             elif isinstance(entry, dict) and set(entry) == {"numerator", "denominator"}:
                 from scipy import signal  # slow to import, and few budgets have such a transfer
 
+                poles = np.roots(entry["denominator"])
+                if np.any(poles.real > 0.0):
+                    unstable = float(poles.real.max())
+                    raise self.wrong(path, "transfer must be stable", f"a pole of real part {unstable:.4g} rad/s")
                 with np.errstate(divide="ignore", invalid="ignore"):
                     _, found = signal.freqs(entry["numerator"], entry["denominator"], 2 * np.pi * hertz)
                 if not np.isfinite(found).all():

@@ -187,3 +187,32 @@ def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         budget(tmp_path, text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("share", "draws", "message"),
+    [
+        ("0.99999999", 50_000, r'share must be at most 0\.9999996 of a distribution \(summation = "rss"'),
+        ("0.99999", 1000, "draws must be 400000 or more"),
+        ("0.9999", 20_000, "draws must be 40000 or more"),
+        ("0.9999", 40_000, ""),
+    ],
+)
+def test_a_share_needs_draws_beyond_it(tmp_path: Path, share: str, draws: int, message: str) -> None:
+    """Of a Gaussian of 1.8 mas the share 0.99999999 is at 10.3 mas: 50 000 draws show 7.6 mas."""
+    file = tmp_path / "budget.toml"
+    text = f"prob(|APE| < 10 mas) >= {share} at 95 % confidence"
+    source = '[sources.a]\ntype = "random"\nsigma = [1.8, 0]\n'
+    file.write_text(f'unit = "mas"\ndraws = {draws}\n[[requirement]]\ntext = "{text}"\n{source}')
+    if message:
+        with pytest.raises(ValueError, match=message):
+            load_budget(file)
+        file.write_text(f'summation = "rss"\n{file.read_text()}')
+    (found,) = evaluate(load_budget(file))
+    assert found.total == pytest.approx(1.8 * axis_factor(float(share)), rel=1e-3 if message else 0.05)
+
+
+def test_an_unstable_transfer_is_refused(tmp_path: Path) -> None:
+    transfer = "transfer = {numerator = [1], denominator = [1, -1]}"
+    with pytest.raises(ValueError, match="transfer must be stable, got 'a pole of real part 1 rad/s'"):
+        budget(tmp_path, f'[sources.a]\ntype = "drift"\nrate = [1, 1]\nduration = 1\n{transfer}')
