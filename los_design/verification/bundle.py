@@ -76,6 +76,10 @@ MANIFEST_ENTRIES = record({"format": text, "versions": mapping(text), "commit": 
 SYNTAX_ERRORS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, OSError)
 
 
+OF_WINDOWS = "of its index the rms in each window is compared with the limit here, not the error at each instant"
+"""What is said of a requirement on the relative error at every instant."""
+
+
 @dataclass(frozen=True)
 class ProvenFigure:
     """What was proven of one figure.
@@ -450,14 +454,17 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
 def requirements_of(parameters: Parameters, figures: Iterable[ProvenFigure], noise: Iterable[str]) -> tuple[str, ...]:
     """Texts of the requirements that the limits of proven figures, and of stages with a bound of noise, are made of.
 
-    Others of the telescope, of another stage for instance, are no part of what a bundle says.
+    Others of the telescope, of another stage for instance, are no part of what a bundle says. Of a requirement on the
+    relative error at every instant the rms of a window is proven, which is smaller: that is said with it.
     """
     limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST, *PARTS)}
     limits |= {"ape_limit" for f in figures if f.figure == "APE"}
     limits |= {name for stage in noise for name in ("ape_limit", window_limit(stage))}
-    made = design_limits(telescope_requirements(parameters))[1]
+    own = telescope_requirements(parameters)
+    made = design_limits(own)[1]
     places = sorted({place for name in limits for place in made[name]})
-    return tuple(str(parameters["requirement"][place]["text"]) for place in places)
+    texts = [(own[place], str(parameters["requirement"][place]["text"])) for place in places]
+    return tuple(f"{text}; {OF_WINDOWS}" if r.index == "RPE" and not r.of_windows else text for r, text in texts)
 
 
 def checked_noise(

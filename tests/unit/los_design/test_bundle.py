@@ -28,6 +28,7 @@ from los_design.verification.bundle import (
     K_FSM,
     K_PMA,
     MANIFEST,
+    OF_WINDOWS,
     TELESCOPE,
     Bundle,
     ProvenFigure,
@@ -253,6 +254,17 @@ def test_a_bundle_speaks_of_the_requirements_of_its_limits_alone() -> None:
     assert requirements_of(with_other, [figures["fast"]], ()) == (own[1],)
     assert requirements_of(with_other, [figures["mirror"]], ()) == ()
     assert requirements_of(with_other, [], ["fsm+pma"]) == (own[0], own[2])
+
+
+def test_a_requirement_on_instants_is_not_what_is_proven() -> None:
+    """Proven is the rms of each window, which is smaller by up to sqrt 3: check-proof says so with the requirement."""
+    parameters = load_parameters()
+    text = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
+    rows = [row for row in parameters["requirement"] if "RPE" not in row["text"]]
+    rows += [{"name": loop, "text": text, "loop": [loop]} for loop in ("fsm", "fsm+pma")]
+    slow = ProvenFigure("fsm+pma", "slow", 0.5, 1.0, (0.0, 1.0), 1, 1)
+    (said,) = requirements_of({**parameters, "requirement": rows}, [slow], ())
+    assert said == f"{text}; {OF_WINDOWS}"
 
 
 def renamed(members: dict[str, bytes]) -> None:
