@@ -93,11 +93,11 @@ def read_los_table(
         if rate is not None and not same_rate(rate, said_rate):
             raise TableError(f"{path}: rate must be {said_rate:.9g} Hz, which the file says of {x}, got {rate:.9g}")
         rate = said_rate
+    said = "" if when is None else table.unit(when)  # of a whole group the unit is that of the angles
     try:
         if when is None:
             stamps = stamps_of(None, len(xy), rate)
         else:
-            said = table.unit(when)  # of a whole group the unit is that of the angles
             stamps = column_stamps(when, columns[when], rate, unit_of_time if said in ("", *ANGLES) else said)
     except ValueError as error:
         raise TableError(f"{path}: {error}{unused}") from None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lftkit.support.input_limits import HDF5_DEPTH, HDF5_OBJECTS
 from lftkit.support.mat_structure import check_mat
@@ -20,6 +21,8 @@ from pointing_analysis.read.tables.table import Gathered, Table, TableError, che
 DEEPEST = 8
 """Levels of structures and groups that are gone into."""
 CLASSES = "objects of MATLAB classes (timetable, timeseries, table) are not read: save their arrays"
+PACKED = ("scale_factor", "add_offset", "_FillValue", "missing_value")
+"""Attributes of packed values, by the conventions of netCDF (CF, 8.1 and 2.5.1)."""
 UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS", "UNIT")
 
 
@@ -138,7 +141,21 @@ def _add_dataset(found: Gathered, name: str, dataset: Any) -> None:
             found.add_setting(name, _text(np.asarray(dataset[()]).reshape(-1)[0]))
         return
     if dataset.dtype.kind in "fiuMV" and "MATLAB_empty" not in dataset.attrs:
-        found.add(name, np.asarray(dataset[()]))
+        found.add(name, _values(dataset))
+
+
+def _values(dataset: Any) -> NDArray[Any]:
+    """Values of a dataset; packed ones (``scale_factor``, ``add_offset``, ``_FillValue`` of netCDF) are unpacked."""
+    values = np.asarray(dataset[()])
+    said = {key: np.asarray(dataset.attrs[key]) for key in PACKED if key in dataset.attrs}
+    one = {key: value.reshape(-1)[0] for key, value in said.items() if value.size == 1 and value.dtype.kind in "fiu"}
+    if not one or values.dtype.kind not in "fiu":
+        return values
+    missing = np.isin(values, [one[key] for key in PACKED[2:] if key in one])
+    scale, offset = float(one.get("scale_factor", 1.0)), float(one.get("add_offset", 0.0))
+    if not missing.any() and (scale, offset) == (1.0, 0.0):
+        return values  # as they are: stamps of whole nanoseconds among them
+    return np.where(missing, np.nan, values * scale + offset)
 
 
 def _add_attributes(found: Gathered, name: str, attributes: Any) -> None:

@@ -113,6 +113,18 @@ def split_unit(name: str) -> tuple[str, str]:
     return (found[1], unit_name(found[2])) if found else (name.strip(), "")
 
 
+def units_in(name: str) -> list[str]:
+    """Units that the name of a column has: one behind the other where there are several.
+
+    Examples
+    --------
+    >>> units_in("x_urad (mas)"), units_in("x [mas]"), units_in("roll_rate")
+    (['mas', 'urad'], ['mas'], [])
+    """
+    rest, unit = split_unit(name)
+    return [unit, *units_in(rest)] if unit else []
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns of a file.
@@ -150,7 +162,7 @@ class Table:
             Two units of one column.
         """
         said = [unit_name(text) for text in self.units.get(name, ())]
-        units = list(dict.fromkeys(unit for unit in (*said, split_unit(name)[1]) if unit))
+        units = list(dict.fromkeys((*said, *units_in(name))))
         if len(units) > 1:
             raise TableError(f"{self.path}: unit of {name} must be one, got {' and '.join(units)} in the file")
         return units[0] if units else ""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.series import series
 
@@ -106,3 +107,46 @@ def test_a_rate_that_the_times_contradict_is_refused(rate: float, jitter: float)
 def test_a_rate_within_half_a_sample_of_the_times_loses_none() -> None:
     found = series(np.arange(N) / 1000, noise(), unit="mas", rate=1000.1)
     assert len(found.topic) == N and not found.losses and np.all(np.diff(found.topic.stamp) > 0)
+
+
+@pytest.mark.parametrize(
+    "names", ["t,x_urad (mas),y_urad (mas)", "t,x_px (mas),y_px (mas)", "t,x [urad] (mas),y (mas)"]
+)
+def test_two_units_in_the_name_of_a_column(tmp_path: Path, names: str) -> None:
+    with pytest.raises(ValueError, match=r"unit of x.* \(mas\) must be one"):
+        open_los(csv(tmp_path / "los.csv", "", names), unit=None)
+
+
+def test_two_units_in_the_name_of_the_time(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"unit of time_ms \(s\) must be one, got s and ms"):
+        open_los(csv(tmp_path / "los.csv", "", "time_ms (s),x,y"), unit="mas")
+
+
+def test_packed_values_are_unpacked(tmp_path: Path) -> None:
+    """By the conventions of netCDF: value = stored * scale_factor + add_offset; _FillValue is no value."""
+    h5py = pytest.importorskip("h5py")
+    stored = (100 * noise()).round().astype(np.int16)
+    stored[7] = -32768
+    with h5py.File(tmp_path / "los.h5", "w") as file:
+        file["los"] = stored
+        attributes = {
+            "units": "mas",
+            "fs": 1000.0,
+            "scale_factor": 0.01,
+            "add_offset": 3.0,
+            "_FillValue": np.int16(-32768),
+        }
+        file["los"].attrs.update(attributes)
+    values = open_los(tmp_path / "los.h5", unit=None)["truth/los"].values / RAD_PER_MAS
+    assert np.isnan(values[7]).all()
+    np.testing.assert_allclose(np.delete(values, 7, 0), np.delete(0.01 * stored + 3.0, 7, 0), rtol=1e-12)
+
+
+def test_whole_stamps_of_such_a_file_keep_their_digits(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "los.h5", "w") as file:
+        file["time_ns"] = 1_700_000_000_123_456_789 + 10**6 * np.arange(N)
+        file["time_ns"].attrs["_FillValue"] = np.int64(-1)
+        file["los"] = noise()
+    stamps = open_los(tmp_path / "los.h5", unit="mas", los="los")["truth/los"].stamp
+    assert (np.diff(stamps) == 10**6).all()
