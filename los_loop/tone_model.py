@@ -33,6 +33,7 @@ from los_loop.sampled_loop import NONE, Delays, SampledLoop, sampled_loop
 from los_loop.spec import Placed
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
 from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
@@ -42,8 +43,6 @@ from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step
 from titop_plant.telescope.placed.devices import PlacedActuator, placed_sensors
-
-WINDOW = 0.02
 
 
 @dataclass(frozen=True)
@@ -285,7 +284,8 @@ def compare_tones(
         record = model.record(first + len(measured))[first:]
         if not np.isfinite(record).all():
             raise ValueError("the model of the loop diverges")
-        pairs = [lines(values, series.dt, model.omega, WINDOW, taper=True) for values in (measured, record)]
+        window = exposure_of_run(run)
+        pairs = [lines(values, series.dt, model.omega, window, taper=True) for values in (measured, record)]
         noise = background(measured - record, series.dt, [line.omega for line in pairs[0]])
     expected = {line.omega: float(np.hypot(*line.amplitude)) for line in pairs[1]}
     found = [
@@ -314,7 +314,8 @@ def compare_settled(
     """
     series = performance_error(run, transient)
     with one_thread():
-        found = [line for line in lines(series.values, series.dt, omega, WINDOW, taper=True) if line.merged == 1]
+        fitted = lines(series.values, series.dt, omega, exposure_of_run(run), taper=True)
+        found = [line for line in fitted if line.merged == 1]
         noise = background(series.values, series.dt, [line.omega for line in found])
     predicted = {line.omega: np.linalg.norm(settled[:, np.argmin(np.abs(omega - line.omega))]) for line in found}
     tones = [

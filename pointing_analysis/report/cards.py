@@ -13,7 +13,8 @@ from pointing_analysis.read.mcap.bag_files import bag_files, files_digest
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.rows import css_class, digits
-from pointing_analysis.requirements.summary import WINDOW, Summary
+from pointing_analysis.requirements.summary import Summary
+from pointing_analysis.requirements.text import time_text
 from pointing_analysis.spectra.spectra import Line
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
@@ -111,7 +112,7 @@ def run_card(v: RunView, s: Summary, label: str, remarks: Sequence[str] = ()) ->
         "data": (
             f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} {'ticks' if s.mode else 'samples'}; "
             f"first {s.transient:g} s dropped; "
-            f"{digits(s.windows, 6)} windows of {1e3 * WINDOW:g} ms, {s.windows_skipped} skipped; "
+            f"{digits(s.windows, 6)} windows of {time_text(s.window)}, {s.windows_skipped} skipped; "
             f"samples lost: {s.lost_text()}"
         ),
         "kind": s.kind,

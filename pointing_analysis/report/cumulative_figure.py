@@ -20,6 +20,7 @@ from pointing_analysis.report.figures import (
     legend_above,
     picture,
     stroke,
+    windows_text,
 )
 
 CLOSE = 3.0
@@ -62,7 +63,7 @@ def cumulative(views: Sequence[RunView]) -> Picture:
             axis.set_ylim(bottom=min(totals) / 30)
         else:
             axis.set_ylim(bottom=0.0)
-        axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({1e3 * views[0].window:g} ms)")
+        axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({windows_text(views)})")
         _mark_tones(axis, views)
         _name_steps(axis, [(i, view, f, part if logarithmic else whole) for i, view, f, whole, part in curves])
         axis.set_xlabel("frequency [Hz]")

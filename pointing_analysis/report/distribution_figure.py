@@ -23,13 +23,13 @@ from pointing_analysis.report.figures import (
     picture,
     stroke,
 )
-from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.text import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import index_samples
 
 LEFT = 0.99
 """Share of time above the smallest value of a picture of a distribution: below, the error only passes through zero."""
 
-ALWAYS = ("|APE|", "|RPE({window:g} ms)|")
+ALWAYS = ("|APE|", "|RPE({window})|")
 """Quantities that are shown whatever is required, the second one where the runs have its windows."""
 
 ABSOLUTE = ("APE", "MPE")
@@ -49,7 +49,7 @@ def distributions(views: Sequence[RunView], requirements: Sequence[Requirement])
     """
     asked: dict[str, list[Requirement]] = {}
     for text in ALWAYS:
-        quantity = text.format(window=1e3 * views[0].window)
+        quantity = text.format(window=time_text(views[0].window))
         asked[quantity] = []
     for requirement in requirements:
         if requirement.index in SHOWN:

@@ -16,7 +16,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import Motion, motion_of
-from pointing_analysis.report.figures import LIMIT, Picture, RunView, legend_above, picture, stroke
+from pointing_analysis.report.figures import LIMIT, Picture, RunView, legend_above, picture, stroke, windows_text
 from pointing_analysis.requirements.text import Requirement
 
 SEGMENT = 1024
@@ -152,7 +152,7 @@ def campbell(view: RunView, motion: Motion, k: int) -> Picture:
 def error_over_time(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:
     """Rms of the worst window of each stretch of time, against the limits on the rms in such windows."""
     own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
-    limits = sorted({(r.limit, r.probability) for r in own if r.times == (views[0].window,)})
+    limits = sorted({(r.limit, r.probability) for r in own if {r.times} == {(v.window,) for v in views}})
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
@@ -173,6 +173,6 @@ def error_over_time(views: Sequence[RunView], requirements: Sequence[Requirement
         axis.set_ylabel("relative error [mas rms]")
         legend_above(figure, axis)
 
-    window = f"{1e3 * views[0].window:g} ms"
+    window = windows_text(views)
     alt = f"Relative error over time, rms of the worst windows of {window}, one curve a run; dashed: limits."
     return picture("rpe-over-time", "Relative error over time", alt, 2.8, draw)

@@ -32,14 +32,14 @@ from pointing_analysis.report.cards import run_card
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.distribution_figure import distributions
 from pointing_analysis.report.exposure_figure import over_exposure
-from pointing_analysis.report.figures import Picture, RunView
+from pointing_analysis.report.figures import Picture, RunView, windows_text
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
 from pointing_analysis.report.moving_tones import moving_pictures
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits, rows_of
-from pointing_analysis.requirements.summary import UNKNOWN, WINDOW, Summary, scenario_of, summarise_all
+from pointing_analysis.requirements.summary import UNKNOWN, Summary, exposure_of_run, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
 from pointing_analysis.spectra.line_search import FALSE_LINES
@@ -77,17 +77,24 @@ def tones_of(run: Recording) -> FloatArray:
     return np.asarray(np.unique(np.array(found, dtype=float)))
 
 
-def view(run: Recording, label: str, transient: float | None = None, found: Sequence[FoundLine] = ()) -> RunView:
-    """Everything the pictures need from one run; `found` are lines of its spectrum."""
+def view(
+    run: Recording,
+    label: str,
+    transient: float | None = None,
+    found: Sequence[FoundLine] = (),
+    window: float | None = None,
+) -> RunView:
+    """Everything the pictures need from one run; `found` are lines of its spectrum, the window by default its own."""
+    window = exposure_of_run(run) if window is None else window
     series = performance_error(run, transient)
     try:
         spectrum = spectra.psd(series.values, series.dt)
     except ValueError:
         spectrum = None  # too short or too many gaps: the page says so in place of the curve
-    named = spectra.lines(series.values, series.dt, tones_of(run), WINDOW)
-    more = spectra.found_lines(found, named, series.duration, WINDOW, series.dt)
+    named = spectra.lines(series.values, series.dt, tones_of(run), window)
+    more = spectra.found_lines(found, named, series.duration, window, series.dt)
     tones = sorted((*named, *more), key=lambda line: -line.rpe)
-    return RunView(label, run, series, spectrum, tuple(tones), WINDOW)
+    return RunView(label, run, series, spectrum, tuple(tones), window)
 
 
 def _authority(runs: Sequence[Recording]) -> dict[str, float]:
@@ -269,8 +276,7 @@ def render(
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
-    found = [s.found for s in summaries]
-    views = [view(run, name, transient, lines) for run, name, lines in zip(runs, names, found)]
+    views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]
     drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model, loops)
     rows = _rows(names, summaries)
     environment = jinja2.Environment(
@@ -282,6 +288,7 @@ def render(
         bags=list(dict.fromkeys(run.path.name for run in runs)),
         names=names,
         several=len(runs) > 1,
+        exposure=windows_text(views),
         rows=rows,
         beyond="Time beyond limit" if any(row.lower for row in rows) else "Time above limit",
         unknown=all(not s.requirements_known for s in summaries) and UNKNOWN,

@@ -18,7 +18,7 @@ class SourceShare:
     ape : float
         99.7 % quantile of its absolute error, both axes [arcsec].
     rpe : float
-        Its relative error, rms of both axes in windows of 20 ms [mas].
+        Its relative error, rms of both axes in its windows [mas].
     share : float
         Its part of the sum of squares of the relative errors of all sources, between 0 and 1.
     """

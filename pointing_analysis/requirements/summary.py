@@ -33,6 +33,7 @@ from pointing_analysis.read.run_end import early_end, missed_share
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
+from pointing_analysis.requirements.exposure import exposure_of, finest
 from pointing_analysis.requirements.guarantee import proven_bound, without_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
 from pointing_analysis.requirements.rows import (
@@ -45,6 +46,7 @@ from pointing_analysis.requirements.rows import (
     with_unit,
 )
 from pointing_analysis.requirements.settling import judge_settled
+from pointing_analysis.requirements.text import time_text
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine
@@ -54,21 +56,20 @@ from pointing_analysis.spectra.tone_budget import ToneBudget, named_tones, tone_
 METADATA = "requirements"
 """Key of the requirements in the metadata of a bag: a list of entries with name, text and loop."""
 UNKNOWN = "no requirements are known of this recording: metrics stand without a limit (--requirements FILE gives some)"
-WINDOW = 0.02  # [s], exposure of the reference telescope
 CAMERAS = frozenset({"camera/los"})
 """Topics whose samples may be lost in a recording that does not describe its sensors."""
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Knowledge errors of the observer: 99.7 % quantile of the AKE [arcsec] and rms of the RKE (20 ms) [mas]."""
+    """Knowledge errors of the observer: 99.7 % quantile of the AKE [arcsec] and rms of the RKE [mas]."""
 
     ake_p997_arcsec: float
     rke_rms_mas: float
 
     @classmethod
-    def of(cls, error: FloatArray, dt: float) -> Knowledge:
-        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s].
+    def of(cls, error: FloatArray, dt: float, window: float) -> Knowledge:
+        """Of a knowledge error (n, 2) [rad] with the sampling period `dt` [s], in windows [s].
 
         Raises
         ------
@@ -76,7 +77,7 @@ class Knowledge:
             Shorter than a window.
         """
         ake = SortedValues(metrics.radial(error)).quantile(0.997) / RAD_PER_ARCSEC
-        rke = float(np.hypot(*metrics.rpe_rms(error, dt, WINDOW))) / RAD_PER_MAS
+        rke = float(np.hypot(*metrics.rpe_rms(error, dt, window))) / RAD_PER_MAS
         return cls(float(ake), rke)
 
 
@@ -94,16 +95,16 @@ class Performance:
     rpe_windows_p997: float
 
     @classmethod
-    def of(cls, error: FloatArray, dt: float) -> Performance:
-        """Of an error (n, 2) [rad], NaN where a sample is missing, with the sampling period `dt` [s]."""
+    def of(cls, error: FloatArray, dt: float, window: float) -> Performance:
+        """Of an error (n, 2) [rad], NaN where a sample is missing, with the period `dt` [s], in windows [s]."""
         ape = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_ARCSEC, error))
         nan = float("nan")
         rms: FloatArray = np.full(2, nan)
         p997, of_windows, cut, skipped = nan, nan, 0, 0
-        if metrics.holds(WINDOW, dt) and dt * len(error) >= WINDOW:
-            w = metrics.windows(error, dt, WINDOW)
+        if metrics.holds(window, dt) and dt * len(error) >= window:
+            w = metrics.windows(error, dt, window)
             rms, cut, skipped = w.rpe_rms / RAD_PER_MAS, len(w.mean), w.skipped
-            instant = metrics.rpe_instant(error, dt, WINDOW)
+            instant = metrics.rpe_instant(error, dt, window)
             p997 = SortedValues(by_parts(lambda e: metrics.radial(e) / RAD_PER_MAS, instant)).quantile(0.997)
             sizes = metrics.radial(np.sqrt(w.variance)) / RAD_PER_MAS
             of_windows = SortedValues(sizes).quantile(0.997)
@@ -145,10 +146,11 @@ class Summary:
     duration : length of the recording [s]
     transient : seconds dropped at the start
     ape_max, ape_p997 : largest and 99.7 % radial APE [arcsec]
-    rpe_rms : radial RPE rms of disjoint 20 ms windows, window estimator [mas]
-    rpe_p997 : 99.7 % quantile of the radial RPE, over every instant of disjoint 20 ms windows [mas]
+    window : of the relative error and of a star's exposure [s] (:mod:`pointing_analysis.requirements.exposure`)
+    rpe_rms : radial RPE rms of disjoint windows, window estimator [mas]
+    rpe_p997 : 99.7 % quantile of the radial RPE, over every instant of disjoint windows [mas]
     rpe_axis : RPE rms per axis [mas]
-    windows, windows_skipped : complete 20 ms windows, and those left out because a sample is missing
+    windows, windows_skipped : complete windows, and those left out because a sample is missing
     samples_lost : samples missing in the bag, all topics
     lost_by_topic : the same by topic, where there are any
     camera_dropped : camera frames that are NaN
@@ -157,14 +159,14 @@ class Summary:
     problems : defects of the bag, one sentence each
     losses : messages that were recorded and cannot be read, by topic
     contradictions : where the bag contradicts its own digests, one sentence each; in `problems` as well
-    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint 20 ms windows, both axes [mas]
+    rpe_windows_p997 : 99.7 % quantile of the rms in disjoint windows, both axes [mas]
     requirements_known : whether requirements were given or recorded, though none may apply to the loop stage
     open_end : whether the recording was cut off and nothing says how many samples are missing at its end
     budget : noise, slow tones, fast tones and total of the RPE; None for a run shorter than a window, or with
         tones that move
     sensors : as the recording describes them
     found : lines that nobody has named, those of the budget where there is one
-    star : exposures of a star of 20 ms; None where no optics are known
+    star : exposures of a star, a window each; None where no optics are known
     kind : of the recording: ``bag``, ``CSV``, ``arrays`` ...
     sampling : of a recording of others its rate, where that is from, and the jitter of its times
     beside : of each verdict what else is known of it
@@ -178,6 +180,7 @@ class Summary:
     ticks: int
     duration: float
     transient: float
+    window: float
     ape_max: float
     ape_p997: float
     rpe_rms: float
@@ -223,7 +226,7 @@ class Summary:
     @property
     def figures(self) -> tuple[Figure, ...]:
         """Metrics that need no requirement; those that need a window only where there is one."""
-        window = f"{1e3 * WINDOW:g} ms"
+        window = time_text(self.window)
         found = (
             Figure("APE max", self.ape_max, "arcsec"),
             Figure("APE 99.7 %", self.ape_p997, "arcsec", "|APE|, 99.7 %"),
@@ -261,6 +264,7 @@ class Summary:
             "ticks": self.ticks,
             "transient_s": self.transient,
             "ape_arcsec": {"max": number(self.ape_max), "p997": number(self.ape_p997)},
+            "window_s": self.window,
             "rpe_mas": {
                 "rms": number(self.rpe_rms),
                 "p997": number(self.rpe_p997),
@@ -294,6 +298,11 @@ class Summary:
 def requirements_of(run: Recording) -> tuple[Requirement, ...] | None:
     """Requirements that a recording holds (`METADATA`); None where it holds none, or none that can be read."""
     return _recorded(run)[0]
+
+
+def exposure_of_run(run: Recording) -> float:
+    """Window [s] of the figures of a recording by its own requirements."""
+    return exposure_of(requirements_of(run) or ())
 
 
 def _recorded(run: Recording) -> tuple[tuple[Requirement, ...] | None, str]:
@@ -413,10 +422,10 @@ def _add_ends(lost: dict[str, int], problems: list[str], stamps: dict[str, tuple
             problems.append(f"{name}: {short} samples missing at the start or the end of the run")
 
 
-def _knowledge(run: Recording, transient: float | None) -> Knowledge | None:
+def _knowledge(run: Recording, transient: float | None, window: float) -> Knowledge | None:
     try:
         series = knowledge_error(run, transient)
-        return Knowledge.of(series.values, series.dt)
+        return Knowledge.of(series.values, series.dt, window)
     except ValueError:  # a BagError is one
         return None
 
@@ -449,23 +458,24 @@ def summarise(
         if run.contradictions:
             raise RefutedBagError(f"{refusal}; the bag contradicts its own digests: {run.contradictions[0]}") from None
         raise
-    error, budget = Performance.of(series.values, series.dt), None
-    judged, asked = metrics.holds(WINDOW, series.dt), applicable(known or (), run)
+    asked = applicable(known or (), run)
+    window = exposure_of(known or (), requirements_of(run) or ())  # of all stages: their summaries are compared
+    error, budget, judged = Performance.of(series.values, series.dt, window), None, metrics.holds(window, series.dt)
     found: tuple[FoundLine, ...] = ()
-    if judged and series.duration >= WINDOW and motion_of(run) is None:
-        budget = tone_budget(run, series, WINDOW, error.rpe_windows_p997)
+    if judged and series.duration >= window and motion_of(run) is None:
+        budget = tone_budget(run, series, window, error.rpe_windows_p997)
         others = requirements is not None and tuple(requirements) != (_recorded(run)[0] or ())
-        if others or not _of_budget(asked):
+        if others or not _of_budget(asked, window):
             budget = replace(budget, allowances={})  # those of the bag are parts of other limits
         found = budget.found
     elif not judged and motion_of(run) is None:  # a spectrum has lines whatever a window's samples are
         found, _ = unnamed_lines(series.values, series.dt, named_tones(run))
     lost, problems, dropped = _integrity(run)
-    star, unusable = _star(run, series) if metrics.is_whole(WINDOW, series.dt) else (None, "")
+    star, unusable = _star(run, series, window) if metrics.is_whole(window, series.dt) else (None, "")
     settled = [judge_settled(r, run, transient) for r in asked]
     problems += [text for text in (damaged, unusable, *dict.fromkeys(one.remark for one in settled)) if text]
     if not judged:
-        problems.append(f"no RPE of {1e3 * WINDOW:g} ms: shorter than two samples of {1e3 * series.dt:.6g} ms")
+        problems.append(f"no RPE of {time_text(window)}: shorter than two samples of {1e3 * series.dt:.6g} ms")
     problems += _of_start(run, series, transient)
     return Summary(
         path=run.path,
@@ -475,11 +485,12 @@ def summarise(
         ticks=round((series.start + series.duration) / series.dt),
         duration=series.start + series.duration,
         transient=series.start,
+        window=window,
         **vars(error),
         samples_lost=sum(lost.values()),
         lost_by_topic=lost,
         camera_dropped=dropped,
-        knowledge=_knowledge(run, transient),
+        knowledge=_knowledge(run, transient, window),
         verdicts=tuple(one.verdict for one in settled),
         beside=tuple(beside_of(run, r) for r in asked),
         requirements_known=known is not None,
@@ -497,14 +508,15 @@ def summarise(
     )
 
 
-def _of_budget(requirements: Sequence[Requirement]) -> bool:
-    """Whether the allowances of a bag are parts of a limit on what its budget shows: 99.7 % of the windows of 20 ms.
+def _of_budget(requirements: Sequence[Requirement], window: float) -> bool:
+    """Whether the allowances of a bag are parts of a limit on what its budget shows: 99.7 % of the windows.
 
-    They are parts of the smallest limit on windows.
+    They are parts of the strictest limit on windows.
     """
-    own = [r for r in requirements if r.index == "RPE" and r.of_windows and not r.axis]
-    finest = min(own, key=lambda r: r.limit, default=None)
-    return finest is None or (finest.times == (WINDOW,) and abs(finest.probability - BUDGET_PART) < 1e-9)
+    strictest = finest(requirements)
+    if strictest is None or not strictest.of_windows:
+        return True
+    return strictest.times == (window,) and abs(strictest.probability - BUDGET_PART) < 1e-9
 
 
 def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> list[str]:
@@ -520,15 +532,15 @@ def _of_start(run: Recording, series: ErrorSeries, transient: float | None) -> l
     return found
 
 
-def _star(run: Recording, series: ErrorSeries) -> tuple[StarExposures | None, str]:
+def _star(run: Recording, series: ErrorSeries, window: float) -> tuple[StarExposures | None, str]:
     """Exposures of a star, and what is wrong with the optics of the recording."""
     try:
         optics = optics_of(run)
     except OpticsError as error:
         return None, str(error)
-    if optics is None or len(series.values) <= round(WINDOW / series.dt):
+    if optics is None or len(series.values) <= round(window / series.dt):
         return None, ""
-    return StarExposures.of(series, optics, WINDOW), ""
+    return StarExposures.of(series, optics, window), ""
 
 
 def scenario_of(run: Recording) -> str:

@@ -115,6 +115,17 @@ class SpatialFrequency:
         return f"{number} cycles/{self.unit}"
 
 
+def time_text(seconds: float) -> str:
+    """A window as the forms write it.
+
+    Examples
+    --------
+    >>> time_text(0.25), time_text(0.005), time_text(10.0)
+    ('250 ms', '5 ms', '10 s')
+    """
+    return f"{1e3 * seconds:g} ms" if seconds < 1 else f"{seconds:g} s"
+
+
 @dataclass(frozen=True)
 class Requirement:
     """One pointing requirement; `parse` makes it from its text.
@@ -170,7 +181,7 @@ class Requirement:
     @property
     def quantity(self) -> str:
         """The judged quantity, e.g. ``|RPE(20 ms)|`` or ``rms RPE(20 ms)``."""
-        return self._quantity(", ".join(f"{1e3 * t:g} ms" if t < 1 else f"{t:g} s" for t in self.times))
+        return self._quantity(", ".join(map(time_text, self.times)))
 
     def _quantity(self, times: str) -> str:
         if self.of_image:

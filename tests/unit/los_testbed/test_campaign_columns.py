@@ -44,6 +44,8 @@ JUDGED = {
     "instants": "prob(|RKE(40 ms)| < 10 mas) >= 0.9 at 95 % confidence",
 }
 """Of another telescope, with limits within the range of its members."""
+LONG = 0.25
+"""Window of its strictest requirement on the relative error [s]: that of its columns without a window."""
 
 OTHERS = {
     "longest": "prob(rms RPE(30 s) < 40 mas) >= 0.9 at 95 % confidence",
@@ -248,7 +250,7 @@ def test_columns_are_what_analyse_says_of_the_recorded_run(
     assert row["status"] == "ok" and set(JUDGED) <= set(told)
     for name, text in JUDGED.items():
         r = parse(text)
-        columns, said = RequirementColumns.of(r), told[name]
+        columns, said = RequirementColumns.of(r, LONG), told[name]
         assert columns.unit == said["unit"]
         printed = [float(f"{row[c]:.6g}") for c in (columns.quantile, columns.share, columns.effective)]
         assert printed == [said["quantile"], said["exceeding"], said["effective_samples"]], name
@@ -268,7 +270,7 @@ def test_what_a_campaign_cannot_judge_is_named_with_the_reason(
     told = {**JUDGED, **OTHERS}
     assert {r.name for r in asked.judged} == {*told, "APE", "RPE, fine", "RPE, finest"} - set(OTHERS)
     row = evaluated["row"]
-    assert not any(RequirementColumns.of(parse(text)).worst in row for text in OTHERS.values())
+    assert not any(RequirementColumns.of(parse(text), LONG).worst in row for text in OTHERS.values())
     folder = ResultFolder(tmp_path / "c")
     folder.open(asked, False)
     folder.write(0, [row])
@@ -300,7 +302,7 @@ def test_missing_windows_count_in_the_share(text: str, share: float) -> None:
     values = 1e-9 * np.random.default_rng(1).standard_normal((1000, 4))
     values[300, :2] = np.nan
     requirement = parse(f"prob({text}) {TAIL}")
-    found = _Record(values, 1.0).metrics(0, [requirement], RunParts(RunConfig()).optics)
+    found = _Record(values, 1.0).metrics(0, [requirement], 0.02, RunParts(RunConfig()).optics)
     columns = RequirementColumns.of(requirement)
     assert found[columns.share] == pytest.approx(share, rel=1e-12) and np.isfinite(found[columns.worst])
 
@@ -309,8 +311,8 @@ def test_an_index_that_a_shorter_run_lacks_is_not_known() -> None:
     """A member that starts at rest where the others do not: the rest of its row is there."""
     values = 1e-9 * np.random.default_rng(1).standard_normal((1000, 4))
     long = parse(f"prob(rms RPE(500 ms) < 1 mas) {TAIL}")
-    assert "rpe_window_500ms_max_mas" in _Record(values, 1.0).metrics(0, [long])
-    assert set(_Record(values, 1.0).metrics(600, [long])) == set(COMMON_METRICS)
+    assert "rpe_window_500ms_max_mas" in _Record(values, 1.0).metrics(0, [long], 0.02)
+    assert set(_Record(values, 1.0).metrics(600, [long], 0.02)) == set(COMMON_METRICS)
 
 
 def test_a_run_from_rest_is_shorter_by_its_start_up(tmp_path: Path) -> None:
@@ -372,7 +374,7 @@ def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
         ]
         folder.write(number, [finished_row(m["index"], m, v, "ok", "") for m, v in zip(chunk, metrics)])
     summary = json.loads(json.dumps(campaign_summary(asked, folder)))
-    names = [name for r in asked.judged for name in RequirementColumns.of(r).names]
+    names = [name for r in asked.judged for name in RequirementColumns.of(r, LONG).names]
     assert set(names) <= set(summary["metrics"])
     worst = summary["metrics"][columns.worst]
     assert worst == {"members": 10, "q0.5": 0.68, "q0.1": 0.536, "q0.01": 0.5036, "q0": 0.5}

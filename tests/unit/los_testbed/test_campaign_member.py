@@ -134,7 +134,9 @@ def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
     else:
         simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
         first = 1000 if start.states is None else 0
-        assert {name: row[name] for name in TIME_METRICS} == record.metrics(first, evaluator.requirements)
+        assert {name: row[name] for name in TIME_METRICS} == record.metrics(
+            first, evaluator.requirements, evaluator.exposure
+        )
 
 
 def test_member_that_fails_is_a_row_with_its_reason(

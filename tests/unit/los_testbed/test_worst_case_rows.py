@@ -16,7 +16,7 @@ REQUIREMENTS = RunParts(RunConfig()).requirements
 
 def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:
     budget = ToneBudget(noise, 0.0, fast, 30.0, {}, noise_error)
-    return SimpleNamespace(budget=budget, ape_p997=11.0, rpe_windows_p997=30.0)
+    return SimpleNamespace(budget=budget, ape_p997=11.0, rpe_windows_p997=30.0, window=0.02)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def upper_rank(values: Any, p: float) -> float:
 
 
 def test_performance() -> None:
-    found, w = Performance.of(NOISE, DT), metrics.windows(NOISE, DT, 0.02)
+    found, w = Performance.of(NOISE, DT, 0.02), metrics.windows(NOISE, DT, 0.02)
     radial, instants = np.hypot(*NOISE.T), np.hypot(*metrics.rpe_instant(NOISE, DT, 0.02).T)
     assert found.ape_max == pytest.approx(radial.max() / RAD_PER_ARCSEC)
     assert found.ape_p997 == pytest.approx(upper_rank(radial, 0.997) / RAD_PER_ARCSEC)
@@ -51,18 +51,18 @@ def test_performance() -> None:
     windows = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
     assert found.rpe_windows_p997 == pytest.approx(upper_rank(windows, 0.997))
     assert (found.windows, found.windows_skipped) == (150, 0)
-    assert Performance.of(NOISE[:20], DT).windows == 1
+    assert Performance.of(NOISE[:20], DT, 0.02).windows == 1
 
 
 @pytest.mark.parametrize(("values", "dt"), [(NOISE[:19], DT), (NOISE, 1 / 64)])
 def test_without_a_window_there_is_no_relative_error(values: Any, dt: float) -> None:
-    found = Performance.of(values, dt)
+    found = Performance.of(values, dt, 0.02)
     assert found.ape_max > 0 and (found.windows, found.windows_skipped) == (0, 0)
     assert all(math.isnan(x) for x in (found.rpe_rms, found.rpe_p997, found.rpe_windows_p997, *found.rpe_axis))
 
 
 def test_knowledge() -> None:
-    found = Knowledge.of(NOISE, DT)
+    found = Knowledge.of(NOISE, DT, 0.02)
     assert found.ake_p997_arcsec == pytest.approx(upper_rank(np.hypot(*NOISE.T), 0.997) / RAD_PER_ARCSEC)
     assert found.rke_rms_mas == pytest.approx(math.hypot(*metrics.rpe_rms(NOISE, DT, 0.02)) / RAD_PER_MAS)
 
@@ -240,11 +240,11 @@ def test_figures_that_stand_without_a_limit(tmp_path: Path) -> None:
 def test_quantiles_of_many_windows_are_not_their_largest() -> None:
     """Of 500 windows two may be above the 99.7 % quantile, but for one."""
     many = RAD_PER_MAS * np.random.default_rng(9).standard_normal((10_000, 2))
-    found, w = Performance.of(many, DT), metrics.windows(many, DT, 0.02)
+    found, w = Performance.of(many, DT, 0.02), metrics.windows(many, DT, 0.02)
     sizes = np.sqrt(w.variance.sum(axis=1)) / RAD_PER_MAS
     assert found.rpe_windows_p997 == pytest.approx(upper_rank(sizes, 0.997)) and found.rpe_windows_p997 < sizes.max()
     assert found.ape_p997 == pytest.approx(upper_rank(np.hypot(*many.T), 0.997) / RAD_PER_ARCSEC)
-    known = Knowledge.of(many, DT)
+    known = Knowledge.of(many, DT, 0.02)
     assert known.ake_p997_arcsec == pytest.approx(found.ape_p997) and known.ake_p997_arcsec < found.ape_max
 
 

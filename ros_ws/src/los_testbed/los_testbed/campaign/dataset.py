@@ -29,7 +29,7 @@ from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.variants import with_scenario
 from pointing_analysis.files.atomic_output import check_output
-from pointing_analysis.requirements.summary import WINDOW
+from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
@@ -122,6 +122,11 @@ class Campaign:
         return RunParts(self.base).requirements
 
     @property
+    def exposure(self) -> float:
+        """Window of the relative error [s]."""
+        return exposure_of(self.requirements)
+
+    @property
     def refusals(self) -> dict[Requirement, str]:
         """Requirements that the simulated run of a member cannot be judged by, and why; none at depth model."""
         return unformed(RunParts(self.base)) if self.depth == "time" else {}
@@ -135,7 +140,7 @@ class Campaign:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Columns of metrics."""
-        return metric_columns(self.depth, self.judged, self.sources)
+        return metric_columns(self.depth, self.judged, self.sources, self.exposure)
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -176,8 +181,8 @@ def check_depth(base: RunConfig, depth: str) -> None:
         raise ValueError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "model" and base.frame_ticks != FRAME_TICKS:
         raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
-    if depth == "time" and base.duration < WINDOW:
-        raise ValueError(f"duration must be at least the window of {WINDOW:g} s, got {base.duration:g} s")
+    if depth == "time" and base.duration < (window := exposure_of(RunParts(base).requirements)):
+        raise ValueError(f"duration must be at least the window of {window:g} s, got {base.duration:g} s")
 
 
 class ResultFolder:

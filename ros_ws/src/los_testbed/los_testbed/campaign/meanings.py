@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
-from pointing_analysis.requirements.summary import WINDOW
+from pointing_analysis.requirements.exposure import USUAL
 from pointing_analysis.requirements.text import NYQUIST, Requirement, SpatialFrequency
 
 MEANINGS = {
     "ape_max_arcsec": "largest absolute error [arcsec]",
     "ape_p997_arcsec": "absolute error, 99.7 % of the instants [arcsec]",
-    "rpe_rms_mas": "relative error in windows of 20 ms, rms [mas]",
+    "rpe_rms_mas": "relative error in windows, rms [mas]",
     "rpe_p997_mas": "relative error, 99.7 % of the instants [mas]",
     "ake_p997_arcsec": "absolute knowledge error, 99.7 % of the instants [arcsec]",
     "rke_rms_mas": "relative knowledge error, rms [mas]",
@@ -138,11 +138,10 @@ class RequirementColumns:
     lower: bool
 
     @classmethod
-    def of(cls, requirement: Requirement) -> RequirementColumns:
-        """Columns of a requirement, whatever others there are."""
-        stem, lower = _stem(requirement), requirement.lower
-        unit = "" if not requirement.unit else "arcsec" if requirement.index in ABSOLUTE else "mas"
-        scale = {"": 1.0, "arcsec": RAD_PER_ARCSEC, "mas": RAD_PER_MAS}[unit]
+    def of(cls, requirement: Requirement, exposure: float = USUAL) -> RequirementColumns:
+        """Columns of a requirement of a telescope with an exposure [s], whatever others there are."""
+        stem, lower = _stem(requirement, exposure), requirement.lower
+        unit, scale = column_unit(requirement)
         end = f"_{unit}" if unit else ""
         part = _digits(round(1.0 - requirement.probability, 14) if lower else requirement.probability, 10, 1e-15)
         limit = _digits(requirement.limit / scale, 6, math.inf if stem in ("ape", "rpe_window") else 1e-9)
@@ -168,9 +167,15 @@ class RequirementColumns:
         return self.quantile, self.worst
 
 
-def _stem(r: Requirement) -> str:
-    """Index with its windows, spatial frequency and axis; the RPE of both axes needs no window where it is `WINDOW`."""
-    times = () if r.index == "RPE" and not r.axis and r.times == (WINDOW,) else r.times
+def column_unit(requirement: Requirement) -> tuple[str, float]:
+    """Unit of the columns of a requirement and radians in it; empty and 1 for numbers."""
+    unit = "" if not requirement.unit else "arcsec" if requirement.index in ABSOLUTE else "mas"
+    return unit, {"": 1.0, "arcsec": RAD_PER_ARCSEC, "mas": RAD_PER_MAS}[unit]
+
+
+def _stem(r: Requirement, exposure: float) -> str:
+    """Index with its windows, spatial frequency and axis; the RPE of both axes in an exposure needs no window."""
+    times = () if r.index == "RPE" and not r.axis and r.times == (exposure,) else r.times
     shown = [f"{_digits(1e3 * t, 6, 1e-9)}ms" if t < 1 else f"{_digits(t, 6, 1e-9)}s" for t in times]
     frequency = [] if r.frequency is None else [_frequency(r.frequency)]
     return "_".join((r.index.lower(), *(["window"] if r.of_windows else []), *shown, *frequency, *r.axis))
@@ -200,7 +205,7 @@ def meaning(column: str) -> str:
     >>> meaning("mtf_20ms_nyquist_p003")
     'MTF of the motion in an exposure of 20 ms, at Nyquist, 99.7 % of the exposures are above'
     >>> meaning("source_cooler_rpe_rms_mas")
-    'source cooler alone: relative error in windows of 20 ms, rms [mas]'
+    'source cooler alone: relative error in windows, rms [mas]'
     """
     if source := _SOURCE.fullmatch(column):
         return f"source {source['name']} alone: {MEANINGS[source['metric']]}"

@@ -39,8 +39,9 @@ from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
 from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
-from pointing_analysis.requirements.summary import WINDOW, Knowledge, Performance
-from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.exposure import USUAL, exposure_of
+from pointing_analysis.requirements.summary import Knowledge, Performance
+from pointing_analysis.requirements.text import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, run_samples
 from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
 from titop_plant.simulation.build import PlantFamily
@@ -58,14 +59,8 @@ COMMON_METRICS = (
     "rpe_window_max_mas",
     "rpe_window_p997_mas",
 )
-"""Metrics of the bag of the run, whatever is required; of the root mean squares in windows of 20 ms the largest and the
-99.7 % quantile."""
-
-INSTANTS, WINDOWS = (
-    parse(f"prob({quantity} < 1 arcsec) >= 99.7 % at 95 % confidence")
-    for quantity in ("|APE|", f"rms RPE({1e3 * WINDOW:g} ms)")
-)
-"""Of the columns of these two, those that depend on no limit are `COMMON_METRICS`, whatever is required."""
+"""Metrics of the bag of the run, whatever is required; of the root mean squares in windows the largest and the 99.7 %
+quantile."""
 
 CRASHED = "crashed"
 """Status of a member that ended its process or for which there was no memory: another machine may do better, so a
@@ -87,8 +82,19 @@ def source_columns(source: str) -> tuple[str, str]:
     return f"{stem}_ape_p997_arcsec", f"{stem}_rpe_rms_mas"
 
 
-def metric_columns(depth: str, requirements: Sequence[Requirement], sources: Sequence[str] = ()) -> tuple[str, ...]:
-    """Columns of metrics of a depth.
+def always(exposure: float) -> tuple[Requirement, Requirement]:
+    """Requirements whose columns are `COMMON_METRICS`, if they depend on no limit; in windows of an exposure [s]."""
+    ape, rpe = (
+        parse(f"prob({quantity} < 1 arcsec) >= 99.7 % at 95 % confidence")
+        for quantity in ("|APE|", f"rms RPE({time_text(exposure)})")
+    )
+    return ape, replace(rpe, times=(exposure,))
+
+
+def metric_columns(
+    depth: str, requirements: Sequence[Requirement], sources: Sequence[str] = (), exposure: float = USUAL
+) -> tuple[str, ...]:
+    """Columns of metrics of a depth, of a telescope with an exposure [s].
 
     Those of a simulated run are `COMMON_METRICS`, then of each requirement share of the samples beyond its limit,
     quantile, worst value and effective samples (:class:`los_testbed.campaign.meanings.RequirementColumns`); two
@@ -97,7 +103,7 @@ def metric_columns(depth: str, requirements: Sequence[Requirement], sources: Seq
     """
     if depth == "model":
         return model_metrics()
-    of_requirements = zip(*(RequirementColumns.of(r).names for r in judged(requirements)))
+    of_requirements = zip(*(RequirementColumns.of(r, exposure).names for r in judged(requirements)))
     of_sources = (name for source in sources for name in source_columns(source))
     return tuple(dict.fromkeys((*COMMON_METRICS, *(name for kind in of_requirements for name in kind), *of_sources)))
 
@@ -138,6 +144,8 @@ class MemberEvaluator:
         Of the telescope, for requirements on the image of a star.
     sources : tuple of str
         Names of the sources of disturbance of the parameter file, which act in each member.
+    exposure : float
+        Window of the relative error [s] (:mod:`pointing_analysis.requirements.exposure`).
     """
 
     base: RunConfig
@@ -147,6 +155,7 @@ class MemberEvaluator:
     requirements: tuple[Requirement, ...]
     optics: Optics | None = None
     sources: tuple[str, ...] = ()
+    exposure: float = USUAL
 
     @classmethod
     def of(cls, base: RunConfig) -> MemberEvaluator:
@@ -161,7 +170,8 @@ class MemberEvaluator:
         known = unformed(parts)
         requirements = tuple(r for r in parts.requirements if r not in known)
         names = tuple(source.name for source in parts.sources)
-        return cls(base, parts.family, parts.models, parts.basis, requirements, _image_optics(parts), names)
+        optics, exposure = _image_optics(parts), exposure_of(parts.requirements)
+        return cls(base, parts.family, parts.models, parts.basis, requirements, optics, names, exposure)
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -209,7 +219,7 @@ class MemberEvaluator:
         return finished_row(index, values, metrics, status, reason)
 
     def _columns(self, depth: str) -> tuple[str, ...]:
-        return metric_columns(depth, self.requirements, self.sources)
+        return metric_columns(depth, self.requirements, self.sources, self.exposure)
 
     def _simulated(self, config: RunConfig) -> dict[str, float]:
         """Metrics of a simulated run, start-up left out.
@@ -242,13 +252,13 @@ class MemberEvaluator:
         )
         kernel()  # of many runs, so that the first one pays for all
         simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
-        return record.metrics(first, self.requirements, self.optics) | self._of_sources(parts)
+        return record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
 
     def _of_sources(self, parts: RunParts) -> dict[str, float]:
         """What each source of disturbance does alone in a member."""
         found: dict[str, float] = {}
         for index, name in enumerate(self.sources):
-            alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT)
+            alone = Performance.of(errors_of_source(parts, index, parts.config.ticks), DT, self.exposure)
             found |= dict(zip(source_columns(name), (alone.ape_p997, alone.rpe_rms)))
         return found
 
@@ -294,14 +304,14 @@ class _Record:
             mapped_arrays.release()
 
     def metrics(
-        self, first: int, requirements: Sequence[Requirement], optics: Optics | None = None
+        self, first: int, requirements: Sequence[Requirement], exposure: float, optics: Optics | None = None
     ) -> dict[str, float]:
-        """Metrics of the rows from `first` on; `optics` for requirements on the image of a star."""
+        """Metrics of the rows from `first` on, in windows of an exposure [s]; `optics` for the image of a star."""
         errors, largest = self.values[first:], self.largest
-        samples = _Samples(_series(errors[:, :2], first), _series(errors[:, 2:4], first), optics)
-        performance = Performance.of(samples.performance.values, DT)
-        knowledge = Knowledge.of(samples.knowledge.values, DT)
-        always = samples.metrics(INSTANTS) | samples.metrics(WINDOWS)
+        samples = _Samples(_series(errors[:, :2], first), _series(errors[:, 2:4], first), exposure, optics)
+        performance = Performance.of(samples.performance.values, DT, exposure)
+        knowledge = Knowledge.of(samples.knowledge.values, DT, exposure)
+        usual = [samples.metrics(r) for r in always(exposure)]
         found = {
             "ape_max_arcsec": performance.ape_max,
             "ape_p997_arcsec": performance.ape_p997,
@@ -311,7 +321,7 @@ class _Record:
             "rke_rms_mas": knowledge.rke_rms_mas,
             "mirror_max_mrad": 1e3 * float(largest[0]),
             "force_max_n": float(largest[1]),
-            **{name: value for name, value in always.items() if name in COMMON_METRICS},
+            **{name: value for one in usual for name, value in one.items() if name in COMMON_METRICS},
         }
         for requirement in judged(requirements):
             # a loop that is not stable starts at rest: what is left without its start-up may be too short for an index
@@ -332,6 +342,7 @@ class _Samples:
 
     performance: ErrorSeries
     knowledge: ErrorSeries
+    exposure: float
     optics: Optics | None
     _made: dict[Requirement, IndexSamples] = field(default_factory=dict)
 
@@ -346,7 +357,7 @@ class _Samples:
 
     def metrics(self, requirement: Requirement) -> dict[str, float]:
         """Columns of a requirement; ValueError: the index cannot be formed."""
-        named, samples = RequirementColumns.of(requirement), self.of(requirement)
+        named, samples = RequirementColumns.of(requirement, self.exposure), self.of(requirement)
         sign = -1.0 if named.lower else 1.0  # of lower limits the smallest is the worst
         values = samples.values
         ordered = SortedValues(by_parts(lambda rows: sign * rows / named.scale, values))

@@ -36,7 +36,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
     """
     table = folder.table()
     status = Counter(table.column("status").to_pylist())
-    lower = {name for r in campaign.judged if r.lower for name in RequirementColumns.of(r).values}
+    lower = {name for r in campaign.judged if r.lower for name in RequirementColumns.of(r, campaign.exposure).values}
     metrics = {name: _quantiles(table.column(name).to_numpy(), name in lower) for name in campaign.metrics}
     ranked = table.column(RANKED[campaign.depth]).to_numpy()
     lost = np.array([s in LOST for s in table.column("status").to_pylist()])
@@ -45,6 +45,7 @@ def campaign_summary(campaign: Campaign, folder: ResultFolder, worst: int = 5) -
     return {
         "output": str(folder.path),
         "depth": campaign.depth,
+        "window_s": campaign.exposure,
         "members": table.num_rows,
         "samples": campaign.samples,
         "status": dict(sorted(status.items())),
@@ -84,7 +85,7 @@ def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
         total = table.column(RANKED["model"]).to_numpy()
         return model_verdicts(total, status, campaign.base.loop, campaign.requirements, random)
     columns = {name: table.column(name).to_numpy() for name in campaign.metrics}
-    return verdicts(columns, status, campaign.base.loop, campaign.judged, random)
+    return verdicts(columns, status, campaign.base.loop, campaign.judged, random, campaign.exposure)
 
 
 def _points(table: Any) -> FloatArray:

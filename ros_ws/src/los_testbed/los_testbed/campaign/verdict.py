@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.campaign.meanings import RequirementColumns
+from los_testbed.campaign.meanings import RequirementColumns, column_unit
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
 from pointing_analysis.indices.exceedances import pooled_number
 from pointing_analysis.read.mapped_arrays import SortedValues
-from pointing_analysis.requirements.summary import WINDOW
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.exposure import USUAL, exposure_of
+from pointing_analysis.requirements.text import Requirement, time_text
 from pointing_analysis.requirements.verdict import refusal, status_of
 from titop_plant.interface import DT
 from titop_plant.telescope.requirements import window_probability
@@ -140,7 +140,8 @@ def not_judged(
     own = of_stage(requirements, loop)
     if depth == "model":
         part = f"{100.0 * window_probability(requirements):.10g} % of the windows"
-        known = f"depth model has rms RPE({1e3 * WINDOW:g} ms) only, of {part} with the worst tone and the noise"
+        window = time_text(exposure_of(requirements))
+        known = f"depth model has rms RPE({window}) only, of {part} with the worst tone and the noise"
         chosen = _of_model(requirements, loop)
         return {r: known for r in own if r not in chosen}
     reasons = {**{r: PRE for r in own if r.index == "PRE"}, **(refusals or {})}
@@ -154,8 +155,8 @@ def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Req
 
 def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requirement, ...]:
     """Those that the depth model judges: its level of tone and noise is that of one probability."""
-    probability = window_probability(requirements)
-    windows = [r for r in judged(requirements, loop) if r.index == "RPE" and r.of_windows and r.times == (WINDOW,)]
+    probability, exposure = window_probability(requirements), exposure_of(requirements)
+    windows = [r for r in judged(requirements, loop) if r.index == "RPE" and r.of_windows and r.times == (exposure,)]
     return tuple(r for r in windows if not r.axis and r.probability == probability)
 
 
@@ -165,6 +166,7 @@ def verdicts(
     loop: str,
     requirements: Sequence[Requirement],
     random: bool = True,
+    exposure: float = USUAL,
 ) -> list[CampaignVerdict]:
     """Verdicts of a campaign of simulated runs.
 
@@ -179,6 +181,8 @@ def verdicts(
         Of the telescope.
     random : bool
         Whether the members are random draws. Of others there is the temporal verdict only.
+    exposure : float
+        Of the telescope [s], for the names of the columns.
     """
     lost = np.array([s in LOST for s in status])
     keep = lost | np.array([s == "ok" for s in status])
@@ -186,7 +190,7 @@ def verdicts(
     if not keep.any():
         return found
     for requirement in judged(requirements, loop):
-        named = RequirementColumns.of(requirement)
+        named = RequirementColumns.of(requirement, exposure)
         beyond = -np.inf if named.lower else np.inf
 
         def column(name: str, instead: float) -> FloatArray:
@@ -199,18 +203,17 @@ def verdicts(
             "not compliant" if gone else status_of(requirement, s, s, n, len(share))
             for gone, s, n in zip(lost[keep].tolist(), share.tolist(), effective.tolist())
         ]
-        temporal = _temporal(requirement, own, own_status, random)
+        temporal = replace(_temporal(requirement, own, own_status, random), column=named.quantile)
         if not random:
             found.append(temporal)
             continue
         together = pooled_number(share.tolist(), effective.tolist())
         total = int(together + 1e-6)
         above = min(math.ceil(float(np.average(share, weights=effective)) * together - 1e-6), total)
-        found += [
-            _decided("ensemble", requirement, _above(worst, requirement), len(worst), _quantile(worst, requirement)),
-            temporal,
-            _decided("mixed", requirement, above, total, float(np.mean(own))),
-        ]
+        of_all = _quantile(worst, requirement)
+        ensemble = _decided("ensemble", requirement, _above(worst, requirement), len(worst), of_all)
+        mixed = _decided("mixed", requirement, above, total, float(np.mean(own)))
+        found += [replace(verdict, column=named.quantile) for verdict in (ensemble, temporal, mixed)]
     return found
 
 
@@ -234,8 +237,11 @@ def model_verdicts(
     keep = lost | np.array([s == "ok" for s in status])
     if not keep.any():
         return []
-    own = np.where(lost, np.inf, total)[keep]
-    return [_temporal(r, own, _known(own, r), random) for r in _of_model(requirements, loop)]
+    own, exposure = np.where(lost, np.inf, total)[keep], exposure_of(requirements)
+    return [
+        replace(_temporal(r, own, _known(own, r), random), column=RequirementColumns.of(r, exposure).quantile)
+        for r in _of_model(requirements, loop)
+    ]
 
 
 def _known(own: FloatArray, requirement: Requirement) -> list[str]:
@@ -245,7 +251,7 @@ def _known(own: FloatArray, requirement: Requirement) -> list[str]:
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
     """How many values, in the unit of the columns, do not keep the limit."""
-    limit = requirement.limit / RequirementColumns.of(requirement).scale
+    limit = requirement.limit / column_unit(requirement)[1]
     return int(np.sum(values <= limit if requirement.lower else values >= limit))
 
 
@@ -287,20 +293,19 @@ def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], 
 def _verdict(
     requirement: Requirement, interpretation: str, status: str, value: float, above: int, samples: int, needed: int
 ) -> CampaignVerdict:
-    named = RequirementColumns.of(requirement)
+    unit, scale = column_unit(requirement)
     return CampaignVerdict(
         requirement=requirement.name,
         interpretation=interpretation,
         status=status,
         value=value,
-        limit=requirement.limit / named.scale,
-        unit=named.unit,
+        limit=requirement.limit / scale,
+        unit=unit,
         exceeding=above / samples,
         lower=exceedance_lower(above, samples, requirement.confidence),
         upper=exceedance_upper(above, samples, requirement.confidence),
         samples=samples,
         needed=needed,
         text=str(requirement),
-        lower_limit=named.lower,
-        column=named.quantile,
+        lower_limit=requirement.lower,
     )

@@ -46,7 +46,7 @@ and commands. The recorded telescope does not respond to those commands, so a re
 ROWS = (
     ("knowledge error, rms", "ake_rms_arcsec", "arcsec"),
     ("knowledge error, 99.7 %", "ake_p997_arcsec", "arcsec"),
-    ("RKE rms, 20 ms windows", "rke_rms_mas", "mas"),
+    ("RKE rms, {window} windows", "rke_rms_mas", "mas"),
     ("largest mirror command", "fsm_peak_rad", "rad"),
     ("largest force", "pma_peak_n", "N"),
 )
@@ -104,6 +104,8 @@ def _through(
 ) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
     from pointing_analysis.replay.replay import compare
+    from pointing_analysis.requirements.summary import exposure_of_run
+    from pointing_analysis.requirements.text import time_text
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)
@@ -111,7 +113,7 @@ def _through(
         replayed = replay_run.drive(run, chosen, bar.report)
     comparison = compare(run, replayed, replay_run.LAYOUT)
     found = replay_run.metrics(run, replayed, transient)
-    _show(console, comparison, found, chosen.as_recorded)
+    _show(console, comparison, found, chosen.as_recorded, time_text(exposure_of_run(run)))
     content = replay_run.as_dict(run, chosen, comparison, found)
     if output is not None:
         replay_run.write_bag(output, run, replayed, chosen)
@@ -151,7 +153,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
 
 def _show(
-    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool
+    console: Console, comparison: Comparison, found: Mapping[str, Mapping[str, float]], as_recorded: bool, window: str
 ) -> None:
     say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
@@ -160,5 +162,5 @@ def _show(
     for text, key, unit in ROWS:
         values = [f"{found[side][key]:.4g} {unit}" if key in found[side] else "-" for side in ("recorded", "replayed")]
         if set(values) != {"-"}:
-            table.add_row(text, *values)
+            table.add_row(text.format(window=window), *values)
     console.print(table)

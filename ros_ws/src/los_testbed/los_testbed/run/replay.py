@@ -45,9 +45,9 @@ from pointing_analysis.read.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
+from pointing_analysis.requirements.summary import exposure_of_run
 from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 
-WINDOW = 0.02
 CHUNK_NS = RATE * TICK_NS
 
 LAYOUT = replay.SensorLayout(
@@ -207,10 +207,10 @@ def _check_finite(who: str, signals: Mapping[str, FloatArray], stamp: NDArray[np
             )
 
 
-def _knowledge(series: ErrorSeries) -> dict[str, float]:
+def _knowledge(series: ErrorSeries, window: float) -> dict[str, float]:
     size = radial(series.values)
     ranked = SortedValues(size)
-    rke = float(np.hypot(*rpe_rms(series.values, series.dt, WINDOW))) if series.duration >= WINDOW else float("nan")
+    rke = float(np.hypot(*rpe_rms(series.values, series.dt, window))) if series.duration >= window else float("nan")
     return {
         "ake_rms_arcsec": math.sqrt(sum(np.nansum(size[part] ** 2) for part in parts(len(size))) / ranked.size)
         / RAD_PER_ARCSEC,
@@ -230,13 +230,14 @@ def _commands(signals: Signals) -> dict[str, float]:
 
 def metrics(run: Run, replayed: replay.Replayed, transient: float | None = None) -> dict[str, dict[str, float]]:
     """Knowledge errors and command peaks, recorded and replayed; what cannot be formed is left out."""
+    window = exposure_of_run(run)
     recorded = {name: (run[name].stamp, run[name].values) for name in replayed.topics() if name in run}
     found = {"recorded": _commands(recorded), "replayed": _commands(replayed.topics())}
     if {"truth/los", "fsm/strain_gauge"} <= set(run.topics):
         if "los_estimate" in recorded:
-            found["recorded"] = {**_knowledge(knowledge_error(run, transient)), **found["recorded"]}
+            found["recorded"] = {**_knowledge(knowledge_error(run, transient), window), **found["recorded"]}
         series = knowledge_error_of(run, replayed.stamp, replayed.estimate, transient)
-        found["replayed"] = {**_knowledge(series), **found["replayed"]}
+        found["replayed"] = {**_knowledge(series, window), **found["replayed"]}
     return found
 
 

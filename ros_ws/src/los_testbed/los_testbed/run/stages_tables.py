@@ -13,8 +13,10 @@ from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select,
 from los_testbed.run.summary import worst_case_rows
 from los_testbed.run.summary.screen import numbers
 from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.rows import HEADS as ROW_HEADS
 from pointing_analysis.requirements.rows import cells
+from pointing_analysis.requirements.text import time_text
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -186,13 +188,13 @@ def _escaped(text: str) -> str:
 
 def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     """All tables as Markdown."""
-    lines, shown = [], columns(results)
+    lines, shown, window = [], columns(results), time_text(exposure_of(RunParts(plan.base).requirements))
     for scenario in plan.scenarios:
         if scenario == WORST:
-            lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of 20 ms)", ""]
+            lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of {window})", ""]
             lines += _markdown_table(worst_case_rows.HEADS, worst_rows(results, plan)) + [""]
             continue
-        lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of 20 ms)", ""]
+        lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of {window})", ""]
         lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
         judged = requirement_rows(results, scenario)
         if judged:

@@ -280,7 +280,7 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
 
 
 HEAD = (
-    "| magnitude | frames/s | noise of a frame [mas] | frames without angles | APE [arcsec] | RPE(20 ms) [mas] "
+    "| magnitude | frames/s | noise of a frame [mas] | frames without angles | APE [arcsec] | RPE [mas] "
     "| MTF | Strehl | design |"
 )
 
@@ -309,7 +309,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
-    names = ("RPE(20 ms), 99.7 % [mas]", "MTF of the motion at Nyquist, 99.7 %", "frames without angles [%]")
+    names = ("RPE, 99.7 % [mas]", "MTF of the motion at Nyquist, 99.7 %", "frames without angles [%]")
     for rate in sorted({row["rate_hz"] for row in rows}):
         mine = sorted((row for row in rows if row["rate_hz"] == rate), key=lambda row: float(row["magnitude"]))
         stars = [row["magnitude"] for row in mine]

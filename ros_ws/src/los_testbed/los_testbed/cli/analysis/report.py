@@ -89,10 +89,12 @@ def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> No
     """Print the metrics of some runs, one line each, and the problems of their bags."""
     from pointing_analysis.requirements.rows import digits
     from pointing_analysis.requirements.summary import UNKNOWN
+    from pointing_analysis.requirements.text import time_text
 
     texts = (Column("run", overflow="fold"), Column("verdict", no_wrap=True))
     heads = (*texts, *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"))
-    table = Table(*heads, title="Pointing, start-up left out; windows of 20 ms", title_justify="left")
+    windows = ", ".join(dict.fromkeys(time_text(s.window) for s in found))
+    table = Table(*heads, title=f"Pointing, start-up left out; windows of {windows}", title_justify="left")
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
         table.add_row(Text(name), s.overall, ape, rpe, f"{s.transient:g} s", s.lost_text())

@@ -19,7 +19,7 @@ from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.summary import WINDOW, Summary
+from pointing_analysis.requirements.summary import Summary
 from titop_plant.interface import DT, MIRROR_STAGES
 
 
@@ -81,5 +81,5 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
             amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
     except (ValueError, OSError, OverflowError):
         return None
-    weights = rpe_discrete(model.omega, round(WINDOW / DT), DT)
+    weights = rpe_discrete(model.omega, max(round(summary.window / DT), 1), DT)
     return ControlEffect(summary.rpe_rms, float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0)) / RAD_PER_MAS)

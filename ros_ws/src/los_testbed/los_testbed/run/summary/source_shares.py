@@ -1,9 +1,9 @@
 """What each part of a run's disturbances does to the line of sight (:mod:`los_testbed.loop.source_alone`).
 
 **Shares.** The lines of sight of the parts add up to that of the run. The share of a part in the relative error is its
-covariance with the whole in windows of 20 ms, over the variance of the whole, both axes: for independent parts its part
-of the sum of squares, and for any parts the shares add up to 1. What the parts do not make, by limited commands or what
-else is not linear, is a row of its own.
+covariance with the whole in the windows of the relative error, over the variance of the whole, both axes: for
+independent parts its part of the sum of squares, and for any parts the shares add up to 1. What the parts do not make,
+by limited commands or what else is not linear, is a row of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.conditions import ACTING
-from pointing_analysis.requirements.summary import WINDOW, Performance
+from pointing_analysis.requirements.summary import Performance, exposure_of_run
 from titop_plant.interface import DT
 
 LONGEST = 20.0
@@ -57,7 +57,7 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     parts = RunParts(config, {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}, start)
     if parts.sources_digest != run.parameters.get("disturbances_sha256", ""):
         raise ValueError("the files of the disturbances are no longer those of the run: no shares of them")
-    ticks = min(config.ticks, round(LONGEST / DT))
+    ticks, window = min(config.ticks, round(LONGEST / DT)), exposure_of_run(run)
     first = round(default_transient(ticks * DT) / DT)
     found = [(part, part.los(ticks)[first:]) for part in parts_of(parts)]
     whole = np.sum([los for _, los in found], axis=0)
@@ -65,17 +65,17 @@ def source_shares(run: Recording) -> tuple[SourceShare, ...]:
     rows = [(part.name, part.kind, part.place, los) for part, los in found]
     if record is not None:
         rest = record - whole
-        if np.sqrt(_covariance(rest, rest)) > SMALL * np.sqrt(_covariance(record, record)):
+        if np.sqrt(_covariance(rest, rest, window)) > SMALL * np.sqrt(_covariance(record, record, window)):
             rows.append((REST, "", "", rest))
         whole = record
-    power = _covariance(whole, whole)
-    shares = [_covariance(los, whole) / power if power else 0.0 for *_, los in rows]
+    power = _covariance(whole, whole, window)
+    shares = [_covariance(los, whole, window) / power if power else 0.0 for *_, los in rows]
     rows.append((TOGETHER, "", f"{ticks * DT:g} s", whole))
-    return tuple(_row(*row, share) for row, share in zip(rows, [*shares, sum(shares)]))
+    return tuple(_row(*row, window, share) for row, share in zip(rows, [*shares, sum(shares)]))
 
 
-def _row(name: str, kind: str, place: str, los: FloatArray, share: float) -> SourceShare:
-    error = Performance.of(los, DT)
+def _row(name: str, kind: str, place: str, los: FloatArray, window: float, share: float) -> SourceShare:
+    error = Performance.of(los, DT, window)
     return SourceShare(name, kind, place, error.ape_p997, error.rpe_rms, share)
 
 
@@ -88,9 +88,9 @@ def _record(run: Run, ticks: int, first: int, count: int) -> FloatArray | None:
     return values if len(values) == count else None
 
 
-def _covariance(a: FloatArray, b: FloatArray) -> float:
+def _covariance(a: FloatArray, b: FloatArray, window: float) -> float:
     """Mean over the whole windows of the covariance in a window, both axes; windows with NaN are left out."""
-    n = round(WINDOW / DT)
+    n = max(round(window / DT), 1)
     cut = [x[: len(x) // n * n].reshape(-1, n, 2) for x in (a, b)]
     within = [x - x.mean(axis=1, keepdims=True) for x in cut]
     products = (within[0] * within[1]).mean(axis=1).sum(axis=1)

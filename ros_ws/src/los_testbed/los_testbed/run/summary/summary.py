@@ -33,6 +33,7 @@ from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.rows import HEADS, cells
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
+from pointing_analysis.requirements.text import time_text
 from pointing_analysis.requirements.verdict import Requirement
 
 if TYPE_CHECKING:
@@ -218,7 +219,7 @@ def _lost_periods(run: Recording, summary: Summary) -> str:
     told = [f"{lost} periods were lost: the plant went on with the command it had, and no sample was sent"] * (lost > 0)
     told += [f"in {unsent} ticks the device gave not all samples, and none was sent"] * (unsent > 0)
     if told and summary.windows_skipped:
-        told.append(f"{summary.windows_skipped} windows of 20 ms with one are left out")
+        told.append(f"{summary.windows_skipped} windows of {time_text(summary.window)} with one are left out")
     if lost and not run.parameters.get("device"):  # a rig has no other mode
         told.append("--mode lockstep loses none on any machine")
     return "; ".join(told)

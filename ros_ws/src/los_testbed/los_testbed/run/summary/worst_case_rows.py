@@ -20,7 +20,7 @@ from scipy import linalg, special
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.summary import WINDOW, Summary
+from pointing_analysis.requirements.summary import Summary, exposure_of_run
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT
 from titop_plant.telescope.budget import combined_level
@@ -79,7 +79,7 @@ def worst_tone_of(run: Run) -> WorstToneRun | None:
     size = float(np.sqrt(np.sum(fit**2)))
     unit, weight = RAD_PER_ARCSEC, 1.0
     if tone.index != "APE":
-        unit, weight = RAD_PER_MAS, float(rpe_weight(tone.omega, WINDOW))
+        unit, weight = RAD_PER_MAS, float(rpe_weight(tone.omega, exposure_of_run(run)))
     return WorstToneRun(tone.index, tone.omega, tone.gamma, tone.limit / unit, tone.gain / unit, weight * size / unit)
 
 
@@ -95,7 +95,7 @@ def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> fl
     if not math.isfinite(budget.noise + budget.slow + budget.fast):
         return math.inf
     scatter = errors * budget.noise_error if math.isfinite(budget.noise_error) else 0.0
-    noise, turn = max(0.0, budget.noise + scatter), omega * WINDOW
+    noise, turn = max(0.0, budget.noise + scatter), omega * summary.window
     return combined_level(max(budget.slow, budget.fast), noise, SHOWN, turn=turn)
 
 
@@ -110,7 +110,7 @@ def limits_kept(summary: Summary, index: str, omega: float, requirements: Sequen
     least, most = level(summary, index, omega, -errors), level(summary, index, omega, errors)
     name = "APE" if index == "APE" else "RPE"
     unit = RAD_PER_ARCSEC if name == "APE" else RAD_PER_MAS
-    bounds = sorted({r.limit / unit for r in requirements if judges(r, name)}, reverse=True)
+    bounds = sorted({r.limit / unit for r in requirements if judges(r, name, summary.window)}, reverse=True)
     kept = [f"{b:g}" for b in bounds if most <= b]
     scattered = [f"{b:g}" for b in bounds if least <= b < most]
     broken = [f"{b:g}" for b in bounds if b < least]
@@ -122,9 +122,9 @@ def limits_kept(summary: Summary, index: str, omega: float, requirements: Sequen
     return ", ".join(text for text, names in zip(texts, (kept, scattered, broken)) if names)
 
 
-def judges(requirement: Requirement, index: str) -> bool:
-    """Whether a requirement has a limit of an index: of both axes, the RPE in windows of `WINDOW`."""
-    windows = (WINDOW,) if index == "RPE" else ()
+def judges(requirement: Requirement, index: str, window: float) -> bool:
+    """Whether a requirement has a limit of an index: of both axes, the RPE in windows [s]."""
+    windows = (window,) if index == "RPE" else ()
     return requirement.index == index and not requirement.axis and requirement.times == windows
 
 
