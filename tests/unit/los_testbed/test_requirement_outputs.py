@@ -12,7 +12,7 @@ from support.requirement_outputs import outputs
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.series import Series, series
 from pointing_analysis.requirements.rows import digits
-from pointing_analysis.requirements.summary import performance_error
+from pointing_analysis.requirements.summary import performance_error, summarise
 from pointing_analysis.requirements.verdict import Requirement, decide, index_samples, parse
 
 
@@ -42,13 +42,15 @@ def test_a_limit_judges_its_own_window(tmp_path: Path, monkeypatch: pytest.Monke
     (table,), page, (metrics,) = outputs([run], LONG, tmp_path / "page.html", monkeypatch)
     values, cap, _ = index_samples(performance_error(run, 0.0), LONG[0])
     own = decide(LONG[0], values, cap, 60.0).quantile.value / RAD_PER_MAS
-    assert own > 150.0 > 100.0 > metrics["rpe_mas"]["windows_p997"]
+    assert own > 150.0 > 100.0 > summarise(run, requirements=()).rpe_windows_p997
+    assert metrics["window_s"] == 0.25
     assert [row[0] for row in table[:2]] == ["|RPE(250 ms)|, 99.7 %", "|PDE(1 s, 10 s)|, 99.7 %"]
     assert table[0][1:3] == [f"{digits(own)} mas", "100 mas"] and table[0][4] == "not compliant"
     assert table[1][2] == "100 mas" and table[1][4] == "not compliant"
     assert [row["Verdict"] for row in page] == ["not compliant", "not compliant"]
-    short = [row for row in table if "20 ms" in row[0]]
-    assert short and all(row[2:] == ["", "", ""] for row in short)  # a metric beside: no limit, no verdict
+    beside = [row for row in table if row[0] == "RPE rms, 250 ms windows"]
+    assert beside and all(row[2:] == ["", "", ""] for row in beside)  # a metric beside: no limit, no verdict
+    assert not [row for row in table if "20 ms" in row[0]]
 
 
 def test_no_window_no_metric_no_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
