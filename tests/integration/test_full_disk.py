@@ -60,12 +60,14 @@ def test_a_run_whose_first_second_does_not_fit_leaves_nothing(tmp_path: Path, sm
 
 
 @pytest.mark.parametrize("small", [12], indirect=True)
-@pytest.mark.parametrize("command", ["analyse {} --report={}", "report {} --output={}", "replay {} --output={}"])
+@pytest.mark.parametrize(
+    "command", ["analyse {bag} --report={output}", "report {bag} --output={output}", "replay {bag} --output={output}"]
+)
 def test_an_output_that_does_not_fit_is_named_and_not_left(
     bag: Path, small: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
-        app.main(command.format(bag, small / "output").split())
+        app.main([part.format(bag=bag, output=small / "output") for part in command.split()])
     err = capsys.readouterr().err
     assert stop.value.code == 1 and err.count("\n") == 1
     assert "No space left on device" in err and str(small / "output") in err

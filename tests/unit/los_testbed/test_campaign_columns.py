@@ -234,7 +234,8 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     base = base_of(file)
     row = {**dict(zip(COLUMNS, map(float, members("uniform", 1, 7)[0]))), "seed": int(member_seeds(1, 7)[0])}
     found = MemberEvaluator.of(base).row(0, row, "time")
-    line = command(row, f" --duration 2 --loop fsm+pma --scenario design --parameters {file} --output {folder / 'bag'}")
+    paths = f"--parameters {shlex.quote(file)} --output {shlex.quote(str(folder / 'bag'))}"
+    line = command(row, f" --duration 2 --loop fsm+pma --scenario design {paths}")
     assert main([*shlex.split(line)[1:], "--no-report", "--json"]) == 0
     return {"base": base, "row": found, "bag": folder / "bag"}
 
