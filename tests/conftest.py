@@ -23,6 +23,7 @@ from support.unjudged import UnjudgedWarning, unjudged_lines
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported; child processes inherit it
 if not os.access(Path.home(), os.W_OK):  # tests that take rclpy as it comes need a folder for its log
     os.environ.setdefault("ROS_LOG_DIR", f"{tempfile.gettempdir()}/ros_log_of_tests_{os.getuid()}")
+os.environ.pop("COLUMNS", None)  # tables are as wide as on any terminal that does not say its size
 os.environ.setdefault("LOS_TESTBED_QUIET", "1")  # lines of progress come by the clock: no test may depend on them
 
 from hypothesis import settings

@@ -56,8 +56,9 @@ class Machine:
 
 
 def booted(machine: Machine, seconds: int) -> None:
-    with open("/proc/uptime") as file:
-        shift = seconds - int(float(file.read().split()[0]))
+    with open("/proc/uptime") as uptime, open("/proc/self/timens_offsets") as offsets:
+        own = {line.split()[0]: int(line.split()[1]) for line in offsets}  # not zero on a machine that was made so
+        shift = own["boottime"] + seconds - int(float(uptime.read().split()[0]))
     machine.prefix[:0] = ["unshare", "--time", f"--monotonic={shift}", f"--boottime={shift}", "--fork"]
 
 

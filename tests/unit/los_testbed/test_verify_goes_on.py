@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def test_an_interrupted_verification_goes_on_and_gives_the_same(
         with pytest.raises(SystemExit) as ended:
             app.main(command)
     assert ended.value.code == 130 and parts.exists() and not file.exists()
-    assert f"parts that are done are kept; this goes on with them: los-testbed {' '.join(command)}" in (
+    assert f"parts that are done are kept; this goes on with them: los-testbed {shlex.join(map(str, command))}" in (
         capsys.readouterr().err
     )
     monkeypatch.undo()
