@@ -136,6 +136,19 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
     return {**values, "rpe_window": window}, made
 
 
+def window_length(requirements: Sequence[Requirement]) -> float:
+    """``rpe_window`` [s], by which the loop is weighted; NaN without a requirement that it is made of.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.parameters import load_parameters
+    >>> window_length(telescope_requirements(load_parameters()))
+    0.02
+    """
+    fine, _ = _finest(requirements)
+    return math.nan if fine is None else requirements[fine].times[0]
+
+
 def window_probability(requirements: Sequence[Requirement]) -> float:
     """Part of the windows that must keep ``rpe_limit_fine``: of the requirement that it is made of; NaN without one.
 

@@ -298,3 +298,12 @@ def test_a_metric_that_is_not_known_does_not_comply(text: str) -> None:
     found = verdicts(columns, ["ok"] * 2, "fsm", [r])
     assert [v.exceeding for v in found] == [0.5, 0.5, 0.1] and found[1].status == "not enough data"
     assert [v.exceeding for v in verdicts({}, ["ok"] * 2, "fsm", [r])] == [1.0, 1.0, 1.0]
+
+
+def test_the_depth_model_judges_the_window_of_its_weight_alone() -> None:
+    """A stricter requirement of another stage has another window: the level of the model is not of it."""
+    other = parse("prob(rms RPE(250 ms) < 30 mas) >= 0.997 at 95 % confidence", "other", ["fsm"])
+    own = parse("prob(rms RPE(20 ms) < 40 mas) >= 0.997 at 95 % confidence", "own", ["fsm+pma"])
+    assert [v.requirement for v in model_verdicts(np.array([10.0]), ["ok"], "fsm+pma", [other, own])] == ["own"]
+    assert model_verdicts(np.array([10.0]), ["ok"], "fsm", [other, own]) == []
+    assert "rms RPE(20 ms) only" in not_judged([other, own], "fsm", "model")[other]

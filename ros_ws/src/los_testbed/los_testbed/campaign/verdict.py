@@ -38,7 +38,7 @@ from pointing_analysis.requirements.exposure import USUAL, exposure_of
 from pointing_analysis.requirements.text import Requirement, time_text
 from pointing_analysis.requirements.verdict import refusal, status_of
 from titop_plant.interface import DT
-from titop_plant.telescope.requirements import window_probability
+from titop_plant.telescope.requirements import window_length, window_probability
 
 LOST = ("unstable", "diverged")
 """Statuses of members that are beyond every limit."""
@@ -140,7 +140,7 @@ def not_judged(
     own = of_stage(requirements, loop)
     if depth == "model":
         part = f"{100.0 * window_probability(requirements):.10g} % of the windows"
-        window = time_text(exposure_of(requirements))
+        window = time_text(window_length(requirements))
         known = f"depth model has rms RPE({window}) only, of {part} with the worst tone and the noise"
         chosen = _of_model(requirements, loop)
         return {r: known for r in own if r not in chosen}
@@ -154,9 +154,9 @@ def of_stage(requirements: Sequence[Requirement], loop: str | None) -> tuple[Req
 
 
 def _of_model(requirements: Sequence[Requirement], loop: str) -> tuple[Requirement, ...]:
-    """Those that the depth model judges: its level of tone and noise is that of one probability."""
-    probability, exposure = window_probability(requirements), exposure_of(requirements)
-    windows = [r for r in judged(requirements, loop) if r.index == "RPE" and r.of_windows and r.times == (exposure,)]
+    """Those that the depth model judges: its level of tone and noise is that of one window and probability."""
+    probability, window = window_probability(requirements), window_length(requirements)
+    windows = [r for r in judged(requirements, loop) if r.index == "RPE" and r.of_windows and r.times == (window,)]
     return tuple(r for r in windows if not r.axis and r.probability == probability)
 
 
