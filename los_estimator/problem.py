@@ -34,8 +34,8 @@ from lftkit import Port, System, connect, static_gain, transform
 from lftkit.arrays import FloatArray
 from lftkit.systems.reduction import balanced_truncation
 from lftkit.tuning import state_space
-from lftkit.tuning.nested_orders import with_decaying_state
-from lftkit.tuning.structures.structures import AffineStructure, gain_matrix_of
+from lftkit.tuning.nested_orders import with_decaying_states
+from lftkit.tuning.structures.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
 from titop_plant.telescope.assembly import Telescope
@@ -146,8 +146,4 @@ def kalman_of_order(order: int, telescope: Telescope, parameters: Parameters, *,
     guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).at({}).named("K_est")
     if order < guess.order:
         return balanced_truncation(guess, order)
-    rng = np.random.default_rng(0)
-    for speed in np.geomspace(*FURTHER_POLES, order - guess.order):
-        more = with_decaying_state(gain_matrix_of(guess), guess.order, float(speed), rng)
-        guess = System(*more, guess.inputs, guess.outputs, guess.name)
-    return guess
+    return with_decaying_states(guess, np.geomspace(*FURTHER_POLES, order - guess.order), seed=0)

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, IntArray, Matrices
 from lftkit.systems.ports import read_only
 from lftkit.systems.system import System
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.structures.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure, gain_matrix_of
 
 SPEEDS = (0.1, 0.5, 0.9)  # quantiles of the sizes of the plant's poles at which the new state decays
 INPUT = 0.3  # size of the new state's input, relative to the gain of the controller
@@ -66,6 +67,15 @@ def with_decaying_state(K: FloatArray, n: int, speed: float, rng: np.random.Gene
     size = INPUT * speed * max(float(np.abs(K[n:, n:]).max(initial=0.0)), 1e-3) ** 0.5
     B = np.vstack([K[:n, n:], size * rng.standard_normal((1, K.shape[1] - n))])
     return A, B, np.hstack([K[n:, :n], np.zeros((K.shape[0] - n, 1))]), K[n:, n:]
+
+
+def with_decaying_states(system: System, speeds: ArrayLike, seed: int) -> System:
+    """A controller without uncertain parts with a state more for each of the speeds [rad/s], and the same response."""
+    rng = np.random.default_rng(seed)
+    for speed in np.asarray(speeds, dtype=float):
+        more = with_decaying_state(gain_matrix_of(system), system.order, float(speed), rng)
+        system = System(*more, system.inputs, system.outputs, system.name)
+    return system
 
 
 def _speeds(models: Sequence[System]) -> list[float]:

@@ -10,8 +10,7 @@ import numpy as np
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import SampledSystem, System
 from lftkit.systems.ports import spread_columns
-from lftkit.tuning.nested_orders import with_decaying_state
-from lftkit.tuning.structures.structures import gain_matrix_of
+from lftkit.tuning.nested_orders import with_decaying_states
 from los_design.synthesis.store import design_ports
 from titop_plant.interface import DT
 
@@ -58,8 +57,5 @@ def padded(system: System, order: int) -> System:
     """
     if system.order > order:
         raise ValueError(f"start must be of order {order} or lower, got {system.order}")
-    rng = np.random.default_rng(order)
-    for speed in np.geomspace(*START_POLES, order - system.order + 2)[1:-1]:
-        more = with_decaying_state(gain_matrix_of(system), system.order, float(speed), rng)
-        system = System(*more, system.inputs, system.outputs, system.name)
-    return system
+    speeds = np.geomspace(*START_POLES, order - system.order + 2)[1:-1]
+    return with_decaying_states(system, speeds, seed=order)
