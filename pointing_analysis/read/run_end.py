@@ -75,6 +75,8 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
     >>> known = {"duration": 10.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "10000"}}}
     >>> run_end(known, covered=10000).by_plan
     True
+    >>> run_end({**known, "statistics": {"plant": {"ticks": "3214"}}}).text
+    'the run ended before its plan: after 3214 of 10000 ticks'
     >>> run_end(known, covered=7500).text
     "the run's record says that it ended by its plan, after 10000 ticks, but the messages cover 7500 of them"
     """
@@ -90,19 +92,6 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
         ours = planned is not None and parameters.get("mode") in BY_NODES
         return RunEnd(planned, None, None, covered, unreported=ours)
     return RunEnd(planned, done, done - (_count(counts.get(OUTSIDE)) or 0), covered)
-
-
-def early_end(parameters: Mapping[str, Any], covered: int | None = None) -> str:
-    """:attr:`RunEnd.text` of a run; the arguments are those of :func:`run_end`.
-
-    Examples
-    --------
-    >>> early_end({"duration": 10.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "3214"}}})
-    'the run ended before its plan: after 3214 of 10000 ticks'
-    >>> early_end({"duration": 10.0, "rate_hz": 1000, "statistics": {"plant": {"ticks": "10000"}}})
-    ''
-    """
-    return run_end(parameters, covered).text
 
 
 def missed_share(plant: Mapping[str, Any]) -> float:

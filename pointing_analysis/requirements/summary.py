@@ -29,7 +29,7 @@ from pointing_analysis.read.messages.topic_columns import KNOWN
 from pointing_analysis.read.recorded_sensors import RecordedSensor, sensors_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
-from pointing_analysis.read.run_end import early_end, missed_share
+from pointing_analysis.read.run_end import missed_share, run_end
 from pointing_analysis.read.series import SAMPLING
 from pointing_analysis.read.unsent import lost_gaps, unsent
 from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Conditions, conditions_of
@@ -379,7 +379,7 @@ def _integrity(run: Recording) -> tuple[dict[str, int], list[str], int]:
     failure = _failure(run)
     if failure:
         problems.append(f"the run failed: {failure}")
-    elif early := early_end(run.parameters, run.covered_ticks if isinstance(run, Run) else None):
+    elif early := run_end(run.parameters, run.covered_ticks if isinstance(run, Run) else None).text:
         problems.append(early)
     dropped = {name: run[name].integrity.nan for name in cameras}
     for name, count in dropped.items():

@@ -2,13 +2,13 @@
 
 import pytest
 
-from pointing_analysis.read.run_end import early_end
+from pointing_analysis.read.run_end import run_end
 
 PLAN = {"duration": 10.0, "rate_hz": 1000, "mode": "realtime"}
 
 
 def of_plant(**plant):
-    return early_end({**PLAN, "statistics": {"plant": plant}})
+    return run_end({**PLAN, "statistics": {"plant": plant}}).text
 
 
 def test_a_run_by_its_plan_says_nothing():
@@ -29,7 +29,7 @@ def test_an_early_end_has_both_counts():
     ("mode", "said"), [("realtime", True), ("lockstep", True), ("inprocess", False), (None, False)]
 )
 def test_a_plant_that_was_killed_before_its_first_report_is_not_taken_for_one_that_ended(mode, said):
-    assert bool(early_end({**PLAN, "mode": mode, "statistics": {"recorder": {"messages": "5"}}})) is said
+    assert bool(run_end({**PLAN, "mode": mode, "statistics": {"recorder": {"messages": "5"}}}).text) is said
 
 
 @pytest.mark.parametrize(
@@ -45,4 +45,4 @@ def test_a_plant_that_was_killed_before_its_first_report_is_not_taken_for_one_th
     ],
 )
 def test_nothing_is_said_where_no_plan_is_known(parameters):
-    assert early_end(parameters) == ""
+    assert run_end(parameters).text == ""
