@@ -98,16 +98,14 @@ def remember() -> Callable[..., Iterable[int | str]]:
     stability: Any = Remembered(checker.stable_below, stability_key)
     checker.stable_below = stability
     patched: Any = bundles
-    loop, build, plant = patched.OpenLoop, patched.build_telescope, patched.control_loop_plant
+    loop, plant = patched.OpenLoop, patched.control_loop_plant
 
     @lru_cache(maxsize=2)
-    def open_loop(text: str) -> Any:
-        parameters = json.loads(text)
-        return loop(plant(build(parameters), parameters), parameters)
+    def open_loop(telescope: Any) -> Any:
+        return loop(plant(telescope), telescope)
 
-    patched.build_telescope = lambda parameters: None
-    patched.control_loop_plant = lambda telescope, parameters: None
-    patched.OpenLoop = lambda system, parameters: open_loop(json.dumps(dict(parameters)))
+    patched.control_loop_plant = lambda telescope: None
+    patched.OpenLoop = lambda system, telescope: open_loop(telescope)
 
     def each(_: Any, items: Iterable[Any]) -> Iterator[int | str]:
         return (strip(item) for item in items)

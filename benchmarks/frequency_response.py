@@ -29,7 +29,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.ports import port_slices
 from lftkit.systems.system import System
-from titop_plant.simulation.build import telescope
+from titop_plant.telescope.assembly import assembled_telescope
 
 INPUTS = ("wheel_imbalance", "sadm_torque", "fsm_command", "pma_force")
 OUTPUTS = ("los_controlled",)
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--samples", type=int, default=4, help="parameter samples (default 4)")
     args = parser.parse_args()
-    system = telescope().system[OUTPUTS, INPUTS]
+    system = assembled_telescope().system[OUTPUTS, INPUTS]
     seconds, errors, points = {"ours": 0.0, "control": 0.0}, {"ours": 0.0, "control": 0.0}, 0
     for values in system.sample_values(np.random.default_rng(0), args.samples):
         data, member = system.at(values), system.at(values).to_control()

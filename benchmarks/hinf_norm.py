@@ -48,17 +48,16 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     from los_design.synthesis.options import DesignOptions
     from los_design.synthesis.state_space_requirements import implemented_requirements
     from los_design.synthesis.store import continuous, load_designs
-    from titop_plant.simulation.build import telescope
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    parameters = load_parameters()
+    telescope = load_telescope()
     k_fsm, k_pma = load_designs("implemented")
     options = DesignOptions()
-    plant = actuator_plant(telescope(), parameters, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
+    plant = actuator_plant(telescope, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
     data = continuous(k_pma).at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
     law = delayed_controller(System(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
-    requirement = next(r for r in implemented_requirements(parameters, "fsm+pma") if r.name == "fast")
+    requirement = next(r for r in implemented_requirements(telescope, "fsm+pma") if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
     return [weighted_loop(plant(values), law, requirement).matrices for values in points]
 

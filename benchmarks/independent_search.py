@@ -46,8 +46,8 @@ from los_loop.sampled_loop_norms import noise_covariances, weighted_gains
 from los_loop.worst_tone import INDICES
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
 HANDFUL, EVALUATIONS = 24, 260
@@ -172,7 +172,7 @@ def noisiest(
         nonlocal members
         members += 1
         plant = loop.system.at(loop.values(np.clip(x, 0.0, 1.0)))
-        found = noise_covariances(plant, *loop.pair, loop.parameters, loop=loop.stage)
+        found = noise_covariances(plant, *loop.pair, loop.telescope, loop=loop.stage)
         values = np.sqrt([value for c in found for value in (np.trace(c), linalg.eigvalsh(c)[-1])])
         seen.update({name: max(seen[name], float(value)) for name, value in zip(seen, values)})
         return np.asarray(values)
@@ -200,7 +200,7 @@ def noisiest(
 def periodic(loop: ImplementedLoop, metric: LoopMetric, omega: float, point: FloatArray) -> float:
     """Value by the periodic solution over the limit, sidebands of the camera included."""
     plant, closed = loop.sampled_at(loop.values(point))
-    response, relative = weighted_gains(closed, plant, loop.parameters, np.array([omega]))
+    response, relative = weighted_gains(closed, plant, loop.telescope, np.array([omega]))
     gain = float(relative[0]) if metric.relative else float(linalg.svdvals(response[0, metric.rows])[0])
     return gain / metric.limit
 
@@ -228,7 +228,7 @@ def measured(loop: ImplementedLoop, metric: LoopMetric, omega: float, point: Flo
     at = float(at)
     wave = at * DT * np.arange(len(los))
     fitted, *_ = linalg.lstsq(np.column_stack([np.cos(wave), np.sin(wave), np.ones(len(los))]), los)
-    weight = float(rpe_weight(at, loop.parameters["weights"]["rpe_window"])) if metric.relative else 1.0
+    weight = float(rpe_weight(at, loop.telescope.weights.rpe_window)) if metric.relative else 1.0
     value = float(linalg.norm(fitted[:2])) * weight / metric.limit
     return {"omega": at, "value": value, "ratio": value / periodic(loop, metric, at, point)}
 
@@ -243,11 +243,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=20261123)
     parser.add_argument("--no-run", action="store_true")
     options = parser.parse_args()
-    parameters, shipped = load_parameters(), json.loads(SHIPPED.read_text("utf-8"))
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope, shipped = load_telescope(), json.loads(SHIPPED.read_text("utf-8"))
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     loop = ImplementedLoop(open_loop, *load_designs("implemented"), options.stage)
     chance = np.random.default_rng(options.seed)
-    metrics = figures_of(parameters, options.stage)
+    metrics = figures_of(telescope, options.stage)
     found: dict[str, dict[str, Any]] = {}
     with threadpool_limits(1):
         for name, metric in metrics.items():

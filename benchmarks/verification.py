@@ -25,8 +25,8 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop, closed_lft
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 CLOSED, OMEGA = 300, 80.0
 
@@ -60,16 +60,16 @@ def main() -> None:
     options = parser.parse_args()
     if options.points < 1:
         parser.error(f"--points must be at least 1, got {options.points}")
-    parameters = load_parameters()
+    telescope = load_telescope()
     with threadpool_limits(1):
-        system = control_loop_plant(telescope(), parameters)
-        at = verification_points(parameters, system, 200) + load_adversarial()
+        system = control_loop_plant(telescope)
+        at = verification_points(telescope, system, 200) + load_adversarial()
         at = at[:: max(1, len(at) // options.points)][: options.points]
         begin = time.process_time()
-        check = check_implemented(system, parameters, *load_designs("implemented"), at)
+        check = check_implemented(system, telescope, *load_designs("implemented"), at)
         seconds = time.process_time() - begin
         result: dict[str, Any] = {
-            "closing": {k: round(v, 2) for k, v in closing(OpenLoop(system, parameters)).items()},
+            "closing": {k: round(v, 2) for k, v in closing(OpenLoop(system, telescope)).items()},
             "verify": {"points": check.count, "stable": check.stable, "cpu_s": round(seconds, 2)},
         }
     print(json.dumps(result) if options.json else json.dumps(result, indent=1))

@@ -23,8 +23,8 @@ from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.structures import BeamFrame, read_nastran, write_modal_data
 from titop_plant.structures.beam_element import beam_axes
 from titop_plant.structures.beam_frame import assemble, rigid_body_modes
-from titop_plant.structures.reference import payload_frame
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.bodies import payload_frame
+from titop_plant.telescope.load import load_telescope
 
 PARENT, PORTS = ("I_p", 1), {"M1": 2, "M2": 3, "DET": 4, "I_f": 5}
 MODES = 36
@@ -111,7 +111,7 @@ def main(folder: Path, files: list[Path], duration: float = 10.0) -> Summary:
         bdf, op2 = files
     else:
         bdf, op2 = folder / "payload.bdf", folder / "payload.op2"
-        frame = payload_frame(load_parameters()).divided()
+        frame = payload_frame(load_telescope()).divided()
         write_bulk_data(frame, bdf)
         write_results(frame, op2)
     found = judged(folder / "bag", duration, telescope_of(bdf, op2, folder))

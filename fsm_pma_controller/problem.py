@@ -41,10 +41,9 @@ from lftkit.systems.sampled.sampling import sampled
 from lftkit.tuning import state_space
 from lftkit.tuning.structures.structures import AffineStructure
 from titop_plant.interface import COMMAND_PORTS, DT, K_PMA_INPUTS, DesignBasis
-from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import NOISE_PORTS as PLANT_NOISE_PORTS
 from titop_plant.telescope.control_plant import OPTICAL_NOISE, control_plant, disturbances_of
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 MEASUREMENTS = tuple(port.name for port in K_PMA_INPUTS)
 ORDER = 4
@@ -80,7 +79,6 @@ class ActuatorPlant:
 
 def actuator_plant(
     telescope: Telescope,
-    parameters: Parameters,
     observer: System,
     *,
     loop_delay: float = 0.0,
@@ -102,13 +100,13 @@ def actuator_plant(
     command_hold : float
         Mean delay of held commands [s]: this part of the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
+    plant = control_plant(telescope, camera_period=camera_period, command_hold=command_hold)
     (measured,), together = K_PMA_INPUTS, plant.input_port(PLANT_NOISE_PORTS[K_PMA_INPUTS[0].name])
     n_base, n_mirrors = Port(PLATFORM_NOISE, measured.size), Port(MIRRORS_NOISE, together.size - measured.size)
     mirror = MIRROR_COMMAND
     late = delayed_port(mirror, loop_delay, PADE_ORDER)
     estimate = observer.output_port("los_estimate")
-    law = static_gain(-np.eye(2) / parameters["fsm"]["los_sensitivity"], [estimate], [mirror])
+    law = static_gain(-np.eye(2) / telescope.fsm.los_sensitivity, [estimate], [mirror])
     parts = [Port("platform", n_base.size), Port("mirrors", n_mirrors.size)]
     noise = static_gain(np.eye(together.size), parts, [together])
     total = static_gain(np.eye(mirror.size), [mirror], [mirror])

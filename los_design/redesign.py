@@ -40,9 +40,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
-from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.layout import control_stages, mirror_stages
-from titop_plant.telescope.parameters import Parameters, parameters_hash
+from titop_plant.telescope.telescope import Telescope
 
 Report = Callable[[str], None]
 EFFORTS = ("full", "short")
@@ -91,7 +89,7 @@ class DesignSummary:
 
 
 def design_all(
-    parameters: Parameters,
+    telescope: Telescope,
     folder: Path,
     *,
     seed: int = 0,
@@ -107,8 +105,8 @@ def design_all(
 
     Parameters
     ----------
-    parameters : mapping
-        Of :func:`titop_plant.telescope.parameters.load_parameters`.
+    telescope : Telescope
+        Of :func:`titop_plant.telescope.load.load_telescope`.
     folder : Path
         Made if it does not exist.
     seed : int
@@ -140,21 +138,19 @@ def design_all(
     short, threads = effort == "short", workers.count
     options = DesignOptions(seed=seed, short=short, wall_limit=wall_limit, nominal=nominal, workers=threads)
     with one_thread():
-        assembled = build_telescope(parameters)
-
-        key = _key(parameters, seed, effort) | ({"nominal": True} if nominal else {})
-        k_fsm, k_pma = _pair(folder, assembled, parameters, options, key, resume, report, workers)
+        key = _key(telescope, seed, effort) | ({"nominal": True} if nominal else {})
+        k_fsm, k_pma = _pair(folder, telescope, options, key, resume, report, workers)
         report("worst points of the stages")
-        found = search_stages(parameters, k_fsm, k_pma, SEARCHES[effort], workers)
+        found = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
         adversarial = adversarial_points(found, (k_fsm, k_pma))
-        basis = {"parameters_hash": parameters_hash(parameters), "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
+        basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
-        placed = Placed.of(parameters, k_fsm, k_pma)
-        system = loop_plant(parameters, placed, telescope=assembled)
-        at = verification_points(parameters, system, SAMPLES[effort], seed + 1, EVERY[effort])
+        placed = Placed.of(telescope, k_fsm, k_pma)
+        system = loop_plant(telescope, placed)
+        at = verification_points(telescope, system, SAMPLES[effort], seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
-        check = check_implemented(system, parameters, k_fsm, k_pma, [*at, *adversarial], workers=workers, placed=placed)
+        check = check_implemented(system, telescope, k_fsm, k_pma, [*at, *adversarial], workers=workers, placed=placed)
     further, lines = verify_further(report)
     not_met = [*broken_requirements(check), *lines]
     content = {"implemented": check.to_mapping(), **further, "not_met": not_met}
@@ -163,7 +159,7 @@ def design_all(
 
 
 def search_stages(
-    parameters: Parameters,
+    telescope: Telescope,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     options: SearchOptions,
@@ -173,14 +169,14 @@ def search_stages(
 
     The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
     """
-    placed = Placed.of(parameters, k_fsm, k_pma)
+    placed = Placed.of(telescope, k_fsm, k_pma)
     open_loops = {
-        isolated: OpenLoop(loop_plant(parameters, placed, isolated=isolated), parameters, placed=placed)
+        isolated: OpenLoop(loop_plant(telescope, placed, isolated=isolated), telescope, placed=placed)
         for isolated in (False, True)
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
-    stages = control_stages(parameters)
-    for stage, system in zip(mirror_stages(parameters), (k_fsm, k_pma)):
+    stages = telescope.stages
+    for stage, system in zip(telescope.mirror_stages, (k_fsm, k_pma)):
         known[stage] += [_found_in_design(stage, case) for case in system.provenance.get("worst_cases", [])]
     return {
         stage: Search(ImplementedLoop(open_loops[stage != STAGES[0]], k_fsm, k_pma, stage), options).run(
@@ -207,16 +203,15 @@ def adversarial_points(
     return list({tuple(values.items()): values for values in points}.values())
 
 
-def _key(parameters: Parameters, seed: int, effort: str) -> dict[str, Any]:
-    key = {"parameters_hash": parameters_hash(parameters), "seed": seed, "effort": effort}
-    placed = Placed.of(parameters)  # sensors are not part of the hash
+def _key(telescope: Telescope, seed: int, effort: str) -> dict[str, Any]:
+    key = {"parameters_hash": telescope.parameters_hash, "seed": seed, "effort": effort}
+    placed = Placed.of(telescope)  # sensors are not part of the hash
     return key if placed == NO_DEVICES else {**key, "devices": repr(placed)}
 
 
 def _pair(
     folder: Path,
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     key: dict[str, Any],
     resume: bool,
@@ -233,7 +228,7 @@ def _pair(
             return k_fsm, k_pma
     if not resume:
         rounds.unlink(missing_ok=True)
-    made = design_pair(telescope, parameters, options, report, (rounds, key), workers)
+    made = design_pair(telescope, options, report, (rounds, key), workers)
     k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
     k_fsm.to_file(files[0])
     k_pma.to_file(files[1])

@@ -41,8 +41,7 @@ from titop_plant.ports import accel
 from titop_plant.structures.kinematics import tau
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.telescope.components import optics_component
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import noise_of_samples
+from titop_plant.telescope.telescope import Telescope
 
 CAMERA_NOISE_FACTOR = 1e5
 """The paper's K_LOS: the camera's noise in the model over that of the sensor."""
@@ -51,12 +50,12 @@ MODELLED = np.concatenate([np.arange(MEASUREMENTS)[COLUMNS[accel(point).name]] f
 """Columns of the accelerometers in the model; it leaves sensors aside that the paper does not have."""
 
 
-def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> FloatArray:
+def acceleration_sensitivity(telescope: Telescope, payload: ModalData) -> FloatArray:
     """C_a: acceleration of the line of sight [rad/s2] by the 18 accelerometer signals, shape (2, 18).
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the telescope (table ``optics``).
     payload : ModalData
         For the positions of M1 and M2.
@@ -65,16 +64,16 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
     --------
     A rigid rotation moves the line of sight with it:
 
-    >>> from titop_plant.simulation.build import telescope
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> payload = telescope().bodies[1]
-    >>> C_a = acceleration_sensitivity(load_parameters(), payload)
+    >>> from titop_plant.telescope.assembly import assembled_telescope
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> payload = assembled_telescope().bodies[1]
+    >>> C_a = acceleration_sensitivity(load_telescope(), payload)
     >>> spin = np.array([0, 0, 0, 1.0, 0, 0])
     >>> everywhere = np.concatenate([spin, payload.child_tau("M1") @ spin, payload.child_tau("M2") @ spin])
     >>> np.round(C_a @ everywhere, 12).tolist()
     [1.0, 0.0]
     """
-    optics = optics_component(parameters)
+    optics = optics_component(telescope)
     rotation = np.hstack([np.zeros((2, 3)), np.eye(2), np.zeros((2, 1))])
     base, mirrors = rotation, []
     for name in ("M1", "M2"):
@@ -84,12 +83,12 @@ def acceleration_sensitivity(parameters: Parameters, payload: ModalData) -> Floa
     return np.hstack([base, *mirrors])
 
 
-def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float = 0.0) -> System:
+def kalman_observer(telescope: Telescope, payload: ModalData, *, lead: float = 0.0) -> System:
     """Continuous observer K_est of order 4: measurements to the line of sight.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the telescope (tables ``optics``, ``sensors``, ``fsm``).
     payload : ModalData
     lead : float
@@ -101,8 +100,8 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
     System
         Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
-    C_a = acceleration_sensitivity(parameters, payload)
-    sigma = noise_of_samples(parameters)
+    C_a = acceleration_sensitivity(telescope, payload)
+    sigma = telescope.noise_of_samples
     noise, camera = sigma[MODELLED], float(sigma[CAMERA.start])
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT
@@ -111,7 +110,7 @@ def kalman_observer(parameters: Parameters, payload: ModalData, *, lead: float =
     C = np.hstack([np.eye(2), np.zeros((2, 2))])
     P = linalg.solve_continuous_are(A.T, C.T, Q, R)
     L = P @ C.T @ linalg.inv(R)
-    S_fsm = parameters["fsm"]["los_sensitivity"]
+    S_fsm = telescope.fsm.los_sensitivity
     B = np.zeros((4, MEASUREMENTS))
     B[2:, MODELLED], B[:, CAMERA], B[:, FSM_ANGLE] = C_a, L, -S_fsm * L
     out = np.hstack([np.eye(2), lead * np.eye(2)])

@@ -38,9 +38,9 @@ from lftkit.tuning.nested_orders import with_decaying_states
 from lftkit.tuning.structures.structures import AffineStructure
 from los_estimator.kalman import kalman_observer
 from titop_plant.interface import COMMAND_PORTS, ESTIMATE_PORTS, HELD, MEASURED_PORTS
-from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import NOISE_PORTS, control_plant, disturbances_of
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 NOISE = tuple(dict.fromkeys(NOISE_PORTS.values()))
 ORDER = 4
@@ -74,9 +74,7 @@ def describe(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name}={value:.4g}" for name, value in values.items()) or "nominal"
 
 
-def observer_plant(
-    telescope: Telescope, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
-) -> ObserverPlant:
+def observer_plant(telescope: Telescope, *, camera_period: float = 0.0, command_hold: float = 0.0) -> ObserverPlant:
     """Plant that K_FSM is designed on.
 
     Parameters
@@ -89,8 +87,8 @@ def observer_plant(
         Mean delay of a held command [s] (:data:`titop_plant.interface.HOLD_DELAY`): this part of
         the loop delay is in the plant, not the tuner's.
     """
-    plant = control_plant(telescope.system, parameters, camera_period=camera_period, command_hold=command_hold)
-    mirror = -np.eye(2) / parameters["fsm"]["los_sensitivity"]
+    plant = control_plant(telescope, camera_period=camera_period, command_hold=command_hold)
+    mirror = -np.eye(2) / telescope.fsm.los_sensitivity
     inputs = (*disturbances_of(plant), *NOISE, "fsm_command")
     driven = transform(plant.select(inputs=inputs), inputs={"fsm_command": (mirror, ESTIMATE)})
     command, applied = COMMAND_PORTS[0], f"sum.{ESTIMATE.name}"
@@ -131,19 +129,17 @@ def observer_structure(plant: ObserverPlant, *, order: int = ORDER, camera_hold:
     return free.with_fixed({(order + i, order + j): 0.0 for i in range(ESTIMATE.size) for j in HELD.tolist()})
 
 
-def kalman_start(
-    structure: AffineStructure, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0
-) -> FloatArray:
+def kalman_start(structure: AffineStructure, telescope: Telescope, *, lead: float = 0.0) -> FloatArray:
     """The Kalman observer of the structure's order as a start of the tuner."""
-    return np.asarray(structure.parameters_of(kalman_of_order(structure.order, telescope, parameters, lead=lead)))
+    return np.asarray(structure.parameters_of(kalman_of_order(structure.order, telescope, lead=lead)))
 
 
-def kalman_of_order(order: int, telescope: Telescope, parameters: Parameters, *, lead: float = 0.0) -> System:
+def kalman_of_order(order: int, telescope: Telescope, *, lead: float = 0.0) -> System:
     """The Kalman observer with more or fewer states.
 
     For lower orders it is truncated (balanced); for higher ones it has more states, which decay and act on nothing.
     """
-    guess = kalman_observer(parameters, telescope.bodies[1], lead=lead).at({}).named("K_est")
+    guess = kalman_observer(telescope, assembled_telescope(telescope).bodies[1], lead=lead).at({}).named("K_est")
     if order < guess.order:
         return balanced_truncation(guess, order)
     return with_decaying_states(guess, np.geomspace(*FURTHER_POLES, order - guess.order), seed=0)

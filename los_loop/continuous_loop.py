@@ -22,28 +22,27 @@ from los_loop.figures_of_merit import FigureOfMerit, figure, paper_figures
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MEASUREMENTS, MIRROR, PLATFORM
-from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 
-def continuous_plant(telescope: Telescope, parameters: Parameters) -> System:
+def continuous_plant(telescope: Telescope) -> System:
     """Commands and disturbances to measurements, behind washout and low-pass, and line of sight."""
-    plant = control_plant(telescope.system, parameters)
+    plant = control_plant(telescope)
     return plant.select(inputs=(*COMMANDED, *disturbances_of(plant)), outputs=(*MEASURED, "los_controlled"))
 
 
-def continuous_open_loop(telescope: Telescope, parameters: Parameters) -> OpenLoop:
+def continuous_open_loop(telescope: Telescope) -> OpenLoop:
     """The telescope's LFT with commands that are not held."""
-    return OpenLoop(continuous_plant(telescope, parameters), parameters, held=False)
+    return OpenLoop(continuous_plant(telescope), telescope, held=False)
 
 
 PROOF_MASSES_TO = 350.0
 """Frequency [rad/s] above which K_PMA adds little: behind the isolator's modes."""
 
 
-def _fine_limit(parameters: Parameters, stage: str) -> float:
-    return float(parameters["weights"]["rpe_limit_fine"])
+def _fine_limit(telescope: Telescope, stage: str) -> float:
+    return telescope.weights.rpe_limit_fine
 
 
 FINE = replace(figure("RPE"), name="RPE, fine", limit=_fine_limit, band=(PROOF_MASSES_TO, math.inf))
@@ -75,13 +74,13 @@ class ContinuousLoop(ImplementedLoop):
         self, open_loop: OpenLoop, k_fsm: FloatArray, k_pma: FloatArray, stage: str, fine: bool = False
     ) -> None:
         self.fine = fine
-        self.open, self.system, self.parameters = open_loop, open_loop.system, open_loop.parameters
+        self.open, self.system, self.telescope = open_loop, open_loop.system, open_loop.telescope
         self.stage, self.names, self.placed = stage, open_loop.names, open_loop.placed
-        self.matrices = mirror_law(k_fsm, float(self.parameters["fsm"]["los_sensitivity"])), k_pma
+        self.matrices = mirror_law(k_fsm, self.telescope.fsm.los_sensitivity), k_pma
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the paper's problem asks for, by name."""
-        return loop_metrics(self.parameters, self.stage, rows=paper_gains(self.stage, self.fine))
+        return loop_metrics(self.telescope, self.stage, rows=paper_gains(self.stage, self.fine))
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """None: the response of the LFT is that of the loop."""

@@ -38,9 +38,9 @@ from titop_plant.telescope.budget import (
     ErrorBudget,
     error_budget,
 )
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
-Limit = Callable[[Parameters, str], float]
+Limit = Callable[[Telescope, str], float]
 """From telescope parameters and stage."""
 
 TUNED = 0.985
@@ -131,49 +131,49 @@ class FigureOfMerit:
         """Of the response of the loop; noise has none there."""
         return INPUTS[self.inputs[0]]
 
-    def tuned_for(self, parameters: Parameters, stage: str) -> float:
+    def tuned_for(self, telescope: Telescope, stage: str) -> float:
         """What counts as 1 when a stage is tuned: a share of the budget, or the limit less what tuning leaves."""
         if self.target is not None:
-            return float(self.target(parameters, stage))
-        return self.allowed * float(self.limit(parameters, stage))
+            return float(self.target(telescope, stage))
+        return self.allowed * float(self.limit(telescope, stage))
 
     def within(self, low: float, high: float) -> tuple[float, float]:
         """Its band, within frequencies [rad/s]."""
         return max(low, self.band[0]), min(high, self.band[1])
 
 
-def _ape(parameters: Parameters, stage: str) -> float:
-    return float(parameters["weights"]["ape_limit"])
+def _ape(telescope: Telescope, stage: str) -> float:
+    return telescope.weights.ape_limit
 
 
-def _rpe(parameters: Parameters, stage: str) -> float:
-    return float(parameters["weights"]["rpe_limit_fine" if stage in FORCE_STAGES else "rpe_limit"])
+def _rpe(telescope: Telescope, stage: str) -> float:
+    return telescope.weights.rpe_limit_fine if stage in FORCE_STAGES else telescope.weights.rpe_limit
 
 
 def _authority(table: str) -> Limit:
-    return lambda parameters, stage: float(parameters[table]["authority"])
+    return lambda telescope, stage: getattr(telescope, table).authority
 
 
 def _share(alone: Callable[[ErrorBudget], float], both: Callable[[ErrorBudget], float]) -> Limit:
     """Share of the budget of the relative error: of the mirror alone, of both controllers."""
-    return lambda parameters, stage: (both if stage in FORCE_STAGES else alone)(error_budget(parameters))
+    return lambda telescope, stage: (both if stage in FORCE_STAGES else alone)(error_budget(telescope))
 
 
-def _absolute_tone(parameters: Parameters, stage: str) -> float:
+def _absolute_tone(telescope: Telescope, stage: str) -> float:
     """What a tone may take of the absolute error where noise acts, too; all of it in stages without fine control."""
-    return error_budget(parameters).ape_tone if stage in MIRROR_STAGES else _ape(parameters, stage)
+    return error_budget(telescope).ape_tone if stage in MIRROR_STAGES else _ape(telescope, stage)
 
 
-def _absolute_noise(parameters: Parameters, stage: str) -> float:
-    return error_budget(parameters).ape_noise
+def _absolute_noise(telescope: Telescope, stage: str) -> float:
+    return error_budget(telescope).ape_noise
 
 
 def _part(part: float, limit: Limit) -> Limit:
-    return lambda parameters, stage: part * limit(parameters, stage)
+    return lambda telescope, stage: part * limit(telescope, stage)
 
 
 def _always(value: float) -> Limit:
-    return lambda parameters, stage: value
+    return lambda telescope, stage: value
 
 
 _MIRROR, _FORCE = COMMANDED
@@ -258,8 +258,8 @@ def figure(name: str) -> FigureOfMerit:
     --------
     The proof-mass actuators lower the limit of the relative error to 40 %:
 
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> alone, both = (figure("fast").limit(load_parameters(), stage) for stage in ("fsm", "fsm+pma"))
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> alone, both = (figure("fast").limit(load_telescope(), stage) for stage in ("fsm", "fsm+pma"))
     >>> round(both / alone, 3)
     0.4
     """

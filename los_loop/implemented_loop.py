@@ -45,7 +45,7 @@ from titop_plant.interface import (
     TRUTH,
     sample_ticks,
 )
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 LOWEST, HIGHEST = 1e-2, 3000.0
@@ -85,7 +85,7 @@ class LoopMetric:
 
 
 def loop_metrics(
-    parameters: Parameters,
+    telescope: Telescope,
     stage: str,
     within: tuple[float, float] = (LOWEST, HIGHEST),
     placed: Placed = NO_DEVICES,
@@ -97,7 +97,7 @@ def loop_metrics(
             row.name,
             placed.rows(row.output),
             placed.columns_of(row.inputs[0]),
-            float(row.limit(parameters, stage)),
+            float(row.limit(telescope, stage)),
             row.within(*within),
             row.relative,
         )
@@ -134,11 +134,11 @@ class ImplementedLoop:
 
     def __init__(self, open_loop: OpenLoop, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> None:
         self.open = open_loop
-        self.system, self.parameters, self.stage = open_loop.system, open_loop.parameters, stage
+        self.system, self.telescope, self.stage = open_loop.system, open_loop.telescope, stage
         self.names = open_loop.names
         self.pair = (k_fsm, k_pma)
         self.placed = open_loop.placed
-        sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
+        sensitivity = self.telescope.fsm.los_sensitivity
         self.laws = laws(k_fsm, k_pma, stage, sensitivity, self.placed)
 
     def point(self, values: dict[str, float]) -> FloatArray:
@@ -196,14 +196,14 @@ class ImplementedLoop:
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the loop must keep, by name."""
-        return loop_metrics(self.parameters, self.stage, placed=self.placed)
+        return loop_metrics(self.telescope, self.stage, placed=self.placed)
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """Normalised gain of a disturbance by the periodic solution, with the sidebands; None for other inputs."""
         if not metric.disturbed:
             return None
         plant, closed = self.sampled_at(values)
-        response, relative = weighted_gains(closed, plant, self.parameters, np.array([omega]))
+        response, relative = weighted_gains(closed, plant, self.telescope, np.array([omega]))
         gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
         return gain / metric.limit
 
@@ -322,7 +322,7 @@ class ImplementedLoop:
 
     def sampled_around(self, plant: System, step: FloatArray | None = None) -> SampledLoop:
         """The exact periodic loop around a plant; `step` as for :func:`los_loop.sampled_loop.sampled_loop`."""
-        sensitivity = float(self.parameters["fsm"]["los_sensitivity"])
+        sensitivity = self.telescope.fsm.los_sensitivity
         return sampled_loop(
             plant,
             *self.pair,
@@ -339,7 +339,7 @@ class ImplementedLoop:
 
     def scales(self, metric: LoopMetric, omega: FloatArray) -> FloatArray:
         """What :meth:`scale` gives at N frequencies [rad/s], shape (N,)."""
-        weight = rpe_weight(omega, self.parameters["weights"]["rpe_window"]) if metric.relative else np.ones(len(omega))
+        weight = rpe_weight(omega, self.telescope.weights.rpe_window) if metric.relative else np.ones(len(omega))
         return np.asarray(weight / metric.limit)
 
     def gains(self, closed: ClosedAt, metric: LoopMetric, points: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.layout import ANGLE
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 MANY = 40
 """Points from which on the eigenvectors of the angle's channels take less time than they save."""
@@ -38,7 +38,7 @@ class OpenLoop:
     ----------
     system : System
         As :func:`titop_plant.simulation.build.control_loop_plant` makes it, or that at values of its parameters.
-    parameters : mapping
+    telescope : Telescope
         Telescope parameters.
     real : bool
         Keep Delta real, with all channels of the arrays' angle.
@@ -51,14 +51,14 @@ class OpenLoop:
     def __init__(
         self,
         system: System,
-        parameters: Parameters,
+        telescope: Telescope,
         *,
         real: bool = False,
         placed: Placed = NO_DEVICES,
         held: bool = True,
     ) -> None:
         self.placed, self.held = placed, held
-        self.system, self.parameters = system, dict(parameters)  # a copy that can go to other processes
+        self.system, self.telescope = system, telescope
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)
         self.channels = len(kept)
@@ -124,7 +124,7 @@ class OpenLoop:
         q, m = self.channels, self.disturbances
         G = self._response.at(omega)
         out = np.empty((len(omega), q + self.placed.measurements + TRUTH, q + m + self.placed.commands), complex)
-        size = weight_amplitudes(self.parameters, np.asarray(omega, dtype=float))
+        size = weight_amplitudes(self.telescope, np.asarray(omega, dtype=float))
         images, holds = (self._images(omega), _hold(omega)) if self.held else (None, np.ones(len(omega)))
         for k, hold in enumerate(holds):
             held = G[k][:, self._u] * hold
@@ -152,7 +152,7 @@ class OpenLoop:
         into = np.empty((columns.shape[1], len(omega)), complex)
         into[:q] = columns[:, :q].T
         into[self._u] = commands.T * hold
-        into[self._u.stop :] = columns[:, q : q + m].T * weight_amplitudes(self.parameters, omega).T
+        into[self._u.stop :] = columns[:, q : q + m].T * weight_amplitudes(self.telescope, omega).T
         turned = 1j * np.sum(rows[:, :q][:, self.angle] * columns[:, :q][:, self.angle], axis=1)
         found = self._response.between(omega, rows, into)
         if self.held:

@@ -37,8 +37,7 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import noise_of_samples
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import relative_error_weight, rpe_weight
 
 LOS = OUTPUTS[LINE_OF_SIGHT]
@@ -86,7 +85,7 @@ def sampled_loop_metrics(
     plant: System,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
-    parameters: Parameters,
+    telescope: Telescope,
     *,
     loop: str,
     frame_ticks: int = FRAME_TICKS,
@@ -100,7 +99,7 @@ def sampled_loop_metrics(
     plant : System
         As for :func:`los_loop.sampled_loop.sampled_loop`.
     k_fsm, k_pma : SampledSystem
-    parameters : mapping
+    telescope : Telescope
         Telescope parameters (weights, sensors, authority).
     loop : {"isolator", "fsm", "fsm+pma"}
     frame_ticks : int
@@ -110,25 +109,25 @@ def sampled_loop_metrics(
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
-    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    sensitivity = telescope.fsm.los_sensitivity
     closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
     radius = closed.spectral_radius()
     if not radius < 1.0:
         inf = np.inf
         return SampledLoopMetrics(inf, inf, inf, inf, inf, inf, inf, radius, omega_rpe=np.nan)
-    omega, response, relative = weighted_response(closed, plant, parameters)
+    omega, response, relative = weighted_response(closed, plant, telescope)
     mirrors, both = MIRROR_STAGES
     ape, rpe, mirror, force = (figure(name) for name in ("APE", "RPE", "mirror", "force"))
     los = float(largest_gains(response[:, ape.rows]).max())
     angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
     worst = float(relative.max())
-    rms = noise_rms(_noise(closed, parameters, sensors)) if noise else (float("nan"), float("nan"))
+    rms = noise_rms(_noise(closed, telescope, sensors)) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
-        los / ape.limit(parameters, both),
-        worst / rpe.limit(parameters, mirrors),
-        worst / rpe.limit(parameters, both),
-        angle / mirror.limit(parameters, both),
-        push / force.limit(parameters, both),
+        los / ape.limit(telescope, both),
+        worst / rpe.limit(telescope, mirrors),
+        worst / rpe.limit(telescope, both),
+        angle / mirror.limit(telescope, both),
+        push / force.limit(telescope, both),
         *rms,
         radius,
         float(omega[relative.argmax()]),
@@ -136,7 +135,7 @@ def sampled_loop_metrics(
 
 
 def weighted_response(
-    loop: SampledLoop, plant: System, parameters: Parameters, low: float = 1e-2
+    loop: SampledLoop, plant: System, telescope: Telescope, low: float = 1e-2
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Frequencies [rad/s], response to normalised disturbances (k, 10, 22), and the relative error's gain [rad].
 
@@ -144,16 +143,16 @@ def weighted_response(
     root of 2: the amplitude of a tone of that power.
     """
     omega = loop_grid(plant, loop.free, low)
-    return omega, *weighted_gains(loop, plant, parameters, omega)
+    return omega, *weighted_gains(loop, plant, telescope, omega)
 
 
 def weighted_gains(
-    loop: SampledLoop, plant: System, parameters: Parameters, omega: FloatArray
+    loop: SampledLoop, plant: System, telescope: Telescope, omega: FloatArray
 ) -> tuple[ComplexArray, FloatArray]:
     """What :func:`weighted_response` gives, at the frequencies `omega` (k,) [rad/s]."""
     tone = tone_response(loop, plant, omega)
-    size = weight_amplitudes(parameters, omega)[:, None, :]
-    window = parameters["weights"]["rpe_window"]
+    size = weight_amplitudes(telescope, omega)[:, None, :]
+    window = telescope.weights.rpe_window
     weight = rpe_weight(omega, window)[:, None, None]
     stack = [weight * tone.fundamental[:, LOS] * size]
     if tone.camera is not None:
@@ -346,7 +345,7 @@ def noise_covariances(
     plant: System,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
-    parameters: Parameters,
+    telescope: Telescope,
     *,
     loop: str,
     frame_ticks: int = FRAME_TICKS,
@@ -358,12 +357,12 @@ def noise_covariances(
     The arguments are those of :func:`sampled_loop_metrics`, with the further sensors and actuators that the plant has;
     infinite if the loop is unstable.
     """
-    sensitivity = float(parameters["fsm"]["los_sensitivity"])
+    sensitivity = telescope.fsm.los_sensitivity
     closed = sampled_loop(
         plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity, placed=placed
     )
     if closed.spectral_radius() < 1.0:
-        return _noise(closed, parameters, sensors, placed)
+        return _noise(closed, telescope, sensors, placed)
     return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
 
 
@@ -386,13 +385,13 @@ def largest_part(covariance: FloatArray) -> float:
 
 
 def _noise(
-    loop: SampledLoop, parameters: Parameters, sensors: str | None, placed: Placed = NO_DEVICES
+    loop: SampledLoop, telescope: Telescope, sensors: str | None, placed: Placed = NO_DEVICES
 ) -> tuple[FloatArray, FloatArray]:
     """Covariances of the line of sight over a frame period [rad^2], plain and with the relative-error weight."""
-    sigma = np.concatenate([noise_of_samples(parameters), placed.noise])
+    sigma = np.concatenate([telescope.noise_of_samples, placed.noise])
     if sensors == "platform":  # the paper's figure
         sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
-    w = sampled(relative_error_weight(parameters["weights"]["rpe_window"]), DT)
+    w = sampled(relative_error_weight(telescope.weights.rpe_window), DT)
     n, m = loop.hold.shape[0], w.order
 
     def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -44,8 +44,7 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     DesignBasis,
 )
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.placed.devices import placed_actuators, placed_sensors
+from titop_plant.telescope.telescope import Telescope
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""
@@ -102,23 +101,23 @@ class Placed:
     units: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, parameters: Parameters, *controllers: WithPorts) -> Placed:
+    def of(cls, telescope: Telescope, *controllers: WithPorts) -> Placed:
         """All of a telescope; with controllers the actuators that they command, and nothing if they use nothing.
 
         Examples
         --------
-        >>> from titop_plant.telescope.parameters import load_parameters
-        >>> Placed.of(load_parameters()).commands
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> Placed.of(load_telescope()).commands
         8
         """
-        sensors, actuators = placed_sensors(parameters), placed_actuators(parameters)
+        sensors, actuators = telescope.placed_sensors, telescope.placed_actuators
         if controllers:
             names = {port.name for system in controllers for port in (*system.inputs, *system.outputs)}
             actuators = tuple(one for one in actuators if one.name in names)
             if not actuators and not names & {one.name for one in sensors}:
                 return NO_DEVICES
         noise = (one.noise for one in sensors for _ in one.axes)
-        whole = float(parameters["pma"]["authority"])
+        whole = telescope.pma.authority
         return cls(
             tuple(one.port for one in sensors),
             tuple(one.port for one in actuators),

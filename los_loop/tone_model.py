@@ -42,7 +42,7 @@ from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step
-from titop_plant.telescope.placed.devices import PlacedActuator, placed_sensors
+from titop_plant.telescope.devices import PlacedActuator
 
 
 @dataclass(frozen=True)
@@ -150,14 +150,14 @@ class ToneModel:
             held = held_forces(family, physical, actuators, DT)
             moved = plant.form.excited(held[: plant.order])
             step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
-        sensors = placed_sensors(family.parameters) if len(plant.observed) > MEASUREMENTS + TRUTH else ()
+        sensors = family.telescope.placed_sensors if len(plant.observed) > MEASUREMENTS + TRUTH else ()
         closed = sampled_loop(
             plant,
             controllers["k_fsm"],
             controllers["k_pma"],
             loop=loop,
             frame_ticks=frame_ticks(physical.camera_rate),
-            los_sensitivity=float(family.parameters["fsm"]["los_sensitivity"]),
+            los_sensitivity=family.telescope.fsm.los_sensitivity,
             step=step,
             delays=delays,
             placed=Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators)),

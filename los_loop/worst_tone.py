@@ -31,7 +31,7 @@ from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 INDICES = error_names()
@@ -143,7 +143,7 @@ class WorstTone:
 def worst_tone(
     loop: SampledLoop,
     plant: System | ModalPlant,
-    parameters: Parameters,
+    telescope: Telescope,
     *,
     index: str,
     stage: str,
@@ -156,7 +156,7 @@ def worst_tone(
     loop : SampledLoop
     plant : System or ModalPlant
         The continuous plant of the loop, in any coordinates.
-    parameters : mapping
+    telescope : Telescope
         Tables ``weights`` and ``sadm``.
     index : str
         Of :data:`INDICES`.
@@ -179,7 +179,7 @@ def worst_tone(
     modes = ToneModes.of(loop, plant)
 
     def weighted(omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        return _weighted(tone_response(loop, plant, omega, modes, commands=False), parameters, omega, row)
+        return _weighted(tone_response(loop, plant, omega, modes, commands=False), telescope, omega, row)
 
     omega = _band(loop_grid(plant, loop.free, modes=modes), row)
     gains = _gains(weighted(omega)[0])
@@ -189,9 +189,9 @@ def worst_tone(
     w = omega[gains.argmax()]
     matrix, response = weighted(np.array([w]))
     gain, right = _leading(matrix[0])
-    size = weight_amplitudes(parameters, w)[0]
+    size = weight_amplitudes(telescope, w)[0]
     amplitude = size * right
-    return WorstTone(index, float(w), amplitude, gain, float(row.limit(parameters, stage)), response[0] @ amplitude)
+    return WorstTone(index, float(w), amplitude, gain, float(row.limit(telescope, stage)), response[0] @ amplitude)
 
 
 def _around(omega: FloatArray, gains: FloatArray, peaks: int) -> FloatArray:
@@ -224,14 +224,14 @@ def _gains(matrix: ComplexArray) -> FloatArray:
 
 
 def _weighted(
-    tone: ToneResponse, parameters: Parameters, omega: FloatArray, row: FigureOfMerit
+    tone: ToneResponse, telescope: Telescope, omega: FloatArray, row: FigureOfMerit
 ) -> tuple[ComplexArray, ComplexArray]:
     """Weighted response (k, rows, channels), its largest singular value is the gain; line of sight (k, 2, channels)."""
-    size = weight_amplitudes(parameters, omega)[:, None, :]
+    size = weight_amplitudes(telescope, omega)[:, None, :]
     los = tone.fundamental[:, OUTPUTS[LINE_OF_SIGHT]]
     if not row.relative:
         return los * size, los
-    window = parameters["weights"]["rpe_window"]
+    window = telescope.weights.rpe_window
     rows = [rpe_weight(omega, window)[:, None, None] * los * size]
     if tone.camera is not None:
         rows.append(tone.sideband_root(omega, window) @ tone.camera * size)

@@ -105,19 +105,19 @@ def without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyP
 
 
 @pytest.fixture(scope="session")
-def parameters() -> Any:
+def telescope() -> Any:
     """Parameters of the reference telescope; nothing may change them."""
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    return load_parameters()
+    return load_telescope()
 
 
 @pytest.fixture(scope="session")
-def system(parameters: Any) -> Any:
+def system(telescope: Any) -> Any:
     """The reference telescope between the ports of the control loop, an uncertain system."""
-    from titop_plant.simulation.build import control_loop_plant, telescope
+    from titop_plant.simulation.build import control_loop_plant
 
-    return control_loop_plant(telescope(), parameters)
+    return control_loop_plant(telescope)
 
 
 UNJUDGED: list[str] = []

@@ -2,7 +2,7 @@
 
 This module needs numpy only, so that the controllers at run time may import it. It holds the constants of the
 protocol, each of them only here; physical values (limits of the actuators, sensitivity of the mirror) are those of the
-parameter file, see :mod:`titop_plant.telescope.parameters`.
+parameter file, see :mod:`titop_plant.telescope.load`.
 
 ================  =====  =============================================================================
 vector            size   content
@@ -197,7 +197,7 @@ class DesignBasis:
     Parameters
     ----------
     parameters_hash : str, optional
-        Name of the parameter values, :func:`titop_plant.telescope.parameters.parameters_hash`.
+        Name of the parameter values, :func:`titop_plant.telescope.load.parameters_hash`.
     los_sensitivity : float, optional
         Line of sight by an angle of the mirror, rad/rad. **The mirror is driven to -estimate / los_sensitivity.**
     fsm_authority, pma_authority : float, optional

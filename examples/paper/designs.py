@@ -27,8 +27,7 @@ from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import QUICK, design_actuators, design_observer, design_pair
 from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.simulation.build import telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
 
 HERE = Path(__file__).parent
 FILE = HERE / "telescope.toml"
@@ -40,20 +39,20 @@ class Designs:
 
     def __init__(self, folder: Path, options: DesignOptions) -> None:
         self.options = options
-        self.parameters, self.telescope = load_parameters(FILE), telescope(str(FILE))
-        self.designs = DesignFolder(folder, parameters_hash(self.parameters), COMMAND, said())
+        self.telescope = load_telescope(FILE)
+        self.designs = DesignFolder(folder, self.telescope.parameters_hash, COMMAND, said())
 
     def nominal(self) -> None:
         """Both nominal designs, with their worst members over the family."""
         options = replace(self.options, nominal=True)
 
         def k_fsm(kept: Kept) -> list[SampledSystem]:
-            return [design_observer(self.telescope, self.parameters, options, said("k_fsm_nominal"), kept)]
+            return [design_observer(self.telescope, options, said("k_fsm_nominal"), kept)]
 
         (observer,) = self.designs.made(["k_fsm_nominal"], k_fsm, options)
 
         def k_pma(kept: Kept) -> list[SampledSystem]:
-            made = design_actuators(self.telescope, self.parameters, observer, options, said("k_pma_nominal"), kept)
+            made = design_actuators(self.telescope, observer, options, said("k_pma_nominal"), kept)
             worst = [case for stage in MIRROR_STAGES for case in self.over_the_family(observer, made, stage)]
             return [replace(made, provenance={**made.provenance, FAMILY: worst})]
 
@@ -62,7 +61,7 @@ class Designs:
     def over_the_family(self, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> list[dict[str, Any]]:
         """Worst members of a stage with these controllers, for each figure."""
         first, second = (gain_matrix_of(continuous(system).at({})) for system in (k_fsm, k_pma))
-        loop = ContinuousLoop(continuous_open_loop(self.telescope, self.parameters), first, second, stage)
+        loop = ContinuousLoop(continuous_open_loop(self.telescope), first, second, stage)
         found = Search(loop, QUICK).run()
         return [
             {"requirement": name, "stage": stage, "value": p.gamma, "omega": p.omega, "parameters": dict(p.parameters)}
@@ -74,12 +73,12 @@ class Designs:
         options = self.options
 
         def k_fsm(kept: Kept) -> list[SampledSystem]:
-            return [design_observer(self.telescope, self.parameters, options, said("k_fsm"), kept)]
+            return [design_observer(self.telescope, options, said("k_fsm"), kept)]
 
         (first,) = self.designs.made(["k_fsm_alone"], k_fsm, options)
 
         def pair(kept: Kept) -> tuple[SampledSystem, SampledSystem]:
-            return design_pair(self.telescope, self.parameters, options, said("pair"), kept, observer=first)
+            return design_pair(self.telescope, options, said("pair"), kept, observer=first)
 
         self.designs.made(["k_fsm", "k_pma"], pair, options, {"k_fsm": first})
 

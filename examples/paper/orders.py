@@ -22,8 +22,7 @@ from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.round_state import Kept
 from los_design.synthesis.synthesis import design_actuators, design_observer
 from pointing_analysis.files.atomic_output import write_text
-from titop_plant.simulation.build import telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
 
 HERE = Path(__file__).parent
 OBSERVER_ORDER, STARTS = 4, 8  # of the K_FSM behind which every K_PMA is designed; random starts of K_PMA
@@ -35,8 +34,8 @@ class Orders:
     """Nominal designs of several orders, made where they are missing."""
 
     def __init__(self, folder: Path, file: Path, limit: float) -> None:
-        self.parameters, self.telescope, self.limit = load_parameters(file), telescope(str(file)), limit
-        self.telescope_hash = parameters_hash(self.parameters)
+        self.telescope, self.limit = load_telescope(file), limit
+        self.telescope_hash = self.telescope.parameters_hash
         self.designs = DesignFolder(folder, self.telescope_hash, "examples/paper/orders.py")
 
     def all(self, kind: str, orders: list[int], observer: SampledSystem | None = None) -> dict[int, SampledSystem]:
@@ -63,8 +62,8 @@ class Orders:
 
         def make(kept: Kept) -> list[SampledSystem]:
             if observer is None:
-                return [design_observer(self.telescope, self.parameters, options, report, kept, start)]
-            return [design_actuators(self.telescope, self.parameters, observer, options, report, kept, start)]
+                return [design_observer(self.telescope, options, report, kept, start)]
+            return [design_actuators(self.telescope, observer, options, report, kept, start)]
 
         given = {"k_fsm": observer, "start": start}
         return self.designs.made([name], make, options, {key: one for key, one in given.items() if one is not None})[0]
@@ -94,7 +93,7 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=HERE / "orders.json")
     given = parser.parse_args()
     asked = [int(text) for text in given.orders.split(",")]
-    made = Orders(given.folder, given.parameters, given.time_limit)
+    made = Orders(given.folder, given.telescope, given.time_limit)
     with one_thread():
         k_fsm = made.all("k-fsm", asked)
         behind = k_fsm[OBSERVER_ORDER] if OBSERVER_ORDER in k_fsm else made.made("k-fsm", OBSERVER_ORDER, None)

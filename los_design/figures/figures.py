@@ -29,11 +29,11 @@ from los_loop.open_loop import OpenLoop
 from los_loop.spec import Placed
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import LOOP_DELAY, MIRROR
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.budget import MAX_SENSITIVITY
-from titop_plant.telescope.layout import control_stages, mirror_stages
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 BINS = 420
@@ -57,7 +57,7 @@ class Designed:
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
     file : str or None
         Parameter file; None for the reference telescope.
     pair : (SampledSystem, SampledSystem)
@@ -65,7 +65,7 @@ class Designed:
         By stage and figure of merit.
     """
 
-    parameters: Parameters
+    telescope: Telescope
     file: str | None
     pair: tuple[SampledSystem, SampledSystem]
     worst: Mapping[str, Mapping[str, WorstPoint]]
@@ -80,31 +80,31 @@ class Designed:
             A file is missing or of another form.
         """
         if designs is None:
-            return cls(load_parameters(), None, load_designs("implemented"), load_worst_points())
+            return cls(load_telescope(), None, load_designs("implemented"), load_worst_points())
         file = designs / "telescope.toml"
         pair = [SampledSystem.from_file(designs / f"{name}.json") for name in ("k_fsm", "k_pma")]
         given = str(file) if file.exists() else None
-        return cls(load_parameters(given), given, (pair[0], pair[1]), load_worst_points(designs))
+        return cls(load_telescope(given), given, (pair[0], pair[1]), load_worst_points(designs))
 
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages that the telescope has."""
-        return control_stages(self.parameters)
+        return self.telescope.stages
 
     @property
     def system(self) -> System:
         """The control-loop plant on its isolator."""
-        return loop_plant(self.parameters, self.placed, telescope=telescope(self.file))
+        return loop_plant(self.telescope, self.placed)
 
     @property
     def placed(self) -> Placed:
         """Sensors and actuators of the telescope's file that the controllers use."""
-        return Placed.of(self.parameters, *self.pair)
+        return Placed.of(self.telescope, *self.pair)
 
     @cached_property
     def responses(self) -> DisturbanceResponses:
         """The telescope without fine control."""
-        return disturbance_responses(self.file)
+        return disturbance_responses(self.telescope)
 
     def curve(self, stage: str, values: Mapping[str, float]) -> Curve:
         """Line of sight [arcsec] of a stage of the implemented loop."""
@@ -169,7 +169,7 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
     """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
     figure = LaidOutFigure(figsize=(9.6, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    table = designed.parameters["weights"]
+    table = designed.telescope.weights
     edges = np.geomspace(LOWEST, HIGHEST, BINS + 1)
     middle = np.sqrt(edges[1:] * edges[:-1])
     for stage, width in zip(designed.stages, WIDTHS):
@@ -177,18 +177,16 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
         largest = np.full((2, BINS), np.nan)
         for values in members[stage]:
             los = designed.curve(stage, values)
-            error = 1e3 * los.size * rpe_weight(los.omega, table["rpe_window"])
+            error = 1e3 * los.size * rpe_weight(los.omega, table.rpe_window)
             index = np.clip(np.searchsorted(edges, los.omega) - 1, 0, BINS - 1)
             for row, curve in enumerate((los.size, error)):
                 np.fmax.at(largest[row], index, curve)
         for axes, curve in zip((left, right), largest):
             there = ~np.isnan(curve)
             axes.loglog(middle[there], curve[there], color=colour, lw=width, label=label)
-    left.axhline(
-        table["ape_limit"] / ARCSEC, color="#b00020", lw=1.2, label=f"APE {table['ape_limit'] / ARCSEC:.3g} arcsec"
-    )
-    limits = [(table["rpe_limit"], "--"), (table["rpe_limit_fine"], ":")]
-    for limit, style in limits[: len(mirror_stages(designed.parameters))]:
+    left.axhline(table.ape_limit / ARCSEC, color="#b00020", lw=1.2, label=f"APE {table.ape_limit / ARCSEC:.3g} arcsec")
+    limits = [(table.rpe_limit, "--"), (table.rpe_limit_fine, ":")]
+    for limit, style in limits[: len(designed.telescope.mirror_stages)]:
         value = 1e3 * limit / ARCSEC
         right.axhline(value, color="#b00020", ls=style, lw=1.2, label=f"RPE {value:.0f} mas")
     left.set(xlim=(LOWEST, 30.0), ylim=(1e-2, 300.0), title="line of sight [arcsec]")
@@ -202,12 +200,12 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
 
 
 def _controllers(designed: Designed) -> Figure:
-    (k_fsm, k_pma), forces = designed.pair, len(mirror_stages(designed.parameters)) > 1
+    (k_fsm, k_pma), forces = designed.pair, len(designed.telescope.mirror_stages) > 1
     figure = LaidOutFigure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
     left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
     omega: FloatArray = np.asarray(np.geomspace(1e-2, 3e3, 400), dtype=float)
-    assembled = telescope(designed.file)
-    kalman = kalman_observer(designed.parameters, assembled.bodies[1], lead=LOOP_DELAY)
+    assembled = assembled_telescope(designed.telescope)
+    kalman = kalman_observer(designed.telescope, assembled.bodies[1], lead=LOOP_DELAY)
     for system, colour, label in (
         (kalman, "#999999", "Kalman observer"),
         (continuous(k_fsm), "#c2308f", "K_FSM, tuned"),
@@ -238,7 +236,7 @@ def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair, worst = designed.system, designed.pair, designed.worst
     placed, rng = designed.placed, np.random.default_rng(seed)
-    open_loop = OpenLoop(system, designed.parameters, placed=placed)
+    open_loop = OpenLoop(system, designed.telescope, placed=placed)
     panels = [
         ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
         ("fsm+pma", "sensitivity, forces", placed.force_columns, "At the forces together, both controllers"),

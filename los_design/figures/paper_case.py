@@ -12,10 +12,10 @@ import numpy as np
 from lftkit import SampledSystem
 from los_design.figures.stage_curves import NAMES, PaperStages
 from titop_plant.interface import STAGES
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
-from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.assembly import AssembledTelescope, assembled_telescope
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 ALONE = "k_fsm_alone.json"
 KINDS, FAMILY = ("k_fsm", "k_pma"), "family_worst_cases"
@@ -73,23 +73,23 @@ class PaperCase:
         return cls(str(file), pairs, samples, seed, SampledSystem.from_file(alone) if alone.is_file() else None)
 
     @cached_property
-    def parameters(self) -> Parameters:
+    def telescope(self) -> Telescope:
         """Of the telescope."""
-        return load_parameters(self.file)
+        return load_telescope(self.file)
 
     @cached_property
-    def telescope(self) -> Telescope:
+    def assembled(self) -> AssembledTelescope:
         """On its isolator."""
-        return telescope(self.file)
+        return assembled_telescope(self.telescope)
 
     @cached_property
     def responses(self) -> DisturbanceResponses:
         """Without fine control."""
-        return disturbance_responses(self.file)
+        return disturbance_responses(self.telescope)
 
     def loop(self, design: str) -> PaperStages:
         """The stages with a pair of designs."""
-        return PaperStages.of(self.telescope, self.parameters, self.responses, self.pairs[design])
+        return PaperStages.of(self.telescope, self.responses, self.pairs[design])
 
     @property
     def _alone(self) -> tuple[SampledSystem, ...]:
@@ -108,7 +108,7 @@ class PaperCase:
     @cached_property
     def members(self) -> list[dict[str, float]]:
         """Nominal, random and worst members: the same for both pairs of designs."""
-        drawn = self.telescope.system.sample_values(np.random.default_rng(self.seed), self.samples)
+        drawn = self.assembled.system.sample_values(np.random.default_rng(self.seed), self.samples)
         return [{}, *drawn, *self.worst_members]
 
     def clouds(self, design: str) -> Mapping[str, list[Curve]]:

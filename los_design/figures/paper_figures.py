@@ -91,7 +91,7 @@ def _of_plant(name: str) -> tuple[tuple[float, float], Callable[[Figure, PaperCa
 def _controllers(figure: Figure, case: PaperCase, design: str) -> None:
     """K_FSM and the Kalman observer, a panel for each group of sensors, and K_PMA."""
     k_fsm, k_pma = (continuous(system) for system in case.pairs[design])
-    kalman = kalman_observer(case.parameters, case.telescope.bodies[1])
+    kalman = kalman_observer(case.telescope, case.assembled.bodies[1])
     panels = figure.subplots(2, 3, sharex=True).ravel()
     omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
     _, colour = STAGE_STYLES["fsm"]
@@ -137,22 +137,22 @@ def _stages(figure: Figure, case: PaperCase, design: str) -> None:
         for curve in stable:
             axes.loglog(curve.omega, curve.size, color=colour, lw=WIDTHS[stage])
         axes.plot([], [], color=colour, lw=1.6, label=label)
-    weights = case.parameters["weights"]
+    weights = case.telescope.weights
     omega: FloatArray = np.asarray(np.geomspace(LOWEST, PAPER_HIGHEST, 400), dtype=float)
-    relative = 1.0 / rpe_weight(omega, weights["rpe_window"]) / ARCSEC
+    relative = 1.0 / rpe_weight(omega, weights.rpe_window) / ARCSEC
     templates = (
         (
-            weights["ape_limit"] / ARCSEC * np.ones_like(omega),
+            weights.ape_limit / ARCSEC * np.ones_like(omega),
             "-",
             "$1/W_{APE}$",
-            f"{weights['ape_limit'] / ARCSEC:.3g} arcsec",
+            f"{weights.ape_limit / ARCSEC:.3g} arcsec",
         ),
-        (weights["rpe_limit"] * relative, "--", "$1/W_{RPE}$", f"{1e3 * weights['rpe_limit'] / ARCSEC:.3g} mas"),
+        (weights.rpe_limit * relative, "--", "$1/W_{RPE}$", f"{1e3 * weights.rpe_limit / ARCSEC:.3g} mas"),
         (
-            weights["rpe_limit_fine"] * relative,
+            weights.rpe_limit_fine * relative,
             ":",
             "$1/W_{RPE}^f$",
-            f"{1e3 * weights['rpe_limit_fine'] / ARCSEC:.3g} mas",
+            f"{1e3 * weights.rpe_limit_fine / ARCSEC:.3g} mas",
         ),
     )
     for size, style, symbol, limit in templates:

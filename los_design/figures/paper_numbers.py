@@ -16,7 +16,6 @@ from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SH
 from los_loop.figures_of_merit import paper_figures
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.simulation.disturbance_responses import DRIVES, WHEELS, Curve
-from titop_plant.telescope.parameters import parameters_hash
 
 BANDS = (1.0, 6.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Ends of the bands of frequency [rad/s]."""
@@ -38,7 +37,7 @@ def results(case: PaperCase) -> dict[str, Any]:
 def names(case: PaperCase) -> dict[str, Any]:
     """Names of the telescope's parameters and of the designs' matrices."""
     designs = {name: [digest(system) for system in pair] for name, pair in case.pairs.items()}
-    return {"telescope": parameters_hash(case.parameters), "designs": designs}
+    return {"telescope": case.telescope.parameters_hash, "designs": designs}
 
 
 def gammas(case: PaperCase) -> list[Row]:
@@ -52,7 +51,7 @@ def gammas(case: PaperCase) -> list[Row]:
     asked = (("robust", "robust", family), ("nominal", "nominal", nominal), ("nominal", "nominal, family", family))
     rows: list[Row] = []
     for design, label, at in asked:
-        found = check_paper(case.telescope, case.parameters, *case.pairs[design], at)
+        found = check_paper(case.telescope, *case.pairs[design], at)
         for (short, stage), system in zip(SHORT_NAMES.items(), case.pairs[design]):
             names = [row.name for row in paper_figures(stage)]
             status = system.provenance.get("status", "") if label in DESIGNS else ""
@@ -64,7 +63,7 @@ def gammas(case: PaperCase) -> list[Row]:
     if case.alone is not None:
         pair = case.alone, case.pairs["robust"][1]
         found, (short, stage) = (
-            check_paper(case.telescope, case.parameters, *pair, family),
+            check_paper(case.telescope, *pair, family),
             next(iter(SHORT_NAMES.items())),
         )
         names = [row.name for row in paper_figures(stage)]

@@ -30,18 +30,9 @@ from titop_plant.simulation.disturbance_responses import (
     disturbance_responses,
 )
 from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines
-from titop_plant.telescope.layout import (
-    ANGLE,
-    arrays_turn,
-    driven_arrays,
-    motors,
-    on_bearings,
-    reaction_wheels,
-    solar_arrays,
-    speed_names,
-    wheel_count,
-)
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.layout import ANGLE, speed_names
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 MEMBERS = 20
@@ -76,7 +67,7 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
     for name in names or ():
         if name not in {**FIGURES, **OF_MECHANISMS}:
             raise ValueError(f"unknown picture {name!r}, expected one of: {', '.join((*FIGURES, *OF_MECHANISMS))}")
-    both = disturbance_responses(parameters)
+    both = disturbance_responses(load_telescope(parameters))
     folder = Path(output)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -84,9 +75,9 @@ def draw_figures(output: str | Path, parameters: str | None = None, names: Seque
         raise ValueError(f"cannot make the folder {folder}: {error.strerror}") from None
     known = {**FIGURES, **OF_MECHANISMS}
     possible = {
-        "arrays_turn": arrays_turn(both.parameters),
-        "bearings": on_bearings(both.parameters),
-        "steppers": bool(motors(both.parameters)),
+        "arrays_turn": both.telescope.arrays_turn,
+        "bearings": both.telescope.on_bearings,
+        "steppers": bool(both.telescope.motors),
     }
     drawn = [name for name in names or known if possible.get(name, True)]
     return [path for name in drawn for path in _saved(folder, name, *known[name], both)]
@@ -109,11 +100,11 @@ def _saved(
 def _wheels_and_drives(figure: Figure, both: DisturbanceResponses) -> None:
     axis = figure.subplots()
     edges = _columns(1e-3, 1e4, 400)
-    wheels, drives = wheel_count(both.parameters), len(driven_arrays(both.parameters))
+    wheels, drives = len(both.telescope.wheels), len(both.telescope.driven_arrays)
     for inputs, colour, name, count in ((WHEELS, BLUE, "wheel", wheels), (DRIVES, ORANGE, "array drive", drives)):
         if count:
             _banded(axis, both, both.isolated, inputs, edges, colour, _counted(count, name))
-    _limits(axis, both.parameters, edges)
+    _limits(axis, both.telescope, edges)
     _decorate(axis, edges, (1e-6, 1e3))
     _legend(figure)
 
@@ -129,7 +120,7 @@ def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
     edges = _columns(10.0, 1e4, 400)
     for system, colour, name in ((both.hard, ORANGE, "hard mounted"), (both.isolated, BLUE, "on the isolator")):
         _banded(axis, both, system, ALL, edges, colour, name)
-    _templates(axis, both.parameters, edges)
+    _templates(axis, both.telescope, edges)
     _decorate(axis, edges, (1e-5, 5.0))
     _legend(figure)
 
@@ -137,7 +128,7 @@ def _isolator(figure: Figure, both: DisturbanceResponses) -> None:
 def _bearings(figure: Figure, both: DisturbanceResponses) -> None:
     axis = figure.subplots()
     edges = _columns(10.0, 1e4, 400)
-    wheels = reaction_wheels(both.parameters)
+    wheels = both.telescope.wheels
     speeds = {name: wheel.default_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
     fast = {name: wheel.maximum_speed for name, wheel in zip(speed_names(len(wheels)), wheels)}
     rigid, grey = both.with_rigid_wheels(), "#777777"
@@ -155,21 +146,21 @@ def _bearings(figure: Figure, both: DisturbanceResponses) -> None:
 
 def _steppers(figure: Figure, both: DisturbanceResponses) -> None:
     axis, edges = figure.subplots(), _columns(1e-2, 1e4, 400)
-    fixed, stepper = fixed_lines(both.parameters), stepper_lines(both.parameters)
+    fixed, stepper = fixed_lines(both.telescope), stepper_lines(both.telescope)
     for lines, colour, name, marker in (
         (fixed, "#777777", "five fixed harmonics of [sadm]", "s"),
         (stepper, BLUE, "stepper, gearbox and rotor", "o"),
     ):
         axis.vlines(lines.omega, 1e-12, lines.size / ARCSEC, color=colour, linewidth=0.8)
         axis.loglog(lines.omega, lines.size / ARCSEC, marker, color=colour, label=name, markersize=3.5)
-    _templates(axis, both.parameters, edges)
+    _templates(axis, both.telescope, edges)
     _decorate(axis, edges, (1e-9, 10.0))
     axis.set_ylabel("amplitude of the line of sight [arcsec]")
     _legend(figure, columns=2)
 
 
 def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
-    reach = next(array for array in solar_arrays(both.parameters) if array.turns).table["theta_range"][1]
+    reach = next(array for array in both.telescope.solar_arrays if array.turns).theta_range[1]
     angles = np.asarray(np.linspace(0.0, min(math.pi, reach), STEPS + 1), np.float64)
     values = [{ANGLE: math.tan(theta / 4.0)} for theta in angles]
     left, right, edges, sizes = _sweep(
@@ -186,9 +177,9 @@ def _arrays_turn(figure: Figure, both: DisturbanceResponses) -> None:
 
 
 def _wheels_speed_up(figure: Figure, both: DisturbanceResponses) -> None:
-    top = min(wheel.maximum_speed for wheel in reaction_wheels(both.parameters))
+    top = min(wheel.maximum_speed for wheel in both.telescope.wheels)
     speeds = np.asarray(np.linspace(0.0, top, STEPS + 1), np.float64)
-    values = [dict.fromkeys(speed_names(wheel_count(both.parameters)), float(speed)) for speed in speeds]
+    values = [dict.fromkeys(speed_names(len(both.telescope.wheels)), float(speed)) for speed in speeds]
     left, right, edges, sizes = _sweep(figure, both, speeds, values, (3e-3, 1.0), (0, 1, 2, 4, 6), "{:.0f} rad/s")
     change = 20.0 * np.log10(sizes / sizes[0])
     reach = math.ceil(float(np.abs(change).max()) / 3.0) * 3.0
@@ -254,22 +245,22 @@ def _columns(low: float, high: float, count: int) -> FloatArray:
     return np.asarray(np.geomspace(low, high, count + 1), np.float64)
 
 
-def _limits(axis: Axes, parameters: Parameters, edges: FloatArray) -> None:
+def _limits(axis: Axes, telescope: Telescope, edges: FloatArray) -> None:
     """Reach of the mirror, APE limit and both RPE templates."""
-    weights, mirror = parameters["weights"], parameters["fsm"]
-    reach = mirror["authority"] * mirror["los_sensitivity"] / ARCSEC
-    ape = weights["ape_limit"] / ARCSEC
+    weights, mirror = telescope.weights, telescope.fsm
+    reach = mirror.authority * mirror.los_sensitivity / ARCSEC
+    ape = weights.ape_limit / ARCSEC
     axis.axhline(reach, color="#333333", linestyle=(0, (1, 1.5)), label=f"reach of the mirror, {reach:.0f} arcsec")
     axis.axhline(ape, color=LIMIT, linestyle="--", label=f"APE limit, {ape:.3g} arcsec")
-    _templates(axis, parameters, edges)
+    _templates(axis, telescope, edges)
 
 
-def _templates(axis: Axes, parameters: Parameters, edges: FloatArray) -> None:
-    weights = parameters["weights"]
+def _templates(axis: Axes, telescope: Telescope, edges: FloatArray) -> None:
+    weights = telescope.weights
     omega = np.asarray(np.geomspace(edges[0], edges[-1], 300), np.float64)
-    for key, style in (("rpe_limit", "-"), ("rpe_limit_fine", "-.")):
-        size = weights[key] / ARCSEC / rpe_weight(omega, weights["rpe_window"])
-        name = f"RPE template, {1e3 * weights[key] / ARCSEC:.0f} mas in {1e3 * weights['rpe_window']:.0f} ms"
+    for limit, style in ((weights.rpe_limit, "-"), (weights.rpe_limit_fine, "-.")):
+        size = limit / ARCSEC / rpe_weight(omega, weights.rpe_window)
+        name = f"RPE template, {1e3 * limit / ARCSEC:.0f} mas in {1e3 * weights.rpe_window:.0f} ms"
         axis.loglog(omega, size, color=LIMIT, linewidth=1.0, linestyle=style, label=name)
 
 

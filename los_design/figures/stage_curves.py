@@ -21,9 +21,8 @@ from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS, Placed
 from titop_plant.simulation.disturbance_responses import ALL, ARCSEC, Curve, DisturbanceResponses
 from titop_plant.simulation.disturbances import weight_amplitudes
-from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.control_plant import disturbances_of
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 LOWEST, HIGHEST = 1e-2, 2e3
 """Frequencies of the curves of the sampled loop [rad/s]."""
@@ -65,13 +64,11 @@ def sampled_curve(
     """
     if stage in NAMES:
         return responses.weighted(getattr(responses, NAMES[stage]), values, ALL, LOWEST, HIGHEST)
-    plant, parameters = system.at(values), responses.parameters
-    loop = sampled_loop(
-        plant, *pair, loop=stage, los_sensitivity=float(parameters["fsm"]["los_sensitivity"]), placed=placed
-    )
+    plant, telescope = system.at(values), responses.telescope
+    loop = sampled_loop(plant, *pair, loop=stage, los_sensitivity=telescope.fsm.los_sensitivity, placed=placed)
     omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
     response = disturbance_response(loop, plant, omega)[:, OUTPUTS[LINE_OF_SIGHT]]
-    gains = largest_gains(response * weight_amplitudes(parameters, omega)[:, None, :])
+    gains = largest_gains(response * weight_amplitudes(telescope, omega)[:, None, :])
     return Curve(omega, np.asarray(gains / ARCSEC))
 
 
@@ -94,7 +91,6 @@ class PaperStages:
     def of(
         cls,
         telescope: Telescope,
-        parameters: Parameters,
         responses: DisturbanceResponses,
         pair: tuple[SampledSystem, SampledSystem],
     ) -> PaperStages:
@@ -106,7 +102,7 @@ class PaperStages:
             A file without its continuous controller.
         """
         observer, actuators = (continuous(design) for design in pair)
-        plant = actuator_plant(telescope, parameters, observer).system
+        plant = actuator_plant(telescope, observer).system
         disturbances = disturbances_of(plant)
         open_forces = plant[(LINE_OF_SIGHT, *MEASUREMENTS), (*disturbances, FORCE.name)]
         both = close(open_forces, actuators, {**{name: name for name in MEASUREMENTS}, FORCE.name: FORCE.name})

@@ -23,7 +23,7 @@ from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 NEAR, FREQUENCIES = 0.05, 81
 """Half-width of the band around a worst frequency, relative, and frequencies in it."""
@@ -109,16 +109,16 @@ def effects_of_entries(
         No such entry, or none of numbers; a telescope that cannot be assembled with it.
     """
     changed = {
-        name: [changed_entry(loops[0].parameters, name, 1.0 + s) for s in (-PER_CENT, PER_CENT)] for name in entries
+        name: [changed_entry(loops[0].telescope, name, 1.0 + s) for s in (-PER_CENT, PER_CENT)] for name in entries
     }
     own = {loop.stage: loop for loop in loops}
     before = [_peak(own[p.stage], metrics[p.stage][p.requirement], p) for p in worst]
     found = []
     for name, both in changed.items():
         sides = []
-        for parameters in both:
+        for telescope in both:
             placed = loops[0].placed
-            open_loop = OpenLoop(loop_plant(parameters, placed), parameters, placed=placed)
+            open_loop = OpenLoop(loop_plant(telescope, placed), telescope, placed=placed)
             again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in own.items()}
             sides.append([_peak(again[p.stage], metrics[p.stage][p.requirement], p) for p in worst])
         for p, value, low, high in zip(worst, before, *sides):
@@ -128,16 +128,17 @@ def effects_of_entries(
     return found
 
 
-def changed_entry(parameters: Parameters, entry: str, factor: float) -> dict[str, Any]:
-    """Parameters of a telescope with one entry times a factor.
+def changed_entry(telescope: Telescope, entry: str, factor: float) -> Telescope:
+    """A telescope with one entry times a factor.
 
     Examples
     --------
-    >>> changed_entry({"isolator": {"stiffness": [2.0, 4.0]}}, "isolator.stiffness", 1.5)["isolator"]["stiffness"]
-    [3.0, 6.0]
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> changed_entry(load_telescope(), "sadm.gearbox_stiffness", 1.5).sadm.gearbox_stiffness
+    30000.0
     """
     table, _, key = entry.partition(".")
-    held = parameters.get(table)
+    held = telescope.to_mapping().get(table)
     old: Mapping[str, Any] = held if isinstance(held, Mapping) else {}
     value = old.get(key)
     try:
@@ -148,7 +149,7 @@ def changed_entry(parameters: Parameters, entry: str, factor: float) -> dict[str
         raise ValueError(
             f"an entry must be TABLE.KEY of numbers in the parameter file, e.g. isolator.stiffness, got {entry}"
         )
-    return {**parameters, table: {**old, key: (factor * numbers).tolist()}}
+    return telescope.changed({table: {key: (factor * numbers).tolist()}})
 
 
 def _peaks(loop: ImplementedLoop, metric: LoopMetric, omega: float, points: FloatArray) -> FloatArray:

@@ -16,15 +16,17 @@ from lftkit.tuning import HinfGain, certify
 from los_design.synthesis.state_space_requirements import paper_requirements
 from los_estimator.problem import observer_plant
 from titop_plant.interface import FORCE_STAGES, K_FSM_INPUTS, K_PMA_INPUTS
-from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 HIDDEN = 5e-3
 """Part by which the norm of the nominal loop may exceed the samples."""
 
 
 def hidden_peaks(
-    telescope: Telescope, parameters: Parameters, pair: Sequence[System], stage: str, reached: Mapping[str, float]
+    telescope: Telescope,
+    pair: Sequence[System],
+    stage: str,
+    reached: Mapping[str, float],
 ) -> list[float]:
     """Frequencies [rad/s] of peaks of the nominal loop that samples have missed, by the norms of the assembled loop.
 
@@ -38,12 +40,12 @@ def hidden_peaks(
         Value of each gain at the samples, of its limit.
     """
     if stage in FORCE_STAGES:
-        plant, measured, controller = actuator_plant(telescope, parameters, pair[0])({}), K_PMA_INPUTS, pair[1]
+        plant, measured, controller = actuator_plant(telescope, pair[0])({}), K_PMA_INPUTS, pair[1]
     else:
-        plant, measured, controller = observer_plant(telescope, parameters)({}), K_FSM_INPUTS, pair[0]
+        plant, measured, controller = observer_plant(telescope)({}), K_FSM_INPUTS, pair[0]
     ports = tuple(plant.output_port(port.name) for port in measured)
     K = System(*controller.matrices, ports, controller.outputs, controller.name)
-    asked = [r for r in paper_requirements(parameters, stage) if isinstance(r, HinfGain)]
+    asked = [r for r in paper_requirements(telescope, stage) if isinstance(r, HinfGain)]
     found = certify([plant], K, asked)
     return [
         float(found.peak_frequencies[k, 0])

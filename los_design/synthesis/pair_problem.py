@@ -47,8 +47,7 @@ from titop_plant.interface import (
     sample_ticks,
 )
 from titop_plant.telescope.budget import BAND_EDGE
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import noise_of_ticks, sensors
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 OBSERVER, ACTUATORS = 0, 1
@@ -74,21 +73,21 @@ LEAST_DECAY = 5e-4
 
 
 def blocks(
-    parameters: Parameters, tuned: Sequence[int], placed: Placed = NO_DEVICES
+    telescope: Telescope, tuned: Sequence[int], placed: Placed = NO_DEVICES
 ) -> tuple[ControllerBlock, ControllerBlock]:
     """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate).
 
     Both measure with the further sensors `placed`, behind their other inputs and the same washout; K_PMA commands the
     further actuators.
     """
-    mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
+    mirror = -1.0 / telescope.fsm.los_sensitivity
 
     def bilinear(omega: FloatArray) -> ComplexArray:
         z = np.exp(1j * omega * DT)
         return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
 
     def filters(ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
-        chosen, ticks = [sensor for sensor in sensors(parameters) if sensor.port in ports], sample_ticks()
+        chosen, ticks = [sensor for sensor in telescope.sensors if sensor.port in ports], sample_ticks()
 
         def at(omega: FloatArray) -> ComplexArray:
             factors: list[ComplexArray] = []
@@ -100,7 +99,7 @@ def blocks(
                     held = np.arange(ticks[sensor.port.name])
                     factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
                 factors += [factor] * sensor.port.size
-            corner = float(parameters["sensors"]["washout"])
+            corner = float(telescope.washout)
             factors += [bilinear(omega) / (bilinear(omega) + corner)] * placed.readings
             return np.stack(factors, axis=1)
 
@@ -138,19 +137,19 @@ def tuned_figures(stage: tuple[int, ...]) -> tuple[FigureOfMerit, ...]:
     return tuple(sorted(gain_figures(STAGE_NAMES[stage]), key=lambda row: (not row.relative, -row.band[0])))
 
 
-def limits(parameters: Parameters, stage: tuple[int, ...]) -> dict[str, float]:
+def limits(telescope: Telescope, stage: tuple[int, ...]) -> dict[str, float]:
     """What a gain of 1 stands for in a stage: shares of the budget [rad], and limits with what tuning leaves."""
-    return {row.name: row.tuned_for(parameters, STAGE_NAMES[stage]) for row in tuned_figures(stage)}
+    return {row.name: row.tuned_for(telescope, STAGE_NAMES[stage]) for row in tuned_figures(stage)}
 
 
 def gains(
-    parameters: Parameters, stages: Sequence[tuple[int, ...]], placed: Placed = NO_DEVICES
+    telescope: Telescope, stages: Sequence[tuple[int, ...]], placed: Placed = NO_DEVICES
 ) -> tuple[ResponseGain, ...]:
     """What is asked of the stages; 1 is the entry of :func:`limits`."""
-    window = parameters["weights"]["rpe_window"]
+    window = telescope.weights.rpe_window
 
     def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
-        limit, (low, high) = row.tuned_for(parameters, STAGE_NAMES[stage]), row.within(LOWEST, HIGHEST)
+        limit, (low, high) = row.tuned_for(telescope, STAGE_NAMES[stage]), row.within(LOWEST, HIGHEST)
 
         def scale(omega: FloatArray) -> FloatArray:
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
@@ -176,8 +175,8 @@ def noise_frequencies() -> FloatArray:
 
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
-    parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
-    omega, amplitude, placed = nominal.omega, noise_of_ticks(parameters), samples.open_loop.placed
+    telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
+    omega, amplitude, placed = nominal.omega, telescope.noise_of_ticks(), samples.open_loop.placed
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
         heard = np.zeros(MEASUREMENTS)
@@ -186,8 +185,8 @@ def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[Respons
         density = np.broadcast_to(np.concatenate([heard, placed.noise]), (len(omega), placed.measurements))
         step = np.gradient(omega) * (DT / np.pi)
         if row.relative:
-            step = step * rpe_weight(omega, parameters["weights"]["rpe_window"]) ** 2
-        limit = row.tuned_for(parameters, STAGE_NAMES[stage])
+            step = step * rpe_weight(omega, telescope.weights.rpe_window) ** 2
+        limit = row.tuned_for(telescope, STAGE_NAMES[stage])
         return ResponseNoise(named(row.name, stage), stage, nominal, density, step, limit)
 
     return tuple(noise(stage, row) for stage in stages for row in noise_figures(STAGE_NAMES[stage]))
@@ -275,11 +274,11 @@ def pair_problem(
     tuned : sequence of {OBSERVER, ACTUATORS}
     threads : int
     """
-    parameters = samples.open_loop.parameters
+    telescope = samples.open_loop.telescope
     return ResponseProblem(
-        blocks(parameters, tuned, samples.open_loop.placed),
+        blocks(telescope, tuned, samples.open_loop.placed),
         samples.all(),
-        gains(parameters, stages, samples.open_loop.placed),
+        gains(telescope, stages, samples.open_loop.placed),
         noises(samples, stages),
         threads,
     )

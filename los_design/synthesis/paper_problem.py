@@ -53,8 +53,7 @@ from los_loop.figures_of_merit import FigureOfMerit, figure
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR, PLATFORM
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import sensors
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 ORDERS = OBSERVER_ORDER, ACTUATOR_ORDER
@@ -68,10 +67,10 @@ NOISE, OBSERVER_SHARE = figure("noise -> APE"), float(np.sqrt(0.5))
 
 
 def paper_blocks(
-    parameters: Parameters, tuned: Sequence[int], orders: tuple[int, int] = ORDERS
+    telescope: Telescope, tuned: Sequence[int], orders: tuple[int, int] = ORDERS
 ) -> tuple[ControllerBlock, ControllerBlock]:
     """The two continuous controllers; all entries of those in `tuned` are free."""
-    mirror = -1.0 / float(parameters["fsm"]["los_sensitivity"])
+    mirror = -1.0 / telescope.fsm.los_sensitivity
 
     def variable(omega: FloatArray) -> ComplexArray:
         return np.asarray(1j * omega)
@@ -96,20 +95,20 @@ def paper_blocks(
     )
 
 
-def paper_limits(parameters: Parameters, stage: tuple[int, ...], fine: bool = False) -> dict[str, float]:
+def paper_limits(telescope: Telescope, stage: tuple[int, ...], fine: bool = False) -> dict[str, float]:
     """What a gain of 1 stands for."""
     rows = paper_gains(STAGE_NAMES[stage], fine)
-    return {row.name: float(row.limit(parameters, STAGE_NAMES[stage])) for row in rows}
+    return {row.name: float(row.limit(telescope, STAGE_NAMES[stage])) for row in rows}
 
 
 def response_gains(
-    parameters: Parameters, stages: Sequence[tuple[int, ...]], fine: bool = False
+    telescope: Telescope, stages: Sequence[tuple[int, ...]], fine: bool = False
 ) -> tuple[ResponseGain, ...]:
     """The gains that are asked of the stages."""
-    window = parameters["weights"]["rpe_window"]
+    window = telescope.weights.rpe_window
 
     def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
-        limit = (TUNED if row.hard else 1.0) * float(row.limit(parameters, STAGE_NAMES[stage]))
+        limit = (TUNED if row.hard else 1.0) * float(row.limit(telescope, STAGE_NAMES[stage]))
         low, high = row.within(LOWEST, np.inf)
 
         def scale(omega: FloatArray) -> FloatArray:
@@ -123,16 +122,16 @@ def response_gains(
 
 def response_noises(samples: PaperSamples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Noise of the platform's accelerometers, behind their washout, in the line of sight of the nominal telescope."""
-    parameters, nominal = samples.open_loop.parameters, samples.at_noise_frequencies
+    telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
     omega, density = nominal.omega, np.zeros((len(nominal), MEASUREMENTS))
-    for sensor in sensors(parameters):
+    for sensor in telescope.sensors:
         if sensor.port.name in NOISE.inputs:
             size = np.abs(1j * omega / (1j * omega + sensor.washout))
             density[:, COLUMNS[sensor.port.name]] = size[:, None] * sensor.noise
     step = np.gradient(omega) * (DT / np.pi)
 
     def noise(stage: tuple[int, ...]) -> ResponseNoise:
-        limit = float(NOISE.limit(parameters, STAGE_NAMES[stage])) * (OBSERVER_SHARE if stage == ALONE else 1.0)
+        limit = float(NOISE.limit(telescope, STAGE_NAMES[stage])) * (OBSERVER_SHARE if stage == ALONE else 1.0)
         return ResponseNoise(named(NOISE.name, stage), stage, nominal, density, step, limit, hard=stage == ALONE)
 
     return tuple(noise(stage) for stage in stages)
@@ -174,16 +173,16 @@ class PaperTask(Task):
     @property
     def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
         """The controllers."""
-        return paper_blocks(self.samples.open_loop.parameters, self.tuned, self.orders)
+        return paper_blocks(self.samples.open_loop.telescope, self.tuned, self.orders)
 
     def problem(self) -> ResponseProblem:
         """What is tuned, on the samples that there are."""
         assert isinstance(self.samples, PaperSamples)
-        parameters = self.samples.open_loop.parameters
+        telescope = self.samples.open_loop.telescope
         return ResponseProblem(
             self.blocks,
             self.samples.all(),
-            response_gains(parameters, self.stages, self.fine),
+            response_gains(telescope, self.stages, self.fine),
             response_noises(self.samples, self.stages),
             self.workers.count,
             least_level=0.0,
@@ -191,7 +190,7 @@ class PaperTask(Task):
 
     def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
         """What a gain of 1 stands for in a stage."""
-        return paper_limits(self.samples.open_loop.parameters, stage, self.fine)
+        return paper_limits(self.samples.open_loop.telescope, stage, self.fine)
 
     def of_limit(self, name: str, value: float) -> float:
         """A value of a gain or noise of :meth:`problem` over the limit."""

@@ -23,7 +23,6 @@ from los_design.synthesis.starts import padded, random_law
 from los_design.synthesis.store import continuous
 from los_design.synthesis.task import first_points
 from los_estimator.problem import kalman_of_order
-from titop_plant.telescope.assembly import Telescope
 
 Report = Callable[[str], None]
 GAINS = 100.0, 10.0, 1.0, 0.1, 0.0
@@ -34,7 +33,6 @@ POINTS, STEPS = 4, 40
 
 def choose_paper_start(
     task: PaperTask,
-    telescope: Telescope,
     options: DesignOptions,
     observer: SampledSystem | None,
     law: SampledSystem | None,
@@ -46,7 +44,6 @@ def choose_paper_start(
     Parameters
     ----------
     task : PaperTask
-    telescope : Telescope
     options : DesignOptions
     observer : SampledSystem or None
         K_FSM that is given; it stays as it is, or is the start where it is tuned.
@@ -62,9 +59,9 @@ def choose_paper_start(
     ValueError
         No start stabilises the telescope, or a given one is of higher order.
     """
-    order, parameters = task.orders[0], task.samples.open_loop.parameters
+    order, telescope = task.orders[0], task.samples.open_loop.telescope
     if observer is None:
-        mirror = gain_matrix_of(kalman_of_order(order, telescope, parameters))
+        mirror = gain_matrix_of(kalman_of_order(order, telescope))
     else:
         mirror = gain_matrix_of(padded(continuous(observer).at({}), order))
     if ACTUATORS in task.tuned and law is None:

@@ -26,8 +26,8 @@ from los_design.synthesis.store import continuous, load_designs
 from los_design.synthesis.task import Task, first_points
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from los_loop.spec import NO_DEVICES
-from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 Pair = Sequence[FloatArray]
 """Gain matrices ``[A, B; C, D]`` of K_FSM and K_PMA."""
@@ -47,7 +47,6 @@ STORED_START, STORED_PAIR, KALMAN = "the stored start", "the stored pair", "the 
 def choose_start(
     task: Task,
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     observer: SampledSystem | None,
     report: Report,
@@ -57,8 +56,7 @@ def choose_start(
     Parameters
     ----------
     task : Task
-    telescope, parameters
-        Assembled telescope and its parameters.
+    telescope : Telescope
     options : DesignOptions
     observer : SampledSystem or None
         K_FSM that is given, if it is not tuned.
@@ -71,7 +69,7 @@ def choose_start(
         No start stabilises the telescope.
     """
     given = None if observer is None else gain_matrix_of(continuous(observer).at({}))
-    own, at = blocks(parameters, task.tuned, task.samples.open_loop.placed), _corners(task, options.seed)
+    own, at = blocks(telescope, task.tuned, task.samples.open_loop.placed), _corners(task, options.seed)
 
     def entries(pair: Pair, part: float = 0.0) -> FloatArray:
         return parameters_of(own, [_widened(M, block, part) for M, block in zip(pair, own)])
@@ -84,13 +82,13 @@ def choose_start(
         gain_matrix_of(stored_start("k-pma")),
     ]
     devices = task.samples.open_loop.placed != NO_DEVICES
-    if is_reference(parameters) and not devices and stable(entries(stored)):
+    if is_reference(telescope) and not devices and stable(entries(stored)):
         return entries(stored)
     report("another telescope than that of the stored start: starts are compared")
     k_fsm, k_pma = (gain_matrix_of(continuous(system).at({})) for system in load_designs("implemented"))
     starts: dict[str, Pair] = {STORED_PAIR: [given if given is not None else k_fsm, k_pma], STORED_START: stored}
     if given is None:
-        starts[KALMAN] = [_kalman(telescope, parameters, options), k_pma]
+        starts[KALMAN] = [_kalman(telescope, options), k_pma]
     if ACTUATORS in task.tuned:
         mirror = starts[STORED_PAIR if given is not None else KALMAN][0]
         for seed in LAW_SEEDS:
@@ -120,9 +118,9 @@ def _widened(M: FloatArray, block: ControllerBlock, part: float) -> FloatArray:
     return out
 
 
-def is_reference(parameters: Parameters) -> bool:
+def is_reference(telescope: Telescope) -> bool:
     """Whether these are the parameters that the stored controllers were designed for."""
-    return parameters_hash(parameters) == parameters_hash(load_parameters())
+    return telescope.parameters_hash == load_telescope().parameters_hash
 
 
 def _corners(task: Task, seed: int) -> list[dict[str, float]]:
@@ -131,9 +129,9 @@ def _corners(task: Task, seed: int) -> list[dict[str, float]]:
     return [{}, *(loop.values(point) for point in np.round(rng.uniform(size=(CORNERS, len(loop.names)))))]
 
 
-def _kalman(telescope: Telescope, parameters: Parameters, options: DesignOptions) -> FloatArray:
-    structure = observer_structure(observer_plant(telescope, parameters, **options.hold_delays), camera_hold=True)
-    return structure.gain_matrix(kalman_start(structure, telescope, parameters, lead=options.loop_delay))
+def _kalman(telescope: Telescope, options: DesignOptions) -> FloatArray:
+    structure = observer_structure(observer_plant(telescope, **options.hold_delays), camera_hold=True)
+    return structure.gain_matrix(kalman_start(structure, telescope, lead=options.loop_delay))
 
 
 def _best(task: Task, found: Mapping[str, FloatArray], count: int, report: Report) -> FloatArray:

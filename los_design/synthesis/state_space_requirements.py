@@ -18,43 +18,40 @@ from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figu
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.budget import band_error_weight
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
-from titop_plant.telescope.layout import disturbance_ports
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 
 BANDS = {figure(name).band: name for name in ("slow", "fast")}
 
 
-def paper_requirements(parameters: Parameters, stage: str) -> tuple[Requirement, ...]:
+def paper_requirements(telescope: Telescope, stage: str) -> tuple[Requirement, ...]:
     """What the paper's problem asks of K_FSM (stage ``fsm``) or of K_PMA (``fsm+pma``), in the order of its gammas."""
-    return tuple(
-        requirement(row, parameters, stage, float(row.limit(parameters, stage))) for row in paper_figures(stage)
-    )
+    return tuple(requirement(row, telescope, stage, float(row.limit(telescope, stage))) for row in paper_figures(stage))
 
 
-def observer_requirements(parameters: Parameters) -> tuple[Requirement, ...]:
+def observer_requirements(telescope: Telescope) -> tuple[Requirement, ...]:
     """What the paper's problem asks of K_FSM, with the platform's noise that it asks of both controllers.
 
     K_PMA cannot change what the observer makes of that noise: without the goal, designs of K_FSM with the same APE and
     RPE differ in it by a factor of 50.
     """
     stage, row = MIRROR_STAGES[0], figure("noise -> APE")
-    limit, every = float(row.limit(parameters, stage)), ACCELEROMETER_NOISE
+    limit, every = float(row.limit(telescope, stage)), ACCELEROMETER_NOISE
     own = sum(port.size for port in K_PMA_INPUTS)
     platform = static_gain(np.eye(every.size, own), [Port("platform_noise", own)], [every])
     noise = H2Gain((every.name,), (row.output,), limit, weight_in=platform, hard=row.hard, name=row.name)
-    return (*paper_requirements(parameters, stage), noise)
+    return (*paper_requirements(telescope, stage), noise)
 
 
-def implemented_requirements(parameters: Parameters, stage: str) -> tuple[Requirement, ...]:
+def implemented_requirements(telescope: Telescope, stage: str) -> tuple[Requirement, ...]:
     """The figures of a stage of the implemented loop, with what is tuned for as bounds.
 
     Designs of that loop are tuned on its responses (:mod:`los_design.synthesis.pair_problem`) with the same rows.
     """
-    return tuple(requirement(row, parameters, stage, row.tuned_for(parameters, stage)) for row in figures(stage))
+    return tuple(requirement(row, telescope, stage, row.tuned_for(telescope, stage)) for row in figures(stage))
 
 
-def requirement(row: FigureOfMerit, parameters: Parameters, stage: str, bound: float) -> Requirement:
+def requirement(row: FigureOfMerit, telescope: Telescope, stage: str, bound: float) -> Requirement:
     """A row as a requirement of the controller of a stage; the band of a relative error by filters of order 4.
 
     Raises
@@ -63,10 +60,10 @@ def requirement(row: FigureOfMerit, parameters: Parameters, stage: str, bound: f
         A row that these plants have no ports or no filters for.
     """
     ports = fsm_pma_controller.problem if stage in FORCE_STAGES else los_estimator.problem
-    inputs, output, weight_in = _ports(row, ports, tuple(port.name for port in disturbance_ports(parameters)))
+    inputs, output, weight_in = _ports(row, ports, tuple(port.name for port in telescope.disturbance_ports))
     kind = H2Gain if row.is_noise else HinfGain
-    expected = disturbance_weight(parameters).at({}).named("W_rws, W_sa") if weight_in else None
-    weight_out = _weight_out(row, parameters)
+    expected = disturbance_weight(telescope).at({}).named("W_rws, W_sa") if weight_in else None
+    weight_out = _weight_out(row, telescope)
     return kind(inputs, (output,), bound, weight_in=expected, weight_out=weight_out, hard=row.hard, name=row.name)
 
 
@@ -86,11 +83,11 @@ def _ports(row: FigureOfMerit, ports: ModuleType, disturbances: tuple[str, ...])
     return disturbances, row.output, True
 
 
-def _weight_out(row: FigureOfMerit, parameters: Parameters) -> System | None:
+def _weight_out(row: FigureOfMerit, telescope: Telescope) -> System | None:
     if row.band in BANDS and row.relative:
-        return band_error_weight(parameters, BANDS[row.band])
+        return band_error_weight(telescope, BANDS[row.band])
     if row.band != (0.0, np.inf):
         raise ValueError(f"{row.name}: band must be the whole axis, or that of slow or fast tones, got {row.band}")
     if row.relative:
-        return relative_error_weight(parameters["weights"]["rpe_window"]).at({}).named("W_RPE")
+        return relative_error_weight(telescope.weights.rpe_window).at({}).named("W_RPE")
     return None

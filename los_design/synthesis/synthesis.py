@@ -49,9 +49,7 @@ from los_loop.continuous_loop import continuous_open_loop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
-from titop_plant.telescope.assembly import Telescope
-from titop_plant.telescope.layout import control_stages
-from titop_plant.telescope.parameters import Parameters, design_basis
+from titop_plant.telescope.telescope import Telescope
 
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6, confirmed=0.8)
 THOROUGH = SearchOptions(frequencies=400, points=60, ascents=150, iterations=30, seed=500, several=6, confirmed=0.8)
@@ -81,7 +79,6 @@ def _silent(text: str) -> None:
 
 def design_observer(
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     report: Report = _silent,
     kept: Kept | None = None,
@@ -91,8 +88,7 @@ def design_observer(
 
     Parameters
     ----------
-    telescope, parameters
-        Assembled telescope and its parameters.
+    telescope : Telescope
     options : DesignOptions
     report : callable
         Receives one line for each step.
@@ -109,12 +105,11 @@ def design_observer(
         hash, seed, status, tuned values and the continuous controller.
     """
     _check_start(options, start)
-    return _designed(telescope, parameters, options, report, (OBSERVER,), ["k-fsm"], start, kept)[0]
+    return _designed(telescope, options, report, (OBSERVER,), ["k-fsm"], start, kept)[0]
 
 
 def design_actuators(
     telescope: Telescope,
-    parameters: Parameters,
     observer: SampledSystem,
     options: DesignOptions,
     report: Report = _silent,
@@ -125,8 +120,7 @@ def design_actuators(
 
     Parameters
     ----------
-    telescope, parameters
-        Assembled telescope and its parameters.
+    telescope : Telescope
     observer : SampledSystem
         K_FSM with its continuous form in the provenance.
     options : DesignOptions
@@ -144,12 +138,11 @@ def design_actuators(
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
     _check_start(options, start)
-    return _designed(telescope, parameters, options, report, (ACTUATORS,), ["k-pma"], observer, kept, law=start)[1]
+    return _designed(telescope, options, report, (ACTUATORS,), ["k-pma"], observer, kept, law=start)[1]
 
 
 def design_pair(
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     report: Report = _silent,
     kept: Kept | None = None,
@@ -164,8 +157,7 @@ def design_pair(
 
     Parameters
     ----------
-    telescope, parameters
-        Assembled telescope and its parameters.
+    telescope : Telescope
     options : DesignOptions
     report : callable
         Receives one line for each step.
@@ -182,10 +174,10 @@ def design_pair(
         With the same provenance.
     """
     kinds = ["k-fsm", "k-pma"]
-    if STAGE_NAMES[BOTH] in control_stages(parameters):
+    if STAGE_NAMES[BOTH] in telescope.stages:
         tuned = (OBSERVER, ACTUATORS)
-        return _designed(telescope, parameters, options, report, tuned, kinds, observer, kept, workers)
-    k_fsm, _ = _designed(telescope, parameters, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
+        return _designed(telescope, options, report, tuned, kinds, observer, kept, workers)
+    k_fsm, _ = _designed(telescope, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
     made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
@@ -197,7 +189,6 @@ def _check_start(options: DesignOptions, start: SampledSystem | None) -> None:
 
 def _designed(
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     report: Report,
     tuned: tuple[int, ...],
@@ -213,12 +204,12 @@ def _designed(
     task: Task
     with Workers(options.workers) as own:
         if options.implemented:
-            task = _task(telescope, parameters, options, tuned, workers or own)
-            start = partial(choose_start, task, telescope, parameters, options, observer, report)
+            task = _task(telescope, options, tuned, workers or own)
+            start = partial(choose_start, task, telescope, options, observer, report)
         else:
-            task = _paper_task(telescope, parameters, options, tuned, workers or own, observer)
-            start = partial(choose_paper_start, task, telescope, options, observer, law, report, compared)
-        hidden = partial(_hidden, task, telescope, parameters)
+            task = _paper_task(telescope, options, tuned, workers or own, observer)
+            start = partial(choose_paper_start, task, options, observer, law, report, compared)
+        hidden = partial(_hidden, task, telescope)
         outcome = design_in_rounds(task, start, _effort(options), report, kept, hidden)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
@@ -239,11 +230,11 @@ def _designed(
         A, B, C, D = _state_space(kind, _in_newton(M, placed) if stage == BOTH else M, placed)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
         provenance = {**common, **_values(outcome, stage), "continuous": matrices}
-        found.append(_sampled(kind, (A, B, C, D), parameters, options, provenance, placed))
+        found.append(_sampled(kind, (A, B, C, D), telescope, options, provenance, placed))
     return found[0], found[1]
 
 
-def _hidden(task: Task, telescope: Telescope, parameters: Parameters, outcome: Outcome) -> list[float]:
+def _hidden(task: Task, telescope: Telescope, outcome: Outcome) -> list[float]:
     """Peaks of the nominal loop between or above the samples of a design of the paper's problem, by its norms."""
     if not isinstance(task, PaperTask):
         return []
@@ -254,7 +245,7 @@ def _hidden(task: Task, telescope: Telescope, parameters: Parameters, outcome: O
     peaks = list[float]()
     for stage in task.stages:
         reached = {name: outcome.tuned[named(name, stage)] for name in task.limits(stage)}
-        peaks += hidden_peaks(telescope, parameters, pair, STAGE_NAMES[stage], reached)
+        peaks += hidden_peaks(telescope, pair, STAGE_NAMES[stage], reached)
     return [*dict.fromkeys(peaks)]
 
 
@@ -268,14 +259,13 @@ def _effort(options: DesignOptions) -> Effort:
 
 def _paper_task(
     telescope: Telescope,
-    parameters: Parameters,
     options: DesignOptions,
     tuned: tuple[int, ...],
     workers: Workers,
     observer: SampledSystem | None,
 ) -> PaperTask:
     """The task of the paper's problem, with no parameter points yet."""
-    samples = PaperSamples(continuous_open_loop(telescope, parameters), options.workers)
+    samples = PaperSamples(continuous_open_loop(telescope), options.workers)
     given = ORDERS[0] if observer is None else continuous(observer).order
     orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
     fine = not options.nominal
@@ -284,27 +274,30 @@ def _paper_task(
 
 
 def _task(
-    telescope: Telescope, parameters: Parameters, options: DesignOptions, tuned: tuple[int, ...], workers: Workers
+    telescope: Telescope,
+    options: DesignOptions,
+    tuned: tuple[int, ...],
+    workers: Workers,
 ) -> ImplementedTask:
     """The task for a telescope, with no parameter points yet."""
     stages = STAGES_OF[tuned]
 
-    placed = Placed.of(parameters)
+    placed = Placed.of(telescope)
 
     def in_newton(both: Sequence[FloatArray]) -> list[FloatArray]:
         return [both[0], _in_newton(both[1], placed)]
 
     def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
         k_fsm, k_pma = (
-            _sampled(kind, _state_space(kind, M, placed), parameters, options, None, placed)
-            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(parameters, tuned, placed), x)))
+            _sampled(kind, _state_space(kind, M, placed), telescope, options, None, placed)
+            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned, placed), x)))
         )
         return k_fsm, k_pma
 
-    system = loop_plant(parameters, placed, telescope=telescope)
-    samples = Samples(OpenLoop(system, parameters, placed=placed), options.workers)
+    system = loop_plant(telescope, placed)
+    samples = Samples(OpenLoop(system, telescope, placed=placed), options.workers)
     known: tuple[WorstPoint, ...] = ()
-    if not (options.nominal or is_reference(parameters)):
+    if not (options.nominal or is_reference(telescope)):
         names = [STAGE_NAMES[stage] for stage in stages]
         known = tuple(point for name in names for point in load_worst_points()[name].values())
     common = options.seed, options.wall_limit, workers, known
@@ -342,7 +335,7 @@ def _state_space(kind: str, M: FloatArray, placed: Placed) -> Matrices:
 def _sampled(
     kind: str,
     matrices: Sequence[FloatArray],
-    parameters: Parameters,
+    telescope: Telescope,
     options: DesignOptions,
     provenance: Mapping[str, Any] | None,
     placed: Placed = NO_DEVICES,
@@ -352,7 +345,7 @@ def _sampled(
     system = state_space(A, B, C, D, *design_ports(kind, placed))
     sample = sampled_observer if kind == "k-fsm" else sampled_controller
     name = f"K_{kind[2:].upper()}, {options.variant}"
-    washout, basis = parameters["sensors"]["washout"], design_basis(parameters)
+    washout, basis = telescope.washout, telescope.design_basis
     return sample(system, washout, name=name, basis=basis, provenance=provenance)
 
 

@@ -91,7 +91,7 @@ class ImplementedTask(Task):
     @property
     def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
         """The controllers."""
-        return blocks(self.samples.open_loop.parameters, self.tuned, self.samples.open_loop.placed)
+        return blocks(self.samples.open_loop.telescope, self.tuned, self.samples.open_loop.placed)
 
     def problem(self) -> ResponseProblem:
         """What is tuned, on the samples that there are."""
@@ -99,7 +99,7 @@ class ImplementedTask(Task):
 
     def limits(self, stage: tuple[int, ...]) -> dict[str, float]:
         """What a gain of 1 stands for in a stage: what is tuned for."""
-        return limits(self.samples.open_loop.parameters, stage)
+        return limits(self.samples.open_loop.telescope, stage)
 
     def search(self, x: FloatArray, stage: tuple[int, ...], options: SearchOptions) -> Search:
         """Search of a stage with the controllers of `x`."""
@@ -109,7 +109,7 @@ class ImplementedTask(Task):
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
         loop = self.samples.open_loop
         plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
-        sensitivity = float(loop.parameters["fsm"]["los_sensitivity"])
+        sensitivity = loop.telescope.fsm.los_sensitivity
         return all(
             sampled_loop(
                 plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity, placed=loop.placed

@@ -35,7 +35,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -63,11 +62,9 @@ from los_loop.open_loop import OpenLoop
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
-from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.guide_camera import without_images
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
-from titop_plant.telescope.parameters import OWN_BODIES, SOURCES, Parameters, parameters_digest
-from titop_plant.telescope.requirements import design_limits, telescope_requirements
+from titop_plant.telescope.requirements import design_limits, read_requirements
+from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
 
 FORMAT = "los-testbed proof bundle 1"
 MANIFEST, TELESCOPE, K_FSM, K_PMA = "manifest.json", "telescope.json", "k_fsm.json", "k_pma.json"
@@ -158,21 +155,21 @@ class Bundle:
         Where its members are as files.
     names : frozenset of str
         Of the members.
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
     k_fsm, k_pma : SampledSystem
     """
 
     folder: Path
     names: frozenset[str]
-    parameters: Parameters
+    telescope: Telescope
     k_fsm: SampledSystem
     k_pma: SampledSystem
 
     @cached_property
     def subject(self) -> Subject:
         """Names of its controllers and its telescope."""
-        return Subject.of(self.k_fsm, self.k_pma, parameters_digest(self.parameters))
+        return Subject.of(self.k_fsm, self.k_pma, self.telescope.digest)
 
     @cached_property
     def name(self) -> str:
@@ -194,7 +191,7 @@ class Bundle:
         """Stage and figure of each proof, in the order of stages and figures."""
         names = {name for name in self.names if name.startswith(PROOFS + "/")}
         names -= {member_of(stage, NOISE) for stage in MIRROR_STAGES}
-        known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.parameters, stage)]
+        known = [(stage, figure) for stage in MIRROR_STAGES for figure in provable(self.telescope, stage)]
         found = tuple((stage, figure) for stage, figure in known if member_of(stage, figure) in names)
         if len(found) != len(names) or not names:
             raise ProofError(f"a bundle must hold proofs of figures of {', '.join(MIRROR_STAGES)}, got {sorted(names)}")
@@ -232,7 +229,7 @@ def member_of(stage: str, figure: str) -> str:
 
 def write_bundle(
     path: Path,
-    parameters: Parameters,
+    telescope: Telescope,
     controllers: tuple[SampledSystem, SampledSystem],
     proofs: Mapping[tuple[str, str], Path],
 ) -> None:
@@ -241,7 +238,7 @@ def write_bundle(
     Parameters
     ----------
     path : Path
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
     controllers : (SampledSystem, SampledSystem)
         K_FSM and K_PMA.
@@ -249,7 +246,7 @@ def write_bundle(
         Files of ``design certify``.
     """
     members = {member_of(stage, figure): file.read_bytes() for (stage, figure), file in proofs.items()}
-    of_loop = without_images(parameters)
+    of_loop = telescope.without_images()
     content = {k: dict(v) if isinstance(v, Mapping) else v for k, v in of_loop.items() if k != SOURCES}
 
     def member(body: str, file: str) -> str:
@@ -303,13 +300,13 @@ def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
             raise ProofError(f"a member must be a file of {PROOFS} or {MODAL_DATA}, got {name!r}")
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
-    parameters = _telescope(folder, frozenset(members))
+    telescope = _telescope(folder, frozenset(members))
     for name in (K_FSM, K_PMA):
         parsed(members[name], name)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
     k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    return Bundle(folder, frozenset(members), parameters, k_fsm, k_pma)
+    return Bundle(folder, frozenset(members), telescope, k_fsm, k_pma)
 
 
 def _refused(error: BaseException) -> ProofError:
@@ -341,7 +338,7 @@ def _check_hashes(manifest: Any, members: Mapping[str, bytes]) -> None:
             raise ProofError(f"{name} must have the SHA-256 of the manifest, got another one")
 
 
-def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
+def _telescope(folder: Path, names: frozenset[str]) -> Telescope:
     """Parameters of the telescope; modal data are members."""
     content = parsed((folder / TELESCOPE).read_bytes(), TELESCOPE)
     require_plain({k: v for k, v in content.items() if k != SOURCES}, "texts of the telescope")
@@ -353,7 +350,7 @@ def _telescope(folder: Path, names: frozenset[str]) -> Parameters:
 
     content = _with_modal_data(content, file)
     _check_limits(content)
-    return MappingProxyType(content)
+    return Telescope(content)
 
 
 def _with_modal_data(content: Mapping[str, Any], changed: Callable[[str, str], str]) -> dict[str, Any]:
@@ -375,7 +372,7 @@ def _with_modal_data(content: Mapping[str, Any], changed: Callable[[str, str], s
 
 def _check_limits(content: Mapping[str, Any]) -> None:
     """Requirements are printed beside what is proven: the limits must be theirs."""
-    limits, _ = design_limits(telescope_requirements(content))
+    limits, _ = design_limits(read_requirements(content))
     for name, limit in limits.items():
         if not math.isclose(float(content["weights"][name]), limit, rel_tol=1e-9):
             raise ProofError(
@@ -385,7 +382,7 @@ def _check_limits(content: Mapping[str, Any]) -> None:
 
 def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     """Each figure of a stage with its bound and its limit, as a bundle says without a check."""
-    limits = provable(bundle.parameters, stage)
+    limits = provable(bundle.telescope, stage)
     return tuple(
         bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
         for where, figure in bundle.figures
@@ -395,7 +392,7 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
 
 def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
     """Bound of each figure of a stage in its own unit, as a bundle says without a check."""
-    limits = provable(bundle.parameters, stage)
+    limits = provable(bundle.telescope, stage)
     return {
         figure: bundle.proof(stage, figure).level * limits[figure].limit
         for where, figure in bundle.figures
@@ -418,8 +415,8 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
         A proof is refused.
     """
     try:
-        parameters = bundle.parameters
-        open_loop = OpenLoop(control_loop_plant(build_telescope(parameters), parameters), parameters)
+        telescope = bundle.telescope
+        open_loop = OpenLoop(control_loop_plant(telescope), telescope)
         stages = dict.fromkeys((*(s for s, _ in bundle.figures), *bundle.noise))
         loops = {s: ImplementedLoop(open_loop, bundle.k_fsm, bundle.k_pma, s) for s in stages}
         found, stable = [], dict.fromkeys(loops, 0.0)
@@ -428,7 +425,7 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
             first = not stable[stage] and whole_axis(proof.band, proof.model.dt)
             checked = _checked(proof, each, first)
             stable[stage] = max(stable[stage], checked.stable_below)
-            limit = provable(parameters, stage)[figure].limit
+            limit = provable(telescope, stage)[figure].limit
             found.append(
                 ProvenFigure(stage, figure, checked.level, limit, checked.band, checked.strips, checked.windows)
             )
@@ -443,15 +440,15 @@ def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map)
         box = dict(zip((p.name for p in loop.system.parameters), box_of(loop)))  # every proof holds it
     except SYNTAX_ERRORS as error:
         raise _refused(error) from None
-    requirements = requirements_of(parameters, found, tuple(noise))
+    requirements = requirements_of(telescope, found, tuple(noise))
     sums = {
-        s: error_sums(parameters, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
+        s: error_sums(telescope, s, {f.figure: f.level * f.limit for f in found if f.stage == s}, noise.get(s))
         for s in loops
     }
     return CheckedBundle(bundle.subject, tuple(found), stable, box, requirements, bundle.name, noise, sums, frames)
 
 
-def requirements_of(parameters: Parameters, figures: Iterable[ProvenFigure], noise: Iterable[str]) -> tuple[str, ...]:
+def requirements_of(telescope: Telescope, figures: Iterable[ProvenFigure], noise: Iterable[str]) -> tuple[str, ...]:
     """Texts of the requirements that the limits of proven figures, and of stages with a bound of noise, are made of.
 
     Others of the telescope, of another stage for instance, are no part of what a bundle says. Of a requirement on the
@@ -460,10 +457,10 @@ def requirements_of(parameters: Parameters, figures: Iterable[ProvenFigure], noi
     limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST, *PARTS)}
     limits |= {"ape_limit" for f in figures if f.figure == "APE"}
     limits |= {name for stage in noise for name in ("ape_limit", window_limit(stage))}
-    own = telescope_requirements(parameters)
+    own = telescope.requirements
     made = design_limits(own)[1]
     places = sorted({place for name in limits for place in made[name]})
-    texts = [(own[place], str(parameters["requirement"][place]["text"])) for place in places]
+    texts = [(own[place], telescope.requirement_texts[place]) for place in places]
     return tuple(f"{text}; {OF_WINDOWS}" if r.index == "RPE" and not r.of_windows else text for r, text in texts)
 
 
@@ -473,7 +470,7 @@ def checked_noise(
     """Bounds of a stage's noise; of unstable members there are none."""
     stage = loop.stage
     proof = noise_of_loop(bundle.noise_proof(stage), loop)
-    window = float(loop.parameters["weights"]["rpe_window"])
+    window = loop.telescope.weights.rpe_window
     try:
         checked = check_noise_proof(proof, each, not math.isinf(stable[stage]), window)
     except ProofError as error:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pointing_analysis.rounding import at_most
 from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.budget import BAND_EDGE
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.requirements import design_limits, telescope_requirements
+from titop_plant.telescope.requirements import design_limits
+from titop_plant.telescope.telescope import Telescope
 
 FAST = "fast"
 NEAR_EDGE = (BAND_EDGE, 126.0, 128.5, 132.0, 138.0, 150.0, 200.0)
@@ -110,7 +110,7 @@ def window_limit(stage: str) -> str:
     return "rpe_limit_fine" if stage in FORCE_STAGES else "rpe_limit"
 
 
-def required_probabilities(parameters: Parameters, stage: str) -> tuple[float, float]:
+def required_probabilities(telescope: Telescope, stage: str) -> tuple[float, float]:
     """Parts of the instants, and of the windows, that must keep the limits of a stage with fine control.
 
     Each is of the requirement that the limit is made of: that on windows of the mirror alone may be another one than
@@ -118,11 +118,11 @@ def required_probabilities(parameters: Parameters, stage: str) -> tuple[float, f
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> required_probabilities(load_parameters(), "fsm")
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> required_probabilities(load_telescope(), "fsm")
     (0.997, 0.997)
     """
-    rules = telescope_requirements(parameters)
+    rules = telescope.requirements
     made = design_limits(rules)[1]
     instants, of_windows = (float(rules[made[name][0]].probability) for name in ("ape_limit", window_limit(stage)))
     return instants, of_windows

@@ -30,8 +30,7 @@ from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import combined_level, two_tone_level
-from titop_plant.telescope.layout import channels
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 LEAST_PART = 0.9
 """Of the instants or windows: the least one for which sums are computed."""
@@ -40,13 +39,13 @@ SHARES = 17
 
 
 def error_sums(
-    parameters: Parameters, stage: str, tones: Mapping[str, float], noise: tuple[NoiseBound, NoiseBound] | None
+    telescope: Telescope, stage: str, tones: Mapping[str, float], noise: tuple[NoiseBound, NoiseBound] | None
 ) -> tuple[ErrorSum, ...]:
     """Sums of a stage; those of which a contribution is missing are left out.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
     stage : str
     tones : mapping of str to float
@@ -55,14 +54,14 @@ def error_sums(
     noise : (NoiseBound, NoiseBound) or None
         Of the absolute and the relative error [rad].
     """
-    ape, rpe = (figure(name).limit(parameters, stage) for name in ("APE", "RPE"))
+    ape, rpe = (figure(name).limit(telescope, stage) for name in ("APE", "RPE"))
     arcsec, mas = ape / RAD_PER_ARCSEC, rpe / RAD_PER_MAS
     slow = tones.get("slow", math.nan) / RAD_PER_MAS
     absolute = tones.get("APE", math.nan) / RAD_PER_ARCSEC
-    fast = fast_pieces(parameters, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
+    fast = fast_pieces(telescope, {name: bound / RAD_PER_MAS for name, bound in tones.items()})
     found: list[tuple[str, float, float, str, float]] = []
     if noise is not None:
-        instants, windows = required_probabilities(parameters, stage)
+        instants, windows = required_probabilities(telescope, stage)
         wide, fine = _scaled(noise[0], RAD_PER_ARCSEC), _scaled(noise[1], RAD_PER_MAS)
         alone = max((_level(bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
         both = max((_both(slow, bound, fine, windows, turn) for turn, bound in fast), default=math.nan)
@@ -70,7 +69,7 @@ def error_sums(
         limits = ((arcsec, "arcsec", instants), *((mas, "mas", windows),) * 3)
         found = [(name, value, *limit) for name, value, limit in zip(WITH_NOISE, values, limits)]
     sums = [ErrorSum(*row) for row in found if not math.isnan(row[1])]
-    inputs = channels(parameters)
+    inputs = telescope.channels
     norm = math.sqrt(inputs)
     together = f"each of {inputs} channels at its own weight, norm {norm:.2f}"
     largest = tones.get(FAST, math.nan) / RAD_PER_MAS
@@ -81,7 +80,7 @@ def error_sums(
     return tuple(sums)
 
 
-def fast_pieces(parameters: Parameters, tones: Mapping[str, float]) -> list[tuple[float, float]]:
+def fast_pieces(telescope: Telescope, tones: Mapping[str, float]) -> list[tuple[float, float]]:
     """Least turn in a window [rad] and bound of each part of the fast tones' band; empty without a bound of all.
 
     Parts without a gap from the edge of the band on have bounds of their own where they are proven; above them the
@@ -89,7 +88,7 @@ def fast_pieces(parameters: Parameters, tones: Mapping[str, float]) -> list[tupl
     """
     if FAST not in tones:
         return []
-    window, pieces, end = float(parameters["weights"]["rpe_window"]), [], NEAR_EDGE[0]
+    window, pieces, end = telescope.weights.rpe_window, [], NEAR_EDGE[0]
     for name, (low, high) in PARTS.items():
         if name not in tones:
             break

@@ -22,9 +22,8 @@ from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, sample_ticks
-from titop_plant.telescope.layout import ANGLE, torque_bounds, wheel_count
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import noise_of_ticks
+from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.telescope import Telescope
 
 Box = tuple[Interval, ...]
 NYQUIST = math.pi / DT
@@ -44,9 +43,9 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     commands = metric.rows != los
     first = metric.rows.start - (los.stop if commands else 0)
     rows = tuple(range(first, first + metric.rows.stop - metric.rows.start))
-    window = float(loop.parameters["weights"]["rpe_window"]) if metric.relative else 0.0
+    window = loop.telescope.weights.rpe_window if metric.relative else 0.0
     if metric.disturbed:
-        inputs = _disturbances(loop.parameters)
+        inputs = _disturbances(loop.telescope)
         return _model(loop, inputs, None, window=window, rows=rows, scale=metric.limit, commands=commands)
     added = tuple(range(COMMANDS))[metric.columns]
     kind = RETURNED.get(metric.name.split(",")[0], 0)
@@ -60,10 +59,10 @@ def noise_model(loop: ImplementedLoop) -> LoopModel:
     The samples of a sensor with frames count as if each tick had one
     (:func:`titop_plant.telescope.sensors.noise_of_ticks`): held, they have the same mean spectrum.
     """
-    sigma = noise_of_ticks(loop.parameters)
+    sigma = loop.telescope.noise_of_ticks()
     noisy = np.flatnonzero(sigma)
     inputs = np.column_stack([sigma[noisy], np.ones((len(noisy), 2))])
-    limit = float(loop.parameters["weights"]["ape_limit"])
+    limit = loop.telescope.weights.ape_limit
     rows = tuple(range(OUTPUTS[LINE_OF_SIGHT].stop))
     return _model(loop, inputs, noisy, window=0.0, rows=rows, scale=limit, commands=False)
 
@@ -89,13 +88,13 @@ def frames_model(loop: ImplementedLoop, limit: float, *, opened: bool) -> LoopMo
     return replace(model, C=C, D=D)
 
 
-def _disturbances(parameters: Parameters) -> FloatArray:
-    weights = parameters["weights"]
+def _disturbances(telescope: Telescope) -> FloatArray:
+    weights = telescope.weights
     wheels = [
-        [a, weights["wheel_imbalance_zero"], weights["wheel_imbalance_pole"]]
-        for a in np.tile(weights["wheel_imbalance"], wheel_count(parameters))
+        [a, weights.wheel_imbalance_zero, weights.wheel_imbalance_pole]
+        for a in np.tile(weights.wheel_imbalance, len(telescope.wheels))
     ]
-    drives = [[bound, 1.0, 1.0] for bound in torque_bounds(parameters)]
+    drives = [[bound, 1.0, 1.0] for bound in telescope.torque_bounds]
     return np.array([*wheels, *drives], dtype=float)
 
 
@@ -170,13 +169,13 @@ def box_of(loop: ImplementedLoop) -> Box:
     )
 
 
-def figures_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+def figures_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Figures of a stage that are proven; bands of the whole axis are from zero to half of the sampling rate."""
-    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
+    found = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
     return {name: metric for name, metric in found.items() if metric.disturbed}
 
 
-def margins_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Margins of a stage that can be proven, each at the commands of one port, up to half of the sampling rate.
 
     ==========================  =====================================================================================
@@ -190,7 +189,7 @@ def margins_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
     At the forces one more tick breaks the last bound (near 2600 rad/s), though the loop bears it: the norm does not
     see the phase.
     """
-    found = loop_metrics(parameters, stage, within=(0.0, NYQUIST))
+    found = loop_metrics(telescope, stage, within=(0.0, NYQUIST))
     margins = {name: metric for name, metric in found.items() if not metric.disturbed}
     for metric in list(margins.values()):
         port = metric.name.split(", ")[1]
@@ -200,20 +199,20 @@ def margins_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
     return margins
 
 
-def parts_near_edge(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+def parts_near_edge(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Parts of the fast tones' band that can have bounds of their own, by name (:data:`PARTS`)."""
-    fast = figures_of(parameters, stage)[FAST]
+    fast = figures_of(telescope, stage)[FAST]
     return {name: replace(fast, name=name, band=band) for name, band in PARTS.items()}
 
 
-def frames_of(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+def frames_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """Gains that show what the camera's frames do to stability (:mod:`los_design.verification.frames`)."""
-    edge, like = NYQUIST / FRAME_TICKS, next(iter(margins_of(parameters, stage).values()))
+    edge, like = NYQUIST / FRAME_TICKS, next(iter(margins_of(telescope, stage).values()))
     bands = {SEEN: (0.0, edge), IMAGES: (edge, NYQUIST)}
     return {name: replace(like, name=name, limit=FRAME_LIMITS[name], band=band) for name, band in bands.items()}
 
 
-def provable(parameters: Parameters, stage: str) -> dict[str, LoopMetric]:
+def provable(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     """All gains of a stage that can be proven: figures, margins, frames, parts of the fast tones' band."""
-    others = margins_of(parameters, stage) | frames_of(parameters, stage) | parts_near_edge(parameters, stage)
-    return figures_of(parameters, stage) | others
+    others = margins_of(telescope, stage) | frames_of(telescope, stage) | parts_near_edge(telescope, stage)
+    return figures_of(telescope, stage) | others

@@ -85,17 +85,17 @@ def certify_noise(
     FigureBounds
         Values are root mean squares over the limit of the absolute error; the lower one is that of the nominal member.
     """
-    model, box, limit = noise_model(loop), box_of(loop), float(loop.parameters["weights"]["ape_limit"])
+    model, box, limit = noise_model(loop), box_of(loop), loop.telescope.weights.ape_limit
     values = {p.name: p.nominal for p in loop.system.parameters}
-    lower = noise_rms(noise_covariances(loop.system.at({}), *loop.pair, loop.parameters, loop=loop.stage))[0] / limit
+    lower = noise_rms(noise_covariances(loop.system.at({}), *loop.pair, loop.telescope, loop=loop.stage))[0] / limit
     whole = (0.0, NYQUIST)
     if not nominal_stable(loop):
         return FigureBounds(loop.stage, NOISE, lower, math.inf, values, 0.0, "unstable", [whole])
     kept = folder / "parts" / f"{loop.stage}-{NOISE}-{model_digest(model, box)}"
     kept.mkdir(parents=True, exist_ok=True)
-    window = float(loop.parameters["weights"]["rpe_window"])
-    limits = [figure("RPE").limit(loop.parameters, stage) for stage in MIRROR_STAGES]
-    relative = (min(limits) / figure("RPE").limit(loop.parameters, loop.stage)) ** 2
+    window = loop.telescope.weights.rpe_window
+    limits = [figure("RPE").limit(loop.telescope, stage) for stage in MIRROR_STAGES]
+    relative = (min(limits) / figure("RPE").limit(loop.telescope, loop.stage)) ** 2
     levels = _first_levels(model, box, noise_parts(model, window, relative), window)
     done: dict[tuple[Rows, Interval], PartResult] = {}
     for turn in range(ROUNDS):

@@ -20,7 +20,7 @@ from los_design.verification.error_sum import (
     required_probabilities,
 )
 from los_design.verification.subject import BUNDLE, Subject
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 SHIPPED = Path(__file__).with_name("statements.json")
 
@@ -110,7 +110,7 @@ def relative_error(levels: Mapping[str, float]) -> float | None:
 
 
 def statement_of(
-    subject: Subject, stage: str, folder: Path | None, parameters: Parameters | None = None
+    subject: Subject, stage: str, folder: Path | None, telescope: Telescope | None = None
 ) -> Statement | None:
     """What is proven of controllers on a telescope.
 
@@ -131,7 +131,7 @@ def statement_of(
         rows = [row for row in shipped["figures"] if row["stage"] == stage]
         found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
-        sums = _sums(shipped, stage, levels, parameters)
+        sums = _sums(shipped, stage, levels, telescope)
         return Statement(shipped["name"], found, True, relative_error(levels), tuple(sums)) if found else None
     if folder is None or not (folder / BUNDLE).is_file():
         return None
@@ -150,19 +150,19 @@ def statement_of(
 
 
 def _sums(
-    shipped: Mapping[str, Any], stage: str, levels: Mapping[str, float], parameters: Parameters | None
+    shipped: Mapping[str, Any], stage: str, levels: Mapping[str, float], telescope: Telescope | None
 ) -> list[ErrorSum]:
     """Sums of tones and noise of the shipped pair, with the probabilities that a telescope asks for."""
     names = ("name", "value", "limit", "unit", "probability")
     found = [ErrorSum(*(row[name] for name in names)) for row in shipped["sums"].get(stage, ())]
     found = [row for row in found if row.name in WITH_NOISE]
-    if parameters is None or not found:
+    if telescope is None or not found:
         return found
-    instants, windows = required_probabilities(parameters, stage)
+    instants, windows = required_probabilities(telescope, stage)
     if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in found):
         return found
     from lftkit.proofs.sampled_loop.noise import NoiseBound
     from los_design.verification.error_sums import error_sums
 
     absolute, relative = (NoiseBound(**bound) for bound in shipped["noise"][stage])
-    return [row for row in error_sums(parameters, stage, levels, (absolute, relative)) if row.name in WITH_NOISE]
+    return [row for row in error_sums(telescope, stage, levels, (absolute, relative)) if row.name in WITH_NOISE]

@@ -28,11 +28,9 @@ from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_r
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
-from titop_plant.telescope.assembly import Telescope
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
-from titop_plant.telescope.layout import mirror_stages
-from titop_plant.telescope.parameters import Parameters, parameter_corners
-from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
+from titop_plant.telescope.requirements import instant_probability, window_probability
+from titop_plant.telescope.telescope import Telescope
 
 ARCSEC = np.pi / 648000.0
 MAS = 1e-3 * ARCSEC
@@ -54,10 +52,10 @@ PAPER_NOMINAL = {"fsm": [0.7115, 0.7160, 0.9804], "pma": [0.7115, 0.7115, 0.6150
 
 
 def verification_points(
-    parameters: Parameters, system: System, samples: int, seed: int = 0, every: int = 1
+    telescope: Telescope, system: System, samples: int, seed: int = 0, every: int = 1
 ) -> list[dict[str, float]]:
     """Nominal, corners (all, or each of so many), and random points."""
-    corners = parameter_corners(parameters)[::every]
+    corners = telescope.corners()[::every]
     return [{}, *corners, *system.sample_values(np.random.default_rng(seed), samples)]
 
 
@@ -77,7 +75,7 @@ class ImplementedCheck:
         Line of sight due to the platform's accelerometers with all controllers [rad rms], the paper's figure.
     delay : dict of str to float
         Guaranteed delay margins [s]: ``fsm``, ``pma, mirror``, ``pma, forces``; the last two with these actuators.
-    parameters : mapping
+    telescope : Telescope
         Telescope parameters.
     """
 
@@ -86,7 +84,7 @@ class ImplementedCheck:
     on_axis: dict[str, tuple[float, float]]
     platform_noise: float
     delay: dict[str, float]
-    parameters: Parameters
+    telescope: Telescope
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -140,12 +138,12 @@ class ImplementedCheck:
     @property
     def pma(self) -> list[float]:
         """Gammas with both controllers in the paper's order: APE, RPE, noise to APE, force."""
-        noise = self.platform_noise / figure("noise -> APE").limit(self.parameters, "fsm+pma")
+        noise = self.platform_noise / figure("noise -> APE").limit(self.telescope, "fsm+pma")
         return [self.gamma("fsm+pma", "APE"), self.gamma("fsm+pma", "RPE"), noise, self.gamma("fsm+pma", "force")]
 
     def tone(self, stage: str, requirement: str) -> float:
         """Worst amplitude of slow or fast tones [mas]."""
-        return self.gamma(stage, requirement) * figure(requirement).limit(self.parameters, stage) / MAS
+        return self.gamma(stage, requirement) * figure(requirement).limit(self.telescope, stage) / MAS
 
     def total(self, stage: str) -> float:
         """Relative error that the required part of the windows keeps beside the worst tone [mas]."""
@@ -164,14 +162,14 @@ class ImplementedCheck:
     def _tones(self, stage: str) -> list[tuple[float, float]]:
         """Amplitudes [mas] and frequencies [rad/s] of tones: the slow one, and of the fast ones all that may matter."""
         check = self.checks[stage]
-        limit, fast = figure("fast").limit(self.parameters, stage) / MAS, check.envelope["fast"]
+        limit, fast = figure("fast").limit(self.telescope, stage) / MAS, check.envelope["fast"]
         least = ENVELOPE * self.gamma(stage, "fast")
         found = [(limit * float(v), float(w)) for v, w in zip(fast, grid()) if v > least]
         return [(self.tone(stage, "slow"), 0.0), (self.tone(stage, "fast"), check.worst["fast"].omega), *found]
 
     def _beside_noise(self, stage: str, tone: float, omega: float = 0.0, least: float = 0.0) -> float:
-        turn = omega * float(self.parameters["weights"]["rpe_window"])
-        probability = window_probability(telescope_requirements(self.parameters))
+        turn = omega * self.telescope.weights.rpe_window
+        probability = window_probability(self.telescope.requirements)
         on_axis = max(ON_AXIS, self.on_axis[stage][1])
         return _level(tone, self.noise[stage][1] / MAS, probability, on_axis, turn, least)
 
@@ -181,9 +179,9 @@ class ImplementedCheck:
 
     def total_ape(self, stage: str) -> float:
         """Line of sight that the required part of the instants keeps beside the tone that is worst for it [arcsec]."""
-        limit = figure("APE").limit(self.parameters, stage) / ARCSEC
+        limit = figure("APE").limit(self.telescope, stage) / ARCSEC
         tone, noise = self.gamma(stage, "APE") * limit, self.noise[stage][0] / ARCSEC
-        probability = instant_probability(telescope_requirements(self.parameters))
+        probability = instant_probability(self.telescope.requirements)
         return _level(tone, noise, probability, max(ABSOLUTE_ON_AXIS, self.on_axis[stage][0]))
 
     @property
@@ -199,7 +197,7 @@ class ImplementedCheck:
         Frequencies at which both are below a tenth of the limit of both do not count.
         """
         omega, limit = grid(), figure("RPE").limit
-        ratio = limit(self.parameters, "fsm") / limit(self.parameters, "fsm+pma")
+        ratio = limit(self.telescope, "fsm") / limit(self.telescope, "fsm+pma")
         one, two = (
             np.maximum(check.envelope["slow"], check.envelope["fast"]) * factor
             for check, factor in ((self.alone, ratio), (self.both, 1.0))
@@ -279,7 +277,7 @@ def _level(
 
 def check_implemented(
     system: System,
-    parameters: Parameters,
+    telescope: Telescope,
     k_fsm: SampledSystem,
     k_pma: SampledSystem,
     at: Iterable[Values],
@@ -295,7 +293,7 @@ def check_implemented(
     system : System
         From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
         :func:`titop_plant.simulation.build.control_loop_plant` makes it.
-    parameters : mapping
+    telescope : Telescope
         Telescope parameters (weights, sensors, authority).
     k_fsm, k_pma : SampledSystem
     at : iterable of mapping
@@ -309,19 +307,19 @@ def check_implemented(
     placed : Placed
         Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
     """
-    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, parameters, placed=placed)
-    stages = mirror_stages(parameters)
+    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, telescope, placed=placed)
+    stages = telescope.mirror_stages
     loops = [ImplementedLoop(open_loop, *pair, stage) for stage in stages]
     checks = dict(zip(stages, check_stages(loops, points, changes=changes, tick=tick, workers=workers)))
     nominal, noise, on_axis = system.at({}), {}, {}
     for stage in stages:
-        plain, relative = noise_covariances(nominal, *pair, parameters, loop=stage, placed=placed)
+        plain, relative = noise_covariances(nominal, *pair, telescope, loop=stage, placed=placed)
         noise[stage] = noise_rms((plain, relative))
         on_axis[stage] = largest_part(plain), largest_part(relative)
-    of_platform = noise_covariances(nominal, *pair, parameters, loop=stages[-1], sensors="platform", placed=placed)
+    of_platform = noise_covariances(nominal, *pair, telescope, loop=stages[-1], sensors="platform", placed=placed)
     platform = noise_rms(of_platform)
     delay = _delays(open_loop, pair, points, stages)
-    return ImplementedCheck(checks, noise, on_axis, platform[0], delay, parameters)
+    return ImplementedCheck(checks, noise, on_axis, platform[0], delay, telescope)
 
 
 def _delays(
@@ -370,13 +368,13 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
         if not (gamma := check.gamma(stage, row.name)) <= row.allowed
     ]
     last = check.stages[-1]
-    fine = figure("RPE").limit(check.parameters, last) / MAS
+    fine = figure("RPE").limit(check.telescope, last) / MAS
     if not check.total(last) <= fine:
         lines.append(
             f"{last}: tones and noise {digits_beside(check.total(last), fine)} mas, must be at most {fine:g} mas"
         )
     for stage in check.stages:
-        absolute = figure("APE").limit(check.parameters, stage) / ARCSEC
+        absolute = figure("APE").limit(check.telescope, stage) / ARCSEC
         if not check.total_ape(stage) <= absolute:
             found = digits_beside(check.total_ape(stage), absolute)
             lines.append(f"{stage}: tone and noise {found} arcsec, must be at most {absolute:g} arcsec")
@@ -384,14 +382,14 @@ def broken_requirements(check: ImplementedCheck) -> list[str]:
 
 
 def check_paper(
-    telescope: Telescope, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, at: list[Values]
+    telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, at: list[Values]
 ) -> dict[str, list[float]]:
     """Worst certified gammas of the continuous designs over the points, in the paper's order; infinite if unstable."""
     observer, actuators = continuous(k_fsm), continuous(k_pma)
-    first = observer_plant(telescope, parameters)
-    second = actuator_plant(telescope, parameters, observer)
+    first = observer_plant(telescope)
+    second = actuator_plant(telescope, observer)
     measured = tuple(port.name for port in K_PMA_INPUTS)
-    alone, both = (paper_requirements(parameters, stage) for stage in MIRROR_STAGES)
+    alone, both = (paper_requirements(telescope, stage) for stage in MIRROR_STAGES)
     return {
         "fsm": _certified(first, observer, MEASURED, alone, at),
         "pma": _certified(second, actuators, measured, both, at),

@@ -13,7 +13,7 @@ from support.packages import FOLDERS, ROOT, files_of
 from pointing_analysis.indices.telescope_values import DEFAULTS
 from pointing_analysis.replay.replay import COMMAND, MEASUREMENT
 from titop_plant import interface
-from titop_plant.telescope.parameters import REFERENCE, design_basis, load_parameters
+from titop_plant.telescope.load import REFERENCE, load_telescope
 
 FILES = sorted(path for package in FOLDERS for path in files_of(ROOT / package))
 HOME = ROOT / "titop_plant/interface.py"
@@ -122,7 +122,7 @@ def test_physical_values_are_in_the_parameter_file_alone() -> None:
     """Nor does the interface hold them; what the analysis takes for bags that say nothing is the reference's."""
     source = HOME.read_text("utf-8")
     assert not [fault for fault in faults(source) if SENSITIVITY.search(fault) or "in line" in fault]
-    basis = design_basis(load_parameters(REFERENCE)).to_mapping()
+    basis = load_telescope(REFERENCE).design_basis.to_mapping()
     assert {name: basis[name] for name in DEFAULTS} == dict(DEFAULTS)
 
 

@@ -23,7 +23,7 @@ from support.simple_telescope import write_controllers
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 CODES = {0, 1, 2, 3, 130}
 LIMIT_S = 20.0
@@ -229,7 +229,7 @@ def as_toml(value: object) -> str:
     return '"none"' if value is None else repr(value)
 
 
-REFERENCE = load_parameters()
+REFERENCE = load_telescope()
 ENTRIES = [
     (table, key) for table, content in REFERENCE.items() for key in (content if isinstance(content, dict) else ())
 ]

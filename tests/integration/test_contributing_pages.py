@@ -16,7 +16,7 @@ from support.packages import LIBRARIES, ROOT, files_of
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import requirements_of
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 SENSOR = re.compile(
     r"\b(?:camera_los|fsm_angle|accel_Ip|accel_M[12]|CAMERA|FSM_ANGLE|PLATFORM|FRAME_TICKS|camera_noise|"
@@ -32,16 +32,16 @@ from los_design.verification.loop_models import figures_of
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from los_testbed.campaign.member import metric_columns
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
-name, parameters = "force, slow", load_parameters()
-system, pair = control_loop_plant(telescope(), parameters), load_designs("implemented")
-loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma")
+name, telescope = "force, slow", load_telescope()
+system, pair = control_loop_plant(telescope), load_designs("implemented")
+loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
 found = {
-    "tuned for": limits(parameters, BOTH)[name],
+    "tuned for": limits(telescope, BOTH)[name],
     "searched": name in Search(loop).metrics,
-    "proven": figures_of(parameters, "fsm+pma")[name].band,
+    "proven": figures_of(telescope, "fsm+pma")[name].band,
     "columns": metric_columns("model", ()),
 }
 """
@@ -51,12 +51,12 @@ FIGURE_VALUES = """
 from los_design.verification.verification import check_implemented
 from los_testbed.campaign.model_depth import ModelDepth
 
-worst = check_implemented(system, parameters, *pair, [{}], changes=False).both.worst
+worst = check_implemented(system, telescope, *pair, [{}], changes=False).both.worst
 found |= {
     "verified": worst[name].gamma,
     "frequency": worst[name].omega,
     "all forces": worst["force"].gamma,
-    "campaign": ModelDepth.of(system, parameters, *pair, "fsm+pma").metrics({})["force_slow_gain"],
+    "campaign": ModelDepth.of(system, telescope, *pair, "fsm+pma").metrics({})["force_slow_gain"],
 }
 """
 
@@ -95,7 +95,7 @@ def test_a_figure_of_merit_has_the_same_value_in_verification_and_campaign(copy:
     copy.follow("Add a figure of merit")
     found = copy.values(FIGURE + FIGURE_VALUES)
     assert found["frequency"] <= 85.0
-    authority = load_parameters()["pma"]["authority"]
+    authority = load_telescope().pma.authority
     assert 0.0 < 5.0 * found["verified"] <= 1.001 * authority * found["all forces"]
     assert found["campaign"] == pytest.approx(found["verified"], rel=0.02)
 
@@ -129,20 +129,20 @@ def test_a_disturbance_acts_in_a_run(disturbed: PackageCopy) -> None:
     found = disturbed.values(
         "import numpy as np\n"
         "from titop_plant.simulation.disturbances import cage_tones\n"
-        "from titop_plant.telescope.parameters import load_parameters\n"
-        "tones = cage_tones(load_parameters(), np.array([100.0, -200.0, 0.0, 50.0]), np.random.default_rng(1))\n"
+        "from titop_plant.telescope.load import load_telescope\n"
+        "tones = cage_tones(load_telescope(), np.array([100.0, -200.0, 0.0, 50.0]), np.random.default_rng(1))\n"
         "found = {'frequency': tones.frequency.tolist(), 'size': np.abs(tones.amplitude).sum(axis=0).tolist()}\n"
     )
     speeds = np.array([100.0, 200.0, 0.0, 50.0])
     np.testing.assert_allclose(found["frequency"], 0.37 * speeds)
-    np.testing.assert_allclose(found["size"], 0.02 * load_parameters()["imbalance"]["axial_force"] * speeds**2)
+    np.testing.assert_allclose(found["size"], 0.02 * load_telescope().imbalance.axial_force * speeds**2)
 
 
 def test_a_scenario_runs_with_its_tones(disturbed: PackageCopy) -> None:
     """During a ramp its tones follow the wheels."""
     disturbed.follow("Add a scenario")
     run = Run.open(disturbed.folder / "bags/cages")
-    speeds = np.abs(load_parameters()["reaction_wheel"]["default_speed"])
+    speeds = np.abs(load_telescope().default_speeds)
     assert run.parameters["scenario"] == "cages"
     np.testing.assert_allclose(run.parameters["tones_rad_s"], np.sort(0.37 * speeds), rtol=1e-8)
     found = disturbed.values(

@@ -21,7 +21,7 @@ from los_design.search import worst_points
 from los_design.verification import verification
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 SOURCES = """
 replace = ["requirement"]
@@ -131,8 +131,8 @@ def test_design_all_writes_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(redesign, "verification_points", lambda *given: [])
     monkeypatch.setattr(redesign, "check_implemented", lambda *given, **more: Check())
     monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["first"])
-    parameters = load_parameters(folder / "telescope.toml")
-    summary = redesign.design_all(parameters, folder, verify_further=lambda report: ({"mission": 3}, ["second"]))
+    telescope = load_telescope(folder / "telescope.toml")
+    summary = redesign.design_all(telescope, folder, verify_further=lambda report: ({"mission": 3}, ["second"]))
     assert summary.not_met == ["first", "second"] and not summary.met
     written = json.loads((folder / "verification.json").read_text())
     assert written == {"implemented": {"points": 1}, "mission": 3, "not_met": ["first", "second"]}

@@ -74,11 +74,11 @@ def the_mass_and_spring(_: Path, __: pytest.MonkeyPatch) -> Names:
 
 def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
     pytest.importorskip("pyNastran", reason="extra nastran")
-    from titop_plant.structures.reference import payload_frame
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.bodies import payload_frame
+    from titop_plant.telescope.load import load_telescope
 
     example = runpy.run_path(str(ROOT / "examples/nastran_payload_to_run.py"))
-    frame = payload_frame(load_parameters()).divided()
+    frame = payload_frame(load_telescope()).divided()
     example["write_bulk_data"](frame, folder / "payload.bdf")
     example["write_results"](frame, folder / "payload.op2")
     return {}

@@ -13,23 +13,22 @@ from los_testbed.loop.source_alone import errors_of_source
 
 from titop_plant.interface import DT
 from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines
-from titop_plant.telescope.layout import motors, without_steppers
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 FILE = Path(__file__).parents[2] / "examples/spacecraft/moving_rotors.toml"
 SEED = 3
 
 
 def test_without_steppers_the_drives_are_those_of_the_reference() -> None:
-    parameters = load_parameters(str(FILE))
-    assert len(motors(parameters)) == 2 and not motors(without_steppers(parameters))
-    assert without_steppers(parameters)["sadm"] == load_parameters()["sadm"]
+    telescope = load_telescope(str(FILE))
+    assert len(telescope.motors) == 2 and not telescope.without_steppers().motors
+    assert telescope.without_steppers().sadm == load_telescope().sadm
 
 
 @pytest.mark.slow
 def test_the_lines_make_the_error_of_a_run() -> None:
     """RPE of 20 ms by the lines against that of the simulated open plant under the drives alone, both of this seed."""
-    parameters = load_parameters(str(FILE))
+    telescope = load_telescope(str(FILE))
     config = RunConfig(
         mode="inprocess",
         loop="isolator",
@@ -45,8 +44,8 @@ def test_the_lines_make_the_error_of_a_run() -> None:
     ticks = round(0.02 / DT)
     windows = los[: len(los) // ticks * ticks].reshape(-1, ticks, 2)
     run = math.sqrt(float(np.square(windows - windows.mean(axis=1, keepdims=True)).sum(axis=2).mean()))
-    lines = stepper_lines(parameters, SEED)
+    lines = stepper_lines(telescope, SEED)
     part = 1.0 - np.square(np.sinc(lines.omega * 0.02 / (2.0 * np.pi)))
     assert run == pytest.approx(math.sqrt(float((lines.size**2 * part).sum() / 2.0)), rel=0.03)
-    fixed = fixed_lines(parameters)
-    np.testing.assert_allclose(fixed.omega, parameters["sadm"]["step_frequency"] * np.arange(1, 6), rtol=1e-12)
+    fixed = fixed_lines(telescope)
+    np.testing.assert_allclose(fixed.omega, telescope.sadm.step_frequency * np.arange(1, 6), rtol=1e-12)

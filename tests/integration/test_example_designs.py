@@ -21,9 +21,8 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
-from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.layout import control_stages, mirror_stages
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "spacecraft"
 NAMES = ("earth_observer", "small_telescope")
@@ -33,43 +32,41 @@ NAMES = ("earth_observer", "small_telescope")
 def test_the_designs_are_of_that_telescope(name: str) -> None:
     folder, example = EXAMPLES / name, EXAMPLES / f"{name}.toml"
     assert (folder / "telescope.toml").read_bytes() == example.read_bytes()
-    known = parameters_hash(load_parameters(example))
+    known = load_telescope(example).parameters_hash
     for law in ("k_fsm", "k_pma"):
         assert SampledSystem.from_file(folder / f"{law}.json").provenance["design_all"]["parameters_hash"] == known
     assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == known
-    parts = RunParts(
-        RunConfig.from_mapping({**of_designs(str(folder)), "loop": mirror_stages(parameters_of(name))[-1]})
-    )
+    parts = RunParts(RunConfig.from_mapping({**of_designs(str(folder)), "loop": telescope_of(name).mirror_stages[-1]}))
     assert parts.check() == (), "no warning"
 
 
-def parameters_of(name: str) -> dict[str, object]:
-    return dict(load_parameters(EXAMPLES / f"{name}.toml"))
+def telescope_of(name: str) -> Telescope:
+    return load_telescope(EXAMPLES / f"{name}.toml")
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_verification_met_the_requirements(name: str) -> None:
     content = json.loads((EXAMPLES / name / "verification.json").read_text())
-    found, stages = content["implemented"], control_stages(parameters_of(name))
+    found, stages = content["implemented"], telescope_of(name).stages
     assert content["not_met"] == [] and found["stable_samples"] == found["samples"] >= 200
     assert ("pma" in found) == ("fsm+pma" in stages) == (name == "earth_observer")
     assert max(found["pma"] if "pma" in found else found["fsm"]) <= 1.0
-    weights = load_parameters(EXAMPLES / f"{name}.toml")["weights"]
+    weights = load_telescope(EXAMPLES / f"{name}.toml").weights
     for short, limit in (("fsm", "rpe_limit"), ("pma", "rpe_limit_fine")):
-        assert found["total_mas"].get(short, 0.0) <= weights[limit] / MAS
-        assert found["total_ape_arcsec"].get(short, 0.0) <= weights["ape_limit"] / ARCSEC
+        assert found["total_mas"].get(short, 0.0) <= getattr(weights, limit) / MAS
+        assert found["total_ape_arcsec"].get(short, 0.0) <= weights.ape_limit / ARCSEC
     assert set(load_worst_points(EXAMPLES / name)) == set(stages)
 
 
 @pytest.mark.parametrize("name", ["small_telescope", pytest.param("earth_observer", marks=pytest.mark.slow)])
 def test_the_worst_points_are_stable_and_within_the_limits(name: str) -> None:
     """Computed anew at the worst points of each stage: what the verification file says."""
-    folder, parameters = EXAMPLES / name, load_parameters(EXAMPLES / f"{name}.toml")
-    worst, stages = load_worst_points(folder), mirror_stages(parameters)
+    folder, telescope = EXAMPLES / name, load_telescope(EXAMPLES / f"{name}.toml")
+    worst, stages = load_worst_points(folder), telescope.mirror_stages
     points = [dict(worst[stage][figure].parameters) for stage in stages for figure in ("APE", "fast")]
     pair = [SampledSystem.from_file(folder / f"{law}.json") for law in ("k_fsm", "k_pma")]
-    system = control_loop_plant(build_telescope(parameters), parameters)
-    check = check_implemented(system, parameters, pair[0], pair[1], points, changes=False)
+    system = control_loop_plant(telescope)
+    check = check_implemented(system, telescope, pair[0], pair[1], points, changes=False)
     assert check.all_stable and check.stages == stages
     stored = json.loads((folder / "verification.json").read_text())["implemented"]
     for short, stage in zip(("fsm", "pma"), stages):
@@ -81,7 +78,7 @@ def test_the_worst_points_are_stable_and_within_the_limits(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_run_of_the_worst_tone_keeps_the_limits(name: str, tmp_path: Path) -> None:
     folder = str(EXAMPLES / name)
-    stage = mirror_stages(parameters_of(name))[-1]
+    stage = telescope_of(name).mirror_stages[-1]
     given = {**of_designs(folder), "mode": "inprocess", "duration": 3.0, "loop": stage, "start": "steady"}
     config = RunConfig.from_mapping({**given, **of_scenario(given, folder)})
     run_in_process(config, tmp_path / "bag")

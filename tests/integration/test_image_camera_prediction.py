@@ -14,7 +14,6 @@ from los_testbed.run.summary.predictions import predictions
 from lftkit.arrays import FloatArray
 from los_loop.sampled_loop import SampledLoop, periodic_covariances
 from pointing_analysis.read.run import Run
-from titop_plant.telescope.sensors import noise_of_samples
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +55,7 @@ def test_the_relative_error_of_noise_is_the_predicted_one(tmp_path: Path) -> Non
     parts = RunParts(config)
     model = parts.tone_model().loop
     assert model.spectral_radius() < 1.0
-    predicted = relative_error(model, noise_of_samples(parts.parameters))
+    predicted = relative_error(model, parts.telescope.noise_of_samples)
     run_in_process(config, tmp_path / "bag")
     los = np.asarray(Run.open(tmp_path / "bag")["truth/los"].values)[:, :2]
     windows = los.reshape(-1, WINDOW, 2)

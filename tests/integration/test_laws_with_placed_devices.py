@@ -30,8 +30,7 @@ from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.placed.devices import placed_sensors
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
 TELESCOPE = """
@@ -115,15 +114,15 @@ def test_an_actuator_moves_what_its_command_says(base: RunConfig, tmp_path: Path
     """The run against the matrices of the telescope with the force as an input, stepped one by one."""
     config = replace(base, k_fsm="laws_with_devices:Still", k_pma="laws_with_devices:Shaking")
     run_in_process(config, tmp_path / "bag")
-    run, parameters = Run.open(tmp_path / "bag"), load_parameters("own.toml")
+    run, telescope = Run.open(tmp_path / "bag"), load_telescope("own.toml")
     force = run["actuator/shaker/command"].values[:, 0]
     assert np.abs(force).max() == 31.6  # the law is limited, as the plant is
     assert not run["pma/command"].values.any()
 
-    whole = with_sensors(build_telescope(parameters, motors=True).system, parameters)
+    whole = with_sensors(build_telescope(telescope, motors=True).system, telescope)
     outputs = [*MEASURED, "los_controlled", "placed_sensors"]
     chosen = whole.select(inputs=[*COMMANDED, "actuator_force"], outputs=outputs)
-    plant = sampled(chosen.at(parameter_values(RunParts(config).settings, parameters)), DT, method="hold")
+    plant = sampled(chosen.at(parameter_values(RunParts(config).settings, telescope)), DT, method="hold")
     x, found = np.zeros(len(plant.A)), []
     applied = np.r_[0.0, force[:-1]]  # of tick k - 1
     for u in applied:
@@ -215,10 +214,10 @@ def test_the_verification_is_what_a_run_measures(base: RunConfig, tmp_path: Path
     los = Run.open(tmp_path / "bag")["truth/los"].values[:, :2]
     phase = tone.omega * DT * np.arange(len(los))
     fitted = np.linalg.lstsq(np.c_[np.cos(phase), np.sin(phase)], los, rcond=None)[0]
-    parameters = load_parameters("own.toml")
-    measured = np.linalg.norm(fitted) * rpe_weight(np.array([tone.omega]), parameters["weights"]["rpe_window"])[0]
-    placed = Placed.of(parameters, observer, law)
-    check = check_implemented(loop_plant(parameters, placed), parameters, observer, law, [{}], placed=placed)
+    telescope = load_telescope("own.toml")
+    measured = np.linalg.norm(fitted) * rpe_weight(np.array([tone.omega]), telescope.weights.rpe_window)[0]
+    placed = Placed.of(telescope, observer, law)
+    check = check_implemented(loop_plant(telescope, placed), telescope, observer, law, [{}], placed=placed)
     worst = check.both.worst["fast"]
     assert worst.gamma * worst.limit == pytest.approx(measured, rel=1e-3)
     assert check.gamma("fsm+pma", "force") > 0.0 and "gain x2 at force 7" in str(check.lost_margins())
@@ -246,9 +245,9 @@ position = [0.41569219381653056, 0.24, 0.0]
 def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
     """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
     (tmp_path / "twins.toml").write_text(TWINS)
-    parameters = load_parameters(tmp_path / "twins.toml")
+    telescope = load_telescope(tmp_path / "twins.toml")
     k_fsm, k_pma = load_designs("implemented")
-    accel, spin = (sensor.port for sensor in placed_sensors(parameters))
+    accel, spin = (sensor.port for sensor in telescope.placed_sensors)
     C, D = (np.vstack([0.0 * matrix[:1], matrix[1:], matrix[:1]]) for matrix in (k_pma.C, k_pma.D))
     inputs, outputs = (*K_PMA_INPUTS, accel, spin), (*K_PMA_OUTPUTS, Port("twin", 1, "N"))
     B, D = (np.hstack([0.0 * matrix, matrix]) for matrix in (k_pma.B, D))
@@ -256,12 +255,12 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
     whole = k_fsm.with_inputs(K_FSM_INPUTS)
     B, D = (np.hstack([0.0 * matrix[:, :6], matrix[:, 6:], matrix[:, :6]]) for matrix in (whole.B, whole.D))
     observer = replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin))  # the noise is that of one sensor
-    placed, rng = Placed.of(parameters, observer, twin), np.random.default_rng(1)
-    assert placed.units == (1.0,) and Placed.of(parameters, k_fsm, k_pma) == NO_DEVICES
-    standard = ImplementedLoop(OpenLoop(loop_plant(parameters), parameters), k_fsm, k_pma, "fsm+pma")
-    open_loop = OpenLoop(loop_plant(parameters, placed), parameters, placed=placed)
+    placed, rng = Placed.of(telescope, observer, twin), np.random.default_rng(1)
+    assert placed.units == (1.0,) and Placed.of(telescope, k_fsm, k_pma) == NO_DEVICES
+    standard = ImplementedLoop(OpenLoop(loop_plant(telescope), telescope), k_fsm, k_pma, "fsm+pma")
+    open_loop = OpenLoop(loop_plant(telescope, placed), telescope, placed=placed)
     other = ImplementedLoop(open_loop, observer, twin, "fsm+pma")
-    known, own = (loop_metrics(parameters, "fsm+pma", placed=one) for one in (NO_DEVICES, placed))
+    known, own = (loop_metrics(telescope, "fsm+pma", placed=one) for one in (NO_DEVICES, placed))
     points = rng.uniform(size=(4, len(open_loop.names)))
     for omega in (0.3, 90.0, 399.5, 900.0):
         one, two = standard.at(omega), other.at(omega)
@@ -272,7 +271,7 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
         radii = [loop.sampled_at(values)[1].spectral_radius() for loop in (standard, other)]
         assert radii[0] == pytest.approx(radii[1], abs=1e-11)
     noise = [
-        noise_rms(noise_covariances(loop.system.at({}), *loop.pair, parameters, loop="fsm+pma", placed=loop.placed))
+        noise_rms(noise_covariances(loop.system.at({}), *loop.pair, telescope, loop="fsm+pma", placed=loop.placed))
         for loop in (standard, other)
     ]
     np.testing.assert_allclose(noise[1], noise[0], rtol=1e-6)  # covariances with modes of minutes have 7 digits
@@ -318,7 +317,7 @@ def test_an_actuator_has_one_driver(base: RunConfig, tmp_path: Path) -> None:
 def test_a_device_has_no_name_of_the_loop(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text('[[sensor]]\nname = "accel_M1"\nplace = "M1"\n')
     with pytest.raises(ValueError, match=r"sensor\[0\]\.name. must be none of accel_Ip, .*, got 'accel_M1'"):
-        load_parameters(tmp_path / "own.toml")
+        load_telescope(tmp_path / "own.toml")
 
 
 def test_proofs_of_a_design_with_devices_are_refused_before_the_design(

@@ -27,8 +27,8 @@ from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
 from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import design_basis, load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 SENSITIVITY = 0.2
 
@@ -46,7 +46,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
     folder = tmp_path_factory.mktemp("mirror")
     user = folder / "user.toml"
     user.write_text(f"[fsm]\nlos_sensitivity = {SENSITIVITY}\n")
-    basis = design_basis(load_parameters(user)).to_mapping()
+    basis = load_telescope(user).design_basis.to_mapping()
     k_fsm, k_pma = load_designs("implemented")
     for_sensitivity(k_fsm, basis).to_file(folder / "k_fsm.json")
     replace(k_pma, design_basis=basis).to_file(folder / "k_pma.json")
@@ -91,10 +91,10 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
         (config.parameters, (chosen["k_fsm"], chosen["k_pma"])),
         (config.parameters, (wrong, chosen["k_pma"])),
     ):
-        parameters = load_parameters(path) if path else load_parameters()
-        plant = control_loop_plant(telescope(path), parameters).at({})
+        telescope = load_telescope(path) if path else load_telescope()
+        plant = control_loop_plant(telescope).at({})
         metrics.append(
-            sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS, noise=False)
+            sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", frame_ticks=FRAME_TICKS, noise=False)
         )
     reference, same, other = metrics
     for name in ("ape", "rpe", "radius"):
@@ -105,8 +105,8 @@ def test_the_metrics_are_those_of_the_reference_loop(config: RunConfig) -> None:
 
 def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -> None:
     chosen = RunParts(config).models
-    parameters = load_parameters(config.parameters)
-    plant = control_loop_plant(telescope(config.parameters), parameters).at({})
+    telescope = load_telescope(config.parameters)
+    plant = control_loop_plant(telescope).at({})
     silent = replace(chosen["k_fsm"], design_basis={})
     said, given = (
         sampled_loop(plant, k_fsm, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=SENSITIVITY)

@@ -14,25 +14,26 @@ from los_estimator.runtime import LosEstimator
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from titop_plant.interface import DT, MEASURED
-from titop_plant.simulation.build import DISTURBANCES, telescope
+from titop_plant.simulation.build import DISTURBANCES
 from titop_plant.simulation.disturbances import Tones, no_tones
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import design_basis, load_parameters
+from titop_plant.telescope.load import load_telescope
 
 POINT = {"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}
 
 
 @pytest.fixture(scope="module")
 def case():
-    parameters = load_parameters()
-    whole = with_sensors(telescope().system, parameters)
+    telescope = load_telescope()
+    whole = with_sensors(assembled_telescope().system, telescope)
     data = whole.select(inputs=("fsm_command", "pma_force", *DISTURBANCES), outputs=(*MEASURED, "los_controlled")).at(
         POINT
     )
     files = RunParts(RunConfig()).model_files
-    return parameters, data, SampledSystem.from_file(files["k_fsm"]), SampledSystem.from_file(files["k_pma"])
+    return telescope, data, SampledSystem.from_file(files["k_fsm"]), SampledSystem.from_file(files["k_pma"])
 
 
 def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int, sigma: np.ndarray | None = None):
@@ -44,7 +45,7 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     )
     estimator, controller = (
         LosEstimator(k_fsm),
-        assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, design_basis(load_parameters()), "fsm+pma"),
+        assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, load_telescope().design_basis, "fsm+pma"),
     )
     los: list[np.ndarray] = []
     run(plant, estimator, controller, ticks, lambda block, rows: los.append(block.truth[:rows].copy()))
@@ -83,13 +84,13 @@ def test_a_tone_has_the_predicted_amplitude(case, omega: float, frame_ticks: int
 
 def test_noise_has_the_predicted_variance(case) -> None:
     """Sensor noise alone, frames at 50 Hz: rms over a long run against the Lyapunov equation."""
-    parameters, data, k_fsm, k_pma = case
-    sensors = parameters["sensors"]
+    telescope, data, k_fsm, k_pma = case
+    sensors = telescope.to_mapping()["sensors"]
     sigma = np.r_[
         np.tile(sensors["accelerometer_noise"], 3), [sensors["camera_noise"]] * 2, [sensors["strain_gauge_noise"]] * 2
     ]
     los = simulate(case, no_tones(), np.zeros(len(data.A)), 60000, 20, sigma)[5000:]
-    metrics = sampled_loop_metrics(data, k_fsm, k_pma, parameters, loop="fsm+pma", frame_ticks=20)
+    metrics = sampled_loop_metrics(data, k_fsm, k_pma, telescope, loop="fsm+pma", frame_ticks=20)
     windows = los[: len(los) // 20 * 20].reshape(-1, 20, 2)
     relative = np.sqrt(windows.var(axis=1).sum(axis=1).mean())
     assert relative == pytest.approx(metrics.noise_rpe, rel=0.25)

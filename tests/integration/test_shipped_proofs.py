@@ -39,9 +39,9 @@ from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.budget import BAND_EDGE
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 ROOT = Path(__file__).parents[2]
 WHOLE = (0.0, NYQUIST)
@@ -67,8 +67,8 @@ def proofs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def loop() -> ImplementedLoop:
-    parameters = load_parameters()
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope = load_telescope()
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     return ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma")
 
 
@@ -133,10 +133,10 @@ def test_shipped_statements_are_those_of_the_stored_proofs(bundle: Bundle) -> No
 @pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
 def test_shipped_sums_are_those_of_the_shipped_bounds(stage: str) -> None:
     """Made of the stated levels and noise, for the probabilities that the reference asks for; so are their texts."""
-    said, parameters = json.loads(SHIPPED.read_text("utf-8")), load_parameters()
+    said, telescope = json.loads(SHIPPED.read_text("utf-8")), load_telescope()
     tones = {row["figure"]: row["level"] * row["limit"] for row in said["figures"] if row["stage"] == stage}
     absolute, relative = (NoiseBound(**bound) for bound in said["noise"][stage])
-    sums = error_sums(parameters, stage, tones, (absolute, relative))
+    sums = error_sums(telescope, stage, tones, (absolute, relative))
     for row, found in zip(said["sums"][stage], sums, strict=True):
         assert row["value"] == pytest.approx(found.value, rel=1e-9) and row["kept"] == found.kept
         stated = ErrorSum(row["name"], row["value"], row["limit"], row["unit"], row["probability"])

@@ -22,7 +22,7 @@ from scipy import linalg
 import fsm_pma_controller
 import los_estimator
 from pointing_analysis.read.run import Run
-from titop_plant.simulation.build import telescope
+from titop_plant.telescope.assembly import assembled_telescope
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 
@@ -162,7 +162,7 @@ def test_the_table_of_the_telescope_is_the_telescope() -> None:
     text = PAGE.with_name("telescope.md").read_text("utf-8")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("| ")]
     rows = [row for row in rows if len(row) == 6 and row[1].isdigit()]
-    assembled = telescope()
+    assembled = assembled_telescope()
     assert sum(int(row[1]) for row in rows) == assembled.system.order == 204
     modes = {"arrays": 2, "central body": 0, "payload": 1}
     for name, body in modes.items():
@@ -194,7 +194,7 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
         with pytest.raises(Understood) as caught:
             cli.main(shlex.split(line))
         parts = caught.value.args[0]
-        check_ranges(parts.config, parts.parameters)
+        check_ranges(parts.config, parts.telescope)
 
 
 class Understood(SystemExit):

@@ -68,15 +68,15 @@ def centred(system: System, values: Mapping[str, float]) -> System:
     seen = linalg.solve(np.eye(q) - system.D[:q, :q] * d, np.hstack([system.C[:q], system.D[:q]]))
     driven = np.vstack([system.B[:, :q], system.D[:, :q]]) * d
     whole = np.block([[system.A, system.B], [system.C, system.D]]) + driven @ seen
-    parameters = tuple(replace(p, nominal=float(values[p.name])) for p in system.parameters)
+    telescope = tuple(replace(p, nominal=float(values[p.name])) for p in system.parameters)
     matrices = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
-    return System(*matrices, system.inputs, system.outputs, channels=system.channels, elements=parameters)
+    return System(*matrices, system.inputs, system.outputs, channels=system.channels, elements=telescope)
 
 
-def tones(rng: np.random.Generator, parameters) -> tuple[np.ndarray, np.ndarray]:
+def tones(rng: np.random.Generator, telescope) -> tuple[np.ndarray, np.ndarray]:
     """Four frequencies between 0.05 and 1400 rad/s, and phasors of about unit norm."""
     omega = np.sort(np.exp(rng.uniform(np.log(0.05), np.log(1400.0), 4)))
-    size = weight_amplitudes(parameters, omega).T
+    size = weight_amplitudes(telescope, omega).T
     return omega, size * (rng.standard_normal(size.shape) + 1j * rng.standard_normal(size.shape))
 
 
@@ -90,11 +90,11 @@ def test_a_member_as_nominal_telescope_is_the_member(system) -> None:
 
 @pytest.mark.parametrize("seed", POINTS)
 @pytest.mark.parametrize("stage", MIRROR_STAGES)
-def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, system, parameters, pair: Pair) -> None:
+def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, system, telescope, pair: Pair) -> None:
     """Runtime classes and plant, powers of the matrices, and the prediction's record: from its start, with bias."""
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     plant = system.at(system.sample_values(rng, 1)[0])
-    (omega, amplitude), bias = tones(rng, parameters), 1e-5 * rng.standard_normal(22)
+    (omega, amplitude), bias = tones(rng, telescope), 1e-5 * rng.standard_normal(22)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     modal = ModalPlant.of(plant)
     loop = sampled_loop(modal, *pair, loop=stage, frame_ticks=FRAME_TICKS)
@@ -114,7 +114,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
             parameters_hash="",
         )
         found[name] = run(simulated, start, stage, pair, limits)
-    allowed = SAME * max(figure("RPE").limit(parameters, stage), float(np.abs(predicted).max()))
+    allowed = SAME * max(figure("RPE").limit(telescope, stage), float(np.abs(predicted).max()))
     assert np.abs(found["quiet"] - predicted).max() < allowed
     by_bias = np.empty((TICKS, 2))
     state: FloatArray = np.zeros(len(loop.hold))
@@ -149,28 +149,28 @@ def run(plant: SampledPlant, start, stage: str, pair: Pair, limits: np.ndarray) 
 @pytest.mark.parametrize("seed", POINTS)
 @pytest.mark.parametrize("stage", MIRROR_STAGES)
 def test_matrices_response_proof_and_tuner_have_the_same_gains(
-    stage: str, seed: int, system, parameters, pair: Pair, monkeypatch
+    stage: str, seed: int, system, telescope, pair: Pair, monkeypatch
 ) -> None:
     rng = np.random.default_rng([seed, MIRROR_STAGES.index(stage)])
     omega = float(np.exp(rng.uniform(np.log(0.05), np.log(1400.0))))
     member, point = system.sample_values(rng, 1)[0], rng.uniform(size=7)
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, stage)
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
     closed, tuned = loop.at(omega), by_tuner(loop, omega, point, pair)
     deviation = loop.open.low + point * loop.open.width - loop.open.nominal
     deviation[-1] = 4.0 * np.arctan(deviation[-1])
-    for name, metric in implemented_loop.loop_metrics(parameters, stage).items():
+    for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
         expected = float(loop.gains(closed, metric, point[None])[0])
         if metric.band[0] <= omega < metric.band[1]:
             assert tuned[name] == pytest.approx(expected, abs=SAME), name
         if metric.disturbed:
-            model = telescope_model(loop, figures_of(parameters, stage)[name])
+            model = telescope_model(loop, figures_of(telescope, stage)[name])
             assert float(member_gains(model, omega, deviation[None])[0]) == pytest.approx(expected, abs=SAME), name
     monkeypatch.setattr(implemented_loop, "FRAME_TICKS", 1)
-    loop = ImplementedLoop(OpenLoop(centred(system, member), parameters), *pair, stage)
+    loop = ImplementedLoop(OpenLoop(centred(system, member), telescope), *pair, stage)
     plant, matrices = loop.sampled_at({})
     assert matrices.frame_ticks == 1
-    response, relative = weighted_gains(matrices, plant, parameters, np.array([omega]))
-    for name, metric in implemented_loop.loop_metrics(parameters, stage).items():
+    response, relative = weighted_gains(matrices, plant, telescope, np.array([omega]))
+    for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
         if metric.disturbed:
             gain = relative[0] if metric.relative else linalg.svdvals(response[0, metric.rows])[0]
             found = float(loop.gains(loop.at(omega), metric, loop.point({})[None])[0])
@@ -179,12 +179,12 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
 
 def by_tuner(loop: ImplementedLoop, omega: float, point: np.ndarray, pair: Pair) -> dict[str, float]:
     """Gains over their limits (not over what is tuned for), zero outside of their bands."""
-    both = pair_problem.blocks(loop.parameters, (pair_problem.OBSERVER, pair_problem.ACTUATORS))
+    both = pair_problem.blocks(loop.telescope, (pair_problem.OBSERVER, pair_problem.ACTUATORS))
     matrices = [np.block([[K.A, K.B], [K.C, K.D]]) for K in (continuous(system).at({}) for system in pair)]
     stage = next(stage for stage, name in pair_problem.STAGE_NAMES.items() if name == loop.stage)
     samples = pair_problem.sample(loop.open, np.array([omega]), point[None])
-    problem = ResponseProblem(both, samples, pair_problem.gains(loop.parameters, (stage,)))
-    targets = pair_problem.limits(loop.parameters, stage)
-    limits = {name: metric.limit for name, metric in implemented_loop.loop_metrics(loop.parameters, loop.stage).items()}
+    problem = ResponseProblem(both, samples, pair_problem.gains(loop.telescope, (stage,)))
+    targets = pair_problem.limits(loop.telescope, stage)
+    limits = {name: metric.limit for name, metric in implemented_loop.loop_metrics(loop.telescope, loop.stage).items()}
     values = problem.values(parameters_of(both, matrices))[:, 0]
     return {name: float(v) * targets[name] / limits[name] for name, v in zip(targets, values)}

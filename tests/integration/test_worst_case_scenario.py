@@ -17,7 +17,7 @@ from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
 
@@ -44,10 +44,10 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
     """Within 2 %, at the worst parameters of the stage, with the designs that ship."""
     chosen = {"loop": loop, "worst_of": index, "duration": 10.0, "noise": False, "mode": "inprocess"}
     config = RunConfig.from_mapping({**chosen, **of_scenario(chosen)})
-    tone, parameters = RunParts(config).start.tone, load_parameters()
-    weight = 1.0 if index == "APE" else float(rpe_weight(tone.omega, parameters["weights"]["rpe_window"]))
+    tone, telescope = RunParts(config).start.tone, load_telescope()
+    weight = 1.0 if index == "APE" else float(rpe_weight(tone.omega, telescope.weights.rpe_window))
     assert weight * measured(config, tone.omega) == pytest.approx(tone.gamma * tone.limit, rel=0.02)
-    norm = np.linalg.norm(tone.amplitude / weight_amplitudes(parameters, tone.omega)[0])
+    norm = np.linalg.norm(tone.amplitude / weight_amplitudes(telescope, tone.omega)[0])
     assert norm == pytest.approx(1.0, rel=1e-12)
 
 
@@ -60,15 +60,15 @@ def loop_at(config: RunConfig):
 def test_no_other_tone_of_unit_norm_is_worse() -> None:
     """Random frequencies, most of them near the worst one, and random directions, in the time domain."""
     config = RunConfig(loop="fsm", disturbance=False, worst_of="fast")
-    parameters = load_parameters()
+    telescope = load_telescope()
     loop, plant = loop_at(config)
-    worst = worst_tone(loop, plant, parameters, index="fast", stage="fsm")
+    worst = worst_tone(loop, plant, telescope, index="fast", stage="fsm")
     rng = np.random.default_rng(8)
     for omega in worst.omega * (1.0 + np.array([0.0, 1e-3, -1e-3, 0.02, -0.3])):
         direction = rng.standard_normal(22) + 1j * rng.standard_normal(22)
         for mix in (0.0, 0.3, 1.0):
-            unit = worst.amplitude / weight_amplitudes(parameters, worst.omega)[0] + mix * direction
-            amplitude = weight_amplitudes(parameters, omega)[0] * unit / np.linalg.norm(unit)
+            unit = worst.amplitude / weight_amplitudes(telescope, worst.omega)[0] + mix * direction
+            amplitude = weight_amplitudes(telescope, omega)[0] * unit / np.linalg.norm(unit)
             los = loop_response(loop, plant, omega, amplitude)
             size = float(rpe_weight(omega, 0.02)) * np.linalg.norm(los)
             assert size <= worst.gain * (1.0 + 1e-6)

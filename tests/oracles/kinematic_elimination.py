@@ -126,7 +126,7 @@ class Spacecraft:
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         The parameter file.
     body, payload, array : modal data
         name, positions, mass matrix, frequencies, damping, participation, child ports.
@@ -137,9 +137,9 @@ class Spacecraft:
     """
 
     def __init__(
-        self, parameters: Any, body: Any, payload: Any, array: Any, values: Mapping[str, float], isolated: bool
+        self, telescope: Any, body: Any, payload: Any, array: Any, values: Mapping[str, float], isolated: bool
     ) -> None:
-        self.parameters, self.values = parameters, values
+        self.parameters, self.values = telescope, values
         self.body, self.payload, self.array = body, payload, array
         sizes = {
             "G": 6,
@@ -338,7 +338,7 @@ class Spacecraft:
 
 
 def assemble(
-    parameters: Any,
+    telescope: Any,
     body: Any,
     payload: Any,
     array: Any,
@@ -355,7 +355,7 @@ def assemble(
     control_inertia : ndarray, shape (3, 3), optional
         Total inertia used in the attitude law. Default: that of these parameter values.
     """
-    craft = Spacecraft(parameters, body, payload, array, values, isolated)
+    craft = Spacecraft(telescope, body, payload, array, values, isolated)
     craft.add_body()
     craft.add_wheels()
     craft.add_arrays()

@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -118,11 +119,16 @@ class PackageCopy:
 
     @staticmethod
     def _add_to_table(path: Path, name: str, block: str) -> None:
-        """Add an entry to the end of a tuple or dictionary, or lines to the head of a table of TOML."""
+        """Add an entry to the end of a tuple, dictionary or class, or lines to the head of a table of TOML."""
         text = path.read_text("utf-8")
         if path.suffix == ".toml":
             (header,) = re.findall(rf"^{re.escape(name)}.*\n", text, flags=re.MULTILINE)
             path.write_text(text.replace(header, header + block))
+            return
+        classes = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.ClassDef)}
+        if name in classes:
+            lines, end = text.splitlines(keepends=True), classes[name].end_lineno
+            path.write_text("".join([*lines[:end], textwrap.indent(block, "    "), *lines[end:]]))
             return
         assigned = {
             ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target): node.value

@@ -73,9 +73,9 @@ class Page:
         os.close(self._write)
         self._profile.cleanup()
 
-    def _send(self, method: str, parameters: dict[str, Any], session: str | None = None) -> dict[str, Any]:
+    def _send(self, method: str, telescope: dict[str, Any], session: str | None = None) -> dict[str, Any]:
         self._count += 1
-        message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": telescope}
         if session:
             message["sessionId"] = session
         os.write(self._write, json.dumps(message).encode() + b"\0")

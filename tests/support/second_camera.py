@@ -36,18 +36,19 @@ from titop_plant.interface import (
     PLATFORM,
     DesignBasis,
 )
-from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant, telescope
+from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.budget import error_budget
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 GUIDE, STAGE, TICKS, SHARE = COLUMNS.get("guide_los", slice(0, 0)), "fsm+pma", 450, 0.4
-PARAMETERS = load_parameters()
-SYSTEM = control_loop_plant(telescope(), PARAMETERS)
+PARAMETERS = load_telescope()
+SYSTEM = control_loop_plant(assembled_telescope(), PARAMETERS)
 STORED, K_PMA = load_designs("implemented")
 
 
@@ -58,7 +59,7 @@ def observer() -> tuple[SampledSystem, FloatArray]:
     B[:, GUIDE], B[:, CAMERA] = SHARE * K.B[:, CAMERA], (1.0 - SHARE) * K.B[:, CAMERA]
     system = state_space(K.A, B, K.C, K.D, K_FSM_INPUTS, K_FSM_OUTPUTS)
     basis = DesignBasis.from_mapping(STORED.design_basis, "K_FSM")
-    made = sampled_observer(system, PARAMETERS["sensors"]["washout"], name="shared", basis=basis)
+    made = sampled_observer(system, PARAMETERS.washout, name="shared", basis=basis)
     return made, np.block([[K.A, B], [K.C, K.D]])
 
 
@@ -96,7 +97,7 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     sensors = SensorModel(bias, bias, FRAME_TICKS, 0.0, 0)
     simulated = SampledPlant(step, start.plant, sensors, limits, dt=DT, tones=omega, parameters_hash="")
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
-    sensitivity = PARAMETERS["fsm"]["los_sensitivity"]
+    sensitivity = PARAMETERS.fsm.los_sensitivity
     estimator = LosEstimator(k_fsm)
     controller = FsmPmaController(K_PMA, STAGE, los_sensitivity=sensitivity, **authority)
     estimator.start_at(start.k_fsm, start.camera)
@@ -164,7 +165,7 @@ def gains(k_fsm: SampledSystem, matrix: FloatArray) -> dict[str, float]:
 def noise(k_fsm: SampledSystem) -> dict[str, object]:
     """Relative error by noise, of the stored observer and of this one, and the second camera's part in a budget."""
     plant, found = SYSTEM.at({}), dict[str, object]()
-    louder = {**PARAMETERS, "sensors": {**PARAMETERS["sensors"], "guide_noise": 3e-6}}
+    louder = PARAMETERS.changed({"sensors": {"guide_noise": 3e-6}})
     for name, k, parameters in (
         ("stored", STORED, PARAMETERS),
         ("stored, louder", STORED, louder),

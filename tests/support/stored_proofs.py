@@ -36,7 +36,7 @@ from lftkit.proofs.trusted.strips import check_strip
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import write_bundle
 from los_design.verification.noise_certificate import NOISE
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 FOLDER = Path(__file__).parents[1] / "fixtures" / "proofs"
 SUFFIX = ".npz.xz"
@@ -163,7 +163,7 @@ def write_shipped_bundle(target: Path) -> None:
         for stored in sorted(FOLDER.glob(f"*{SUFFIX}")):
             stage, _, figure = stored.name.removesuffix(SUFFIX).rpartition("-")
             proofs[stage, figure] = unpack(stored, Path(folder) / stored.name.removesuffix(".xz"))
-        write_bundle(target, load_parameters(), load_designs("implemented"), proofs)
+        write_bundle(target, load_telescope(), load_designs("implemented"), proofs)
 
 
 def main(path: Path) -> None:

@@ -24,24 +24,13 @@ from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
-from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
-from titop_plant.telescope.layout import channels, default_speeds, speed_names, wheel_count
-from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
-from titop_plant.telescope.placed.devices import sensor_ports
-from titop_plant.telescope.sensors import constant_error, noise_of_samples
+from titop_plant.telescope.layout import speed_names
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 SPEED_ROUNDS = 4
-
-DESIGN_TABLES = ("design_scenario", "weights", "sadm", "solar_array", "reaction_wheel")
-"""Tables of a parameter file that :func:`titop_plant.simulation.disturbances.design_tones` reads."""
-
-
-@lru_cache(maxsize=4)
-def telescope(path: str | None = None, isolated: bool = True) -> Telescope:
-    """The assembled telescope of a parameter file (kept for the next call, so its bits are those of one thread)."""
-    with one_thread():
-        return build_telescope(load_parameters(path), isolated=isolated)
 
 
 @dataclass(frozen=True)
@@ -50,7 +39,7 @@ class PlantFamily:
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the file.
     control_loop : System
         Commands (8), disturbances (22 for the reference) to measurements (22), line of sight (2), and what else is
@@ -60,7 +49,7 @@ class PlantFamily:
     isolated : bool
     """
 
-    parameters: Parameters
+    telescope: Telescope
     control_loop: System
     path: str | None
     isolated: bool
@@ -69,17 +58,17 @@ class PlantFamily:
     @classmethod
     def of(cls, config: PlantConfig) -> PlantFamily:
         """The family that a configuration belongs to."""
-        parameters = load_parameters(config.parameters)
-        loop = control_loop_plant(telescope(config.parameters, config.isolated), parameters)
-        return cls(parameters, loop, config.parameters, config.isolated)
+        telescope = load_telescope(config.parameters)
+        loop = control_loop_plant(telescope, isolated=config.isolated)
+        return cls(telescope, loop, config.parameters, config.isolated)
 
     def with_sensors(self) -> PlantFamily:
         """The same telescopes with the values of the further sensors behind the line of sight."""
-        further = tuple(port.name for port in sensor_ports(self.parameters))
-        whole = telescope(self.path, self.isolated)
+        further = tuple(port.name for port in self.telescope.sensor_ports)
         if not further:
             return self
-        return replace(self, control_loop=control_loop_plant(whole, self.parameters, further), _last={})
+        loop = control_loop_plant(self.telescope, further, isolated=self.isolated)
+        return replace(self, control_loop=loop, _last={})
 
     def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
         """The member of a configuration, see :func:`build_plant`.
@@ -119,8 +108,8 @@ class PlantFamily:
                 f"config must have parameters {self.path} and isolated {self.isolated}, got {config.parameters} "
                 f"and {config.isolated}"
             )
-        first = parameter_values(config, self.parameters)
-        return self._at(first), _tones(config, self.parameters, first)
+        first = parameter_values(config, self.telescope)
+        return self._at(first), _tones(config, self.telescope, first)
 
     def _at(self, values: Mapping[str, float]) -> System:
         """The member at parameter values; the last one is kept, since a run needs it for start and simulation."""
@@ -132,22 +121,22 @@ class PlantFamily:
 
     def tones(self, config: PlantConfig) -> Tones:
         """The disturbance of a configuration at the start of a run."""
-        return _tones(config, self.parameters, parameter_values(config, self.parameters))
+        return _tones(config, self.telescope, parameter_values(config, self.telescope))
 
     @property
     def limits(self) -> FloatArray:
         """Largest commands of the actuators, shape (8,): mirror [rad], proof masses [N]."""
         limits = np.empty(COMMANDS)
-        limits[MIRROR], limits[FORCES] = self.parameters["fsm"]["authority"], self.parameters["pma"]["authority"]
+        limits[MIRROR], limits[FORCES] = self.telescope.fsm.authority, self.telescope.pma.authority
         return limits
 
     def bias(self, config: PlantConfig) -> FloatArray:
         """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
-        bias = constant_error(self.parameters)
+        bias = self.telescope.constant_error
         return np.asarray(bias if config.noise else np.zeros_like(bias))
 
     def _sensors(self, config: PlantConfig) -> SensorModel:
-        sigma = float(config.noise) * noise_of_samples(self.parameters)
+        sigma = float(config.noise) * self.telescope.noise_of_samples
         frame = frame_ticks(config.camera_rate)
         return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
 
@@ -156,14 +145,14 @@ class PlantFamily:
         settings = config.to_mapping()
         del settings["tau"]
         settings["theta"] = config.array_angle
-        settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.parameters)
+        settings["wheel_acceleration"] = config.wheel_acceleration or steady(self.telescope)
         if config.frequencies is None:  # nor were there these
             del settings["frequencies"]
         if settings["profile"] == PROFILES[0]:  # bags from before there were profiles keep their name
             del settings["profile"]
-        content: list[Any] = [parameters_hash(self.parameters), settings]
+        content: list[Any] = [self.telescope.parameters_hash, settings]
         if config.profile not in PROFILES:
-            content.append(motion(config, self.parameters).table())
+            content.append(motion(config, self.telescope).table())
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -178,15 +167,15 @@ class PlantFamily:
         finer : float
             So many times as many nodes as usual.
         """
-        profile = motion(config, self.parameters)
-        unit = _unit_tones(config, self.parameters)
+        profile = motion(config, self.telescope)
+        unit = _unit_tones(config, self.telescope)
         if unit is None:
-            unit = _tones(config, self.parameters, parameter_values(config, self.parameters))
+            unit = _tones(config, self.telescope, parameter_values(config, self.telescope))
         tones = MovingTones(profile, unit)
         interval = node_interval(profile, dt, finer)
 
         def matrices(time: float) -> FloatArray:
-            data = self.control_loop.at(values_along(config, profile, time, self.parameters))
+            data = self.control_loop.at(values_along(config, profile, time, self.telescope))
             return step_matrix(data, tones.at(profile.speeds(time)), dt)
 
         return node_matrices(profile, interval, dt, matrices), interval, tones
@@ -222,25 +211,26 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
     path : str, optional
         Parameter file; default: the reference telescope.
     """
-    parameters = load_parameters(path)
-    speeds = np.asarray(default_speeds(parameters), dtype=float)
+    telescope = load_telescope(path)
+    speeds = np.asarray(telescope.default_speeds, dtype=float)
     senses = np.sign(speeds)
-    whole = telescope(path, True).system
+    whole = assembled_telescope(telescope, True).system
     assembled = whole["los_controlled", disturbances_of(whole)]
     for _ in range(SPEED_ROUNDS):  # the speeds move the modes a little
         data = assembled.at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
-        speeds = senses * loudest_speeds(parameters, data, senses)
+        speeds = senses * loudest_speeds(telescope, data, senses)
     return tuple(float(round(s, 3)) for s in speeds)
 
 
-def control_loop_plant(assembled: Telescope, parameters: Parameters, further: tuple[str, ...] = ()) -> System:
+def control_loop_plant(telescope: Telescope, further: tuple[str, ...] = (), *, isolated: bool = True) -> System:
     """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
 
     Continuous; the camera's low-pass is in it, noise and the controllers' washout are not. `further` names outputs
     behind those.
     """
-    return with_sensors(assembled.system, parameters).select(
-        inputs=(*COMMANDED, *disturbances_of(assembled.system)), outputs=(*MEASURED, "los_controlled", *further)
+    whole = assembled_telescope(telescope, isolated).system
+    return with_sensors(whole, telescope).select(
+        inputs=(*COMMANDED, *disturbances_of(whole)), outputs=(*MEASURED, "los_controlled", *further)
     )
 
 
@@ -249,36 +239,36 @@ def plant_and_tones(config: PlantConfig) -> tuple[System, Tones]:
     return PlantFamily.of(config).plant_and_tones(config)
 
 
-def _tones(config: PlantConfig, parameters: Parameters, values: Mapping[str, float]) -> Tones:
+def _tones(config: PlantConfig, telescope: Telescope, values: Mapping[str, float]) -> Tones:
     if not config.disturbance:
-        return no_tones(channels(parameters))
-    if config.ramps and (unit := _unit_tones(config, parameters)) is not None:
-        return MovingTones(motion(config, parameters), unit).start()
-    speeds = np.array([values[name] for name in speed_names(wheel_count(parameters))])
-    return TONES[str(config.scenario)](_circumstances(config, parameters, values, speeds))
+        return no_tones(telescope.channels)
+    if config.ramps and (unit := _unit_tones(config, telescope)) is not None:
+        return MovingTones(motion(config, telescope), unit).start()
+    speeds = np.array([values[name] for name in speed_names(len(telescope.wheels))])
+    return TONES[str(config.scenario)](_circumstances(config, telescope, values, speeds))
 
 
 def _circumstances(
-    config: PlantConfig, parameters: Parameters, values: Mapping[str, float], speeds: FloatArray
+    config: PlantConfig, telescope: Telescope, values: Mapping[str, float], speeds: FloatArray
 ) -> Circumstances:
-    tables = json.dumps({name: parameters[name] for name in DESIGN_TABLES}, sort_keys=True)
-    kept = partial(_design_tones, config.parameters, tables, tuple(values.items()), config.seed)
-    return Circumstances(parameters, speeds, _phases(config.seed), config.tones, kept)
+    kept = partial(_design_tones, telescope, tuple(values.items()), config.seed)
+    return Circumstances(telescope, speeds, _phases(config.seed), config.tones, kept)
 
 
 @lru_cache(maxsize=2)
-def _isolated_loop(path: str | None) -> System:
+def _isolated_loop(telescope: Telescope) -> System:
     with one_thread():
-        return control_loop_plant(telescope(path, True), load_parameters(path))
+        return control_loop_plant(telescope)
 
 
 @lru_cache(maxsize=2)
-def _design_tones(path: str | None, tables: str, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
+def _design_tones(telescope: Telescope, values: tuple[tuple[str, float], ...], seed: int) -> Tones:
     """Tones of the scenario design, kept for the other model of the same run: its start, or its plant."""
     with one_thread():
-        plant = ModalPlant.of(_isolated_loop(path).at(dict(values)))  # that of the run, unless the run has no isolator
+        data = _isolated_loop(telescope).at(dict(values))  # that of the run, unless the run has no isolator
+        plant = ModalPlant.of(data)
         los = plant.response.part(slice(MEASUREMENTS, None), slice(None))
-        tones = design_tones(json.loads(tables), los, _phases(seed))
+        tones = design_tones(telescope, los, _phases(seed))
     for array in (tones.frequency, tones.amplitude, tones.harmonic, tones.wheel):
         array.flags.writeable = False
     return tones
@@ -288,11 +278,11 @@ def _phases(seed: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
 
 
-def _unit_tones(config: PlantConfig, parameters: Parameters) -> Tones | None:
+def _unit_tones(config: PlantConfig, telescope: Telescope) -> Tones | None:
     """Tones of the wheels at 1 rad/s and of the drives; None where no tone follows a wheel."""
     if not config.disturbance or config.scenario not in FOLLOWING:
         return None
-    return TONES[str(config.scenario)](_circumstances(config, parameters, {}, np.ones(wheel_count(parameters))))
+    return TONES[str(config.scenario)](_circumstances(config, telescope, {}, np.ones(len(telescope.wheels))))
 
 
 def _steady_state(data: System, tones: Tones) -> FloatArray:

@@ -19,12 +19,11 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import AGREEMENT, frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
-from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.control_plant import disturbances_of
-from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, disturbance_ports, present, without_bearings
-from titop_plant.telescope.parameters import Parameters, load_parameters
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
+from titop_plant.telescope.telescope import Telescope
 
 ARCSEC = math.pi / 648000.0
 WHEELS, DRIVES = (WHEEL_IMBALANCE,), (SADM_TORQUE,)
@@ -62,7 +61,7 @@ class Curve:
 class DisturbanceResponses:
     """The telescope with isolator and with a hard-mounted payload, from the disturbances to the line of sight."""
 
-    parameters: Parameters
+    telescope: Telescope
     isolated: System
     hard: System
 
@@ -83,8 +82,8 @@ class DisturbanceResponses:
         """
         data = system["los_controlled", present(inputs, system.inputs)].at(values)
         omega = frequency_grid(linalg.eigvals(data.A), low, high, points=500)
-        amplitude = weight_amplitudes(self.parameters, omega)
-        columns = port_slices(disturbance_ports(self.parameters))
+        amplitude = weight_amplitudes(self.telescope, omega)
+        columns = port_slices(self.telescope.disturbance_ports)
         scale = np.hstack([amplitude[:, columns[port.name]] for port in data.inputs])
         response = frequency_response(data, omega, tolerance=tolerance) * scale[:, None, :]
         return Curve(omega, np.asarray(largest_gains(response) / ARCSEC))
@@ -100,7 +99,7 @@ class DisturbanceResponses:
 
     def with_rigid_wheels(self) -> System:
         """The same telescope on its isolator with wheels without bearings, inputs and outputs as `isolated`."""
-        whole = build_telescope(without_bearings(self.parameters)).system
+        whole = build_telescope(self.telescope.without_bearings()).system
         return whole["los_controlled", disturbances_of(whole)]
 
     def band(
@@ -112,11 +111,11 @@ class DisturbanceResponses:
         return np.min(curves, axis=0), np.max(curves, axis=0)
 
 
-def disturbance_responses(parameters: str | None = None) -> DisturbanceResponses:
-    """Responses of the telescope of a parameter file (default: the reference) with and without isolator."""
+def disturbance_responses(telescope: Telescope) -> DisturbanceResponses:
+    """Responses of a telescope with and without its isolator."""
 
     def part(isolated: bool) -> System:
-        whole = telescope(parameters, isolated).system
+        whole = assembled_telescope(telescope, isolated).system
         return whole["los_controlled", disturbances_of(whole)]
 
-    return DisturbanceResponses(load_parameters(parameters), part(True), part(False))
+    return DisturbanceResponses(telescope, part(True), part(False))

@@ -30,8 +30,7 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
-from titop_plant.telescope.layout import channels, driven_arrays, reaction_wheels, torque_bounds, wheel_count
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 REFERENCE_CHANNELS = 22
@@ -99,24 +98,24 @@ def _wheel_vector(force: float, axial: float, torque: float, sense: float, rng: 
     )
 
 
-def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.Generator) -> Tones:
+def imbalance_tones(telescope: Telescope, speeds: FloatArray, rng: np.random.Generator) -> Tones:
     """Tones of the wheels at the given speeds, random phases.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Table ``imbalance``, and what is on board.
     speeds : ndarray, shape (wheels,)
         rad/s; a wheel at rest makes no tone.
     rng : numpy.random.Generator
     """
-    table, inputs = parameters["imbalance"], channels(parameters)
+    table, inputs = telescope.imbalance, telescope.channels
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for i, speed in enumerate(np.asarray(speeds, dtype=float)):
         square, sense = speed**2, float(np.sign(speed)) or 1.0
         kinds = (
-            (table["force_harmonics"], table["force_ratios"], table["radial_force"], table["axial_force"], 0.0),
-            (table["torque_harmonics"], table["torque_ratios"], 0.0, 0.0, table["radial_torque"]),
+            (table.force_harmonics, table.force_ratios, table.radial_force, table.axial_force, 0.0),
+            (table.torque_harmonics, table.torque_ratios, 0.0, 0.0, table.radial_torque),
         )
         for harmonics, ratios, force, axial, torque in kinds:
             for harmonic, ratio in zip(harmonics, ratios):
@@ -128,38 +127,38 @@ def imbalance_tones(parameters: Parameters, speeds: FloatArray, rng: np.random.G
     return _tones(rows, inputs)
 
 
-def sadm_tones(parameters: Parameters, rng: np.random.Generator) -> Tones:
+def sadm_tones(telescope: Telescope, rng: np.random.Generator) -> Tones:
     """Micro-stepping torque of all array drives: harmonics of the step frequency, their sum within the bound.
 
     A drive with a stepper motor has none: its torques are a source of their own.
     """
-    table, inputs, bounds = parameters["sadm"], channels(parameters), torque_bounds(parameters)
-    ratios = np.array(table["step_harmonics"], dtype=float)
-    plain = np.array([array.stepper is None for array in driven_arrays(parameters)], dtype=float)
+    table, inputs, bounds = telescope.sadm, telescope.channels, telescope.torque_bounds
+    ratios = np.array(table.step_harmonics, dtype=float)
+    plain = np.array([array.stepper is None for array in telescope.driven_arrays], dtype=float)
     sizes = bounds * plain * ratios[:, None] / ratios.sum()
     rows: list[tuple[float, ComplexArray, float, int]] = []
     for h, size in enumerate(sizes if plain.any() else (), start=1):
         amplitude = np.zeros(inputs, complex)
         amplitude[-bounds.size :] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, bounds.size))
-        rows.append((h * table["step_frequency"], amplitude, 0.0, -1))
+        rows.append((h * table.step_frequency, amplitude, 0.0, -1))
     return _tones(rows, inputs)
 
 
-def weight_amplitudes(parameters: Parameters, omega: Any) -> FloatArray:
+def weight_amplitudes(telescope: Telescope, omega: Any) -> FloatArray:
     """Amplitudes |W_rws|, W_sa of the disturbance inputs at frequencies omega [rad/s], shape (k, channels)."""
-    table = parameters["weights"]
+    table = telescope.weights
     w = np.atleast_1d(np.asarray(omega, dtype=float))
-    high_pass = np.hypot(w, table["wheel_imbalance_zero"]) / np.hypot(w, table["wheel_imbalance_pole"])
-    wheels = high_pass[:, None] * np.tile(table["wheel_imbalance"], wheel_count(parameters))
-    return np.hstack([wheels, np.tile(torque_bounds(parameters), (w.size, 1))])
+    high_pass = np.hypot(w, table.wheel_imbalance_zero) / np.hypot(w, table.wheel_imbalance_pole)
+    wheels = high_pass[:, None] * np.tile(table.wheel_imbalance, len(telescope.wheels))
+    return np.hstack([wheels, np.tile(telescope.torque_bounds, (w.size, 1))])
 
 
-def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.random.Generator) -> Tones:
+def design_tones(telescope: Telescope, plant: FrequencyResponse, rng: np.random.Generator) -> Tones:
     """Tones of unit norm where the telescope on its isolator alone is worst.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Tables ``design_scenario`` and ``weights``, and what is on board.
     plant : FrequencyResponse
         From the disturbance inputs to the line of sight (2), isolated, no fine control.
@@ -171,14 +170,14 @@ def design_tones(parameters: Parameters, plant: FrequencyResponse, rng: np.rando
     "Worst" is the largest singular value seen through the weight of the relative performance error. At each of these
     frequencies the wheels have amplitudes along the right singular vector; so have the drives where they are worst.
     """
-    low, high = parameters["design_scenario"]["band"]
+    low, high = telescope.design_scenario.band
     omega = frequency_grid(plant.poles, low, high)
-    size = weight_amplitudes(parameters, omega)
+    size = weight_amplitudes(telescope, omega)
     response = plant.at(omega) * size[:, None, :]
-    seen = rpe_weight(omega, parameters["weights"]["rpe_window"])
-    inputs, edge = channels(parameters), 5 * wheel_count(parameters)
+    seen = rpe_weight(omega, telescope.weights.rpe_window)
+    inputs, edge = telescope.channels, 5 * len(telescope.wheels)
     wheels, drives = slice(0, edge), slice(edge, inputs)
-    peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), parameters["design_scenario"]["tones"])
+    peaks = _highest_peaks(seen * largest_gains(response[:, :, wheels]), telescope.design_scenario.tones)
     chosen = [(k, wheels) for k in peaks]
     if inputs > edge:
         chosen.append((int(np.argmax(seen * largest_gains(response[:, :, drives]))), drives))
@@ -215,26 +214,26 @@ def given_tones(table: Sequence[Sequence[float]], inputs: int = REFERENCE_CHANNE
     return _tones(rows, inputs)
 
 
-def loudest_speeds(parameters: Parameters, plant: System, senses: FloatArray) -> FloatArray:
+def loudest_speeds(telescope: Telescope, plant: System, senses: FloatArray) -> FloatArray:
     """Speed of each wheel [rad/s] at which the relative error by its fundamental is largest; the senses are given.
 
     No two wheels have the same mode: each takes what the wheels before it leave.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Tables ``imbalance``, ``reaction_wheel`` and ``weights``.
     plant : System
         From the disturbance inputs to the line of sight (2), isolated, no fine control.
     senses : ndarray, shape (wheels,)
         +1 or -1.
     """
-    table, tops = parameters["imbalance"], [wheel.maximum_speed for wheel in reaction_wheels(parameters)]
+    table, tops = telescope.imbalance, [wheel.maximum_speed for wheel in telescope.wheels]
     top = max(tops)
     omega = frequency_grid(linalg.eigvals(plant.A), 0.05 * top, top)
     response = frequency_response(plant, omega)
-    seen = rpe_weight(omega, parameters["weights"]["rpe_window"]) * omega**2
-    sizes = np.diag([table[name] for name in ("radial_force", "axial_force", "radial_torque")])
+    seen = rpe_weight(omega, telescope.weights.rpe_window) * omega**2
+    sizes = np.diag([table.radial_force, table.axial_force, table.radial_torque])
     found, free = np.empty(len(senses)), np.ones(omega.size, dtype=bool)
     for i, sense in enumerate(senses):
         five = [np.array([f, -1j * sense * f, a, t, -1j * sense * t]) for f, a, t in sizes]

@@ -20,23 +20,23 @@ from lftkit import Port, System, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.interface import COMMANDED, COMMANDS, MEASUREMENTS, TRUTH
-from titop_plant.simulation.build import PlantFamily, telescope
+from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.simulation.sources.drive import loaded_telescope
-from titop_plant.telescope.assembly import EXTERNAL_WRENCH
+from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.layout import disturbance_ports
-from titop_plant.telescope.parameters import Parameters, load_parameters
-from titop_plant.telescope.placed.devices import ACTUATOR_FORCE, PlacedActuator, placed_actuators
+from titop_plant.telescope.devices import ACTUATOR_FORCE, PlacedActuator
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 
-def driven_ports(parameters: Parameters) -> tuple[Port, ...]:
+def driven_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Ports of the vector that a disturbance of the user writes."""
-    return (*disturbance_ports(parameters), EXTERNAL_WRENCH)
+    return (*telescope.disturbance_ports, EXTERNAL_WRENCH)
 
 
-DISTURBANCE_PORTS = driven_ports(load_parameters())
+DISTURBANCE_PORTS = driven_ports(load_telescope())
 """Those of the reference telescope."""
 
 DISTURBANCE_COLUMNS = port_slices(DISTURBANCE_PORTS)
@@ -214,8 +214,8 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
     ndarray, shape (n + 24, size of the ports)
         More rows where the family is that with the further sensors.
     """
-    ports = driven_ports(family.parameters)
-    whole = telescope(family.path, family.isolated).system
+    ports = driven_ports(family.telescope)
+    whole = assembled_telescope(family.telescope, family.isolated).system
     return _held(whole, [p.name for p in ports], family, config, dt)[:, -total_size(ports) :]
 
 
@@ -232,8 +232,8 @@ def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Pl
     dt : float
         Tick [s].
     """
-    names = [one.name for one in placed_actuators(family.parameters)]
-    whole = loaded_telescope(family.path, family.isolated).system
+    names = [one.name for one in family.telescope.placed_actuators]
+    whole = loaded_telescope(family.telescope, family.isolated).system
     every = _held(whole, [ACTUATOR_FORCE], family, config, dt)[:, -len(names) :]
     return every[:, [names.index(one.name) for one in actuators]]
 
@@ -241,6 +241,6 @@ def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Pl
 def _held(whole: System, inputs: Sequence[str], family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:
     """Next state, measurement, truth and further sensors by held commands and `inputs`."""
     outputs = [p.name for p in family.control_loop.outputs]
-    driven = with_sensors(whole, family.parameters).select(inputs=(*COMMANDED, *inputs), outputs=outputs)
-    held = sampled(driven.at(parameter_values(config, family.parameters)), dt, method="hold")
+    driven = with_sensors(whole, family.telescope).select(inputs=(*COMMANDED, *inputs), outputs=outputs)
+    held = sampled(driven.at(parameter_values(config, family.telescope)), dt, method="hold")
     return np.vstack([held.B, held.D])

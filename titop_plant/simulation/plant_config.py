@@ -12,8 +12,8 @@ from pydantic.dataclasses import dataclass
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
 from titop_plant.simulation.profiles import PROFILES, Profile, linear_profile, read_profile, trapezoidal_profile
-from titop_plant.telescope.layout import ANGLE, arrays_turn, default_speeds, solar_arrays, wheel_count
-from titop_plant.telescope.parameters import Parameters, uncertain_parameters
+from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.telescope import Telescope
 
 
 @settings_class
@@ -54,54 +54,54 @@ class PlantConfig(PhysicalSettings):
         return moves or self.profile not in PROFILES
 
 
-def parameter_values(config: PlantConfig, parameters: Parameters, time: float = 0.0) -> dict[str, float]:
+def parameter_values(config: PlantConfig, telescope: Telescope, time: float = 0.0) -> dict[str, float]:
     """Values of the telescope's uncertain parameters at a time [s] of the run."""
-    return values_along(config, motion(config, parameters), time, parameters)
+    return values_along(config, motion(config, telescope), time, telescope)
 
 
-def values_along(config: PlantConfig, profile: Profile, time: float, parameters: Parameters) -> dict[str, float]:
+def values_along(config: PlantConfig, profile: Profile, time: float, telescope: Telescope) -> dict[str, float]:
     """:func:`parameter_values` with the profile at hand."""
     values = {f"wheel_{i}.speed": float(s) for i, s in enumerate(profile.speeds(time), start=1)}
-    values |= frequencies(config, parameters)
-    if arrays_turn(parameters):
+    values |= frequencies(config, telescope)
+    if telescope.arrays_turn:
         values[ANGLE] = math.tan(float(profile.angle(time)) / 4.0)
     return values
 
 
-def frequencies(config: PhysicalSettings, parameters: Parameters) -> dict[str, float]:
+def frequencies(config: PhysicalSettings, telescope: Telescope) -> dict[str, float]:
     """Values of the uncertain frequencies that the settings give: of the first array, or of all bodies in order."""
     if config.frequencies is not None:
-        names = [name for name in uncertain_parameters(parameters) if ".omega_" in name]
+        names = [name for name in telescope.uncertain if ".omega_" in name]
         if len(names) != len(config.frequencies):
             given = len(config.frequencies)
             raise ValueError(
                 f"frequencies must hold {len(names)} numbers, for {', '.join(names) or 'none'}, got {given}"
             )
         return dict(zip(names, config.frequencies))
-    arrays, found = solar_arrays(parameters), {}
+    arrays, found = telescope.solar_arrays, {}
     for i, omega in ((1, config.omega_1), (2, config.omega_2)):
         if omega is not None:
-            if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in uncertain_parameters(parameters):
+            if not arrays or (name := f"{arrays[0].parameters}.omega_{i}") not in telescope.uncertain:
                 raise ValueError(f"omega_{i} must be absent where no array has such a parameter, got {omega:g} rad/s")
             found[name] = omega
     return found
 
 
-def check_wheels(config: PhysicalSettings, parameters: Parameters) -> None:
+def check_wheels(config: PhysicalSettings, telescope: Telescope) -> None:
     """Refuse settings for another number of wheels than there are."""
-    wheels = wheel_count(parameters)
+    wheels = len(telescope.wheels)
     for name in ("wheel_speed", "wheel_acceleration"):
         given = getattr(config, name)
         if given is not None and len(given) != wheels:
             raise ValueError(f"{name} must hold {wheels} numbers, got {len(given)}")
 
 
-def steady(parameters: Parameters) -> tuple[float, ...]:
+def steady(telescope: Telescope) -> tuple[float, ...]:
     """Accelerations of wheels that keep their speeds [rad/s2]."""
-    return (0.0,) * wheel_count(parameters)
+    return (0.0,) * len(telescope.wheels)
 
 
-def motion(config: PlantConfig, parameters: Parameters) -> Profile:
+def motion(config: PlantConfig, telescope: Telescope) -> Profile:
     """Array angle and wheel speeds over the run.
 
     Raises
@@ -109,12 +109,12 @@ def motion(config: PlantConfig, parameters: Parameters) -> Profile:
     ValueError
         As :func:`titop_plant.simulation.profiles.read_profile`; another number of wheels than there are.
     """
-    check_wheels(config, parameters)
-    speed = config.wheel_speed or default_speeds(parameters)
+    check_wheels(config, telescope)
+    speed = config.wheel_speed or telescope.default_speeds
     if config.profile not in PROFILES:
-        return read_profile(Path(config.profile), wheel_count(parameters))
+        return read_profile(Path(config.profile), len(telescope.wheels))
     if not config.ramps:
         return Profile(np.zeros(1), np.array([config.array_angle]), np.array([speed], dtype=float))
     make = linear_profile if config.profile == "linear" else trapezoidal_profile
-    gains = config.wheel_acceleration or steady(parameters)
+    gains = config.wheel_acceleration or steady(telescope)
     return make(config.array_angle, config.theta_rate, speed, gains, config.ramp_duration)

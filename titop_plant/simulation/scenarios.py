@@ -22,8 +22,7 @@ from lftkit.arrays import FloatArray
 from titop_plant.interface import NO_SCENARIO
 from titop_plant.simulation import disturbances
 from titop_plant.simulation.disturbances import Tones, joined
-from titop_plant.telescope.layout import channels
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Circumstances:
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the parameter file.
     speeds : ndarray, shape (wheels,)
         Of the wheels [rad/s].
@@ -44,7 +43,7 @@ class Circumstances:
         Makes :func:`titop_plant.simulation.disturbances.design_tones` of the telescope on its isolator.
     """
 
-    parameters: Parameters
+    telescope: Telescope
     speeds: FloatArray
     rng: np.random.Generator
     given: tuple[tuple[float, ...], ...]
@@ -56,7 +55,7 @@ Scenario = Callable[[Circumstances], Tones]
 
 def worst_case(now: Circumstances) -> Tones:
     """The tone that the run was given."""
-    return disturbances.given_tones(now.given, channels(now.parameters))
+    return disturbances.given_tones(now.given, now.telescope.channels)
 
 
 def design(now: Circumstances) -> Tones:
@@ -78,13 +77,13 @@ def unit_norm(now: Circumstances) -> Tones:
 
 def imbalance(now: Circumstances) -> Tones:
     """Wheels and drives."""
-    wheels = disturbances.imbalance_tones(now.parameters, now.speeds, now.rng)
-    return joined([wheels, disturbances.sadm_tones(now.parameters, now.rng)])
+    wheels = disturbances.imbalance_tones(now.telescope, now.speeds, now.rng)
+    return joined([wheels, disturbances.sadm_tones(now.telescope, now.rng)])
 
 
 def no_scenario(now: Circumstances) -> Tones:
     """None."""
-    return disturbances.no_tones(channels(now.parameters))
+    return disturbances.no_tones(now.telescope.channels)
 
 
 TONES: Mapping[str, Scenario] = MappingProxyType(

@@ -5,7 +5,6 @@ from titop_plant.structures.beam_frame import Beam, BeamFrame, LumpedMass, stati
 from titop_plant.structures.modal_data import ChildPort, ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data, write_modal_data
 from titop_plant.structures.nastran import read_nastran
-from titop_plant.structures.reference import build_body, build_payload, port_visibility
 from titop_plant.structures.residual_mass import (
     ResidualMode,
     ResidualRepair,
@@ -15,6 +14,7 @@ from titop_plant.structures.residual_mass import (
     repair_residual_mass,
     smallest_residual_fraction,
 )
+from titop_plant.structures.visibility import port_visibility
 
 __all__ = [
     "Beam",
@@ -26,8 +26,6 @@ __all__ = [
     "ResidualRepair",
     "Section",
     "add_residual_modes",
-    "build_body",
-    "build_payload",
     "check_residual_mass",
     "effective_masses",
     "from_inertia",

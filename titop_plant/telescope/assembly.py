@@ -37,7 +37,7 @@ Rotation and rate are passed through the ports, the line of sight is a function 
 integrated twice: the realisation is minimal by construction (204 states for the reference). The sizes are those of the
 reference, which has four wheels, two arrays and six proof-mass actuators. What is not on board has no port; the forces
 of proof-mass actuators stay an input without effect, since every command holds six forces. Further sensors and
-actuators of a user's file (:mod:`titop_plant.telescope.placed.devices`) are the output ``placed_sensors``, and bodies
+actuators of a user's file (:mod:`titop_plant.telescope.devices`) are the output ``placed_sensors``, and bodies
 with the input ``actuator_force``.
 """
 
@@ -45,12 +45,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from lftkit import Connection, Port, System, connect, invert, static_gain, transform
 from lftkit.arrays import FloatArray
+from lftkit.support.threads import one_thread
 from titop_plant import ports
 from titop_plant.blocks.attitude_control import attitude, attitude_control, total_inertia
 from titop_plant.blocks.fast_steering_mirror import fast_steering_mirror
@@ -60,31 +62,12 @@ from titop_plant.blocks.reaction_wheel import wheel_assembly
 from titop_plant.blocks.revolute_joint import MOTOR
 from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.structures.modal_data import ModalData
-from titop_plant.structures.reference import build_body, build_payload
 from titop_plant.telescope import components as component
-from titop_plant.telescope.layout import (
-    SADM_TORQUE,
-    WHEEL_TORQUE,
-    MountedBody,
-    appendages,
-    disturbance_ports,
-    driven_arrays,
-    mounted_points,
-    solar_arrays,
-    wheel_axes,
-    wheel_count,
-)
-from titop_plant.telescope.layout import (
-    motors as motors_of,
-)
+from titop_plant.telescope.bodies import build_body, build_payload
+from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_TORQUE, MountedBody
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
-from titop_plant.telescope.parameters import Parameters, load_parameters, uncertain_parameters
-from titop_plant.telescope.placed.devices import (
-    ACTUATOR_FORCE,
-    PLACED_SENSORS,
-    actuator_ports,
-    sensor_ports,
-)
 from titop_plant.telescope.placed.mounting import (
     actuator_blocks,
     actuator_wires,
@@ -92,8 +75,9 @@ from titop_plant.telescope.placed.mounting import (
     sensor_blocks,
     sensor_wires,
 )
-from titop_plant.telescope.placed.points import PAYLOAD_NODES, body_of
-from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors, factors_of_modes
+from titop_plant.telescope.places import PAYLOAD_NODES, body_of
+from titop_plant.telescope.tables.uncertain import DAMPING, GAIN, STIFFNESS, factors_of_modes
+from titop_plant.telescope.telescope import Telescope
 
 FSM_COMMAND = Port("fsm_command", 2, "rad")
 PMA_FORCE = Port("pma_force", 6, "N")
@@ -112,7 +96,7 @@ def load_port(node: str) -> Port:
 
 
 @dataclass(frozen=True)
-class Telescope:
+class AssembledTelescope:
     """The assembled telescope with its total inertia and its flexible bodies.
 
     Parameters
@@ -134,19 +118,19 @@ class Telescope:
 
 
 def build_telescope(
-    parameters: Parameters | None = None,
+    telescope: Telescope | None = None,
     *,
     isolated: bool = True,
     attitude_controlled: bool = True,
     loads: tuple[str, ...] = (),
     motors: bool = False,
-) -> Telescope:
+) -> AssembledTelescope:
     """Assemble the telescope.
 
     Parameters
     ----------
-    parameters : mapping, optional
-        From :func:`~titop_plant.telescope.parameters.load_parameters`; default: the reference.
+    telescope : Telescope, optional
+        Default: the reference.
     isolated : bool
         False: the platform is fixed to the body without the isolator's springs.
     attitude_controlled : bool
@@ -161,32 +145,43 @@ def build_telescope(
 
     Returns
     -------
-    Telescope
+    AssembledTelescope
     """
-    given = load_parameters() if parameters is None else parameters
-    body, payload = build_body(given, mounted_points(given)), build_payload(given)
+    given = load_telescope() if telescope is None else telescope
+    body, payload = build_body(given, given.mounted_points), build_payload(given)
     outside = (*map(load_port, loads), *(motor_ports(given) if motors else ()))
     driven = _driven_at_G(given, body, payload, isolated, loads, outside)
     free = invert(driven, {"accel_G": "wrench_G"})
     inertia = total_inertia(_torque_to_acceleration(free))
     system = _free_flying(free, given, inertia, attitude_controlled, outside)
-    order = list(uncertain_parameters(given))
-    kinds = {id(one.table): one for one in (*solar_arrays(given), *appendages(given))}
+    order = list(given.uncertain)
+    kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
     own = [component.body_modes(one) for one in kinds.values()]
-    return Telescope(system.sorted_channels(order), inertia, (body, payload, *own), mechanism_modes(given))
+    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own), mechanism_modes(given))
 
 
-def line_of_sight(parameters: Parameters) -> System:
+def assembled_telescope(telescope: Telescope | None = None, isolated: bool = True) -> AssembledTelescope:
+    """The assembled telescope, default: the reference (kept for the next call, so its bits are those of one thread)."""
+    return _assembled(load_telescope() if telescope is None else telescope, isolated)
+
+
+@lru_cache(maxsize=4)
+def _assembled(telescope: Telescope, isolated: bool) -> AssembledTelescope:
+    with one_thread():
+        return build_telescope(telescope, isolated=isolated)
+
+
+def line_of_sight(telescope: Telescope) -> System:
     """``los`` from the rotation of the payload's base and the elastic deflections of the optics."""
-    optics = component.optics_component(parameters)
+    optics = component.optics_component(telescope)
     rotation = np.hstack([np.eye(2), np.zeros((2, 1))])
-    mirror = parameters["fsm"]["los_sensitivity"] * np.hstack([np.zeros((2, 3)), rotation])
+    mirror = telescope.fsm.los_sensitivity * np.hstack([np.zeros((2, 3)), rotation])
     gain = np.hstack([rotation, *(optics.sensitivity(e) for e in ("M1", "M2", "DET")), mirror])
     return static_gain(gain, [ports.angle("I_p"), *(ports.deflection(p) for p in OPTICAL_POINTS)], [LOS])
 
 
 def _driven_at_G(
-    parameters: Parameters,
+    telescope: Telescope,
     body: ModalData,
     payload: ModalData,
     isolated: bool,
@@ -194,31 +189,31 @@ def _driven_at_G(
     outside: tuple[Port, ...],
 ) -> System:
     """All bodies connected to G, from the imposed motion of G to the wrench they exert there."""
-    arrays, others = solar_arrays(parameters), appendages(parameters)
-    acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(parameters)
-    used = {"I_w", "I_p", *mounted_points(parameters), *(node for _, node in acting)}
+    arrays, others = telescope.solar_arrays, telescope.appendages
+    acting = [(load_port(node).name, node) for node in loads] + actuator_wrenches(telescope)
+    used = {"I_w", "I_p", *telescope.mounted_points, *(node for _, node in acting)}
     systems = {
-        "body": _flexible(parameters, "body", body, {child.name for child in body.children} - used, motion=True),
-        "wheels": wheel_assembly(component.wheel_components(parameters), "I_w"),
-        **{one.name: _array(parameters, one, outside) for one in arrays},
-        **{one.name: component.appendage_block(parameters, one) for one in others},
-        "platform": _platform(parameters, isolated),
-        "payload": _flexible(parameters, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
-        "fsm": fast_steering_mirror(component.mirror_component(parameters), "I_f"),
-        "optics": line_of_sight(parameters),
+        "body": _flexible(telescope, "body", body, {child.name for child in body.children} - used, motion=True),
+        "wheels": wheel_assembly(component.wheel_components(telescope), "I_w"),
+        **{one.name: _array(telescope, one, outside) for one in arrays},
+        **{one.name: component.appendage_block(telescope, one) for one in others},
+        "platform": _platform(telescope, isolated),
+        "payload": _flexible(telescope, "payload", payload, set(PAYLOAD_NODES) - used, deflections=OPTICAL_POINTS),
+        "fsm": fast_steering_mirror(component.mirror_component(telescope), "I_f"),
+        "optics": line_of_sight(telescope),
         "steering": static_gain(
-            parameters["fsm"]["los_sensitivity"] * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
+            telescope.fsm.los_sensitivity * np.eye(2), [Port("fsm_angle", 2, "rad")], [Port("los", 2, "rad")]
         ),
-        **_drives(parameters),
-        **_motors(parameters, outside),
-        **_gains(parameters),
-        **actuator_blocks(parameters, driven=any(port.name == ACTUATOR_FORCE for port in outside)),
-        **sensor_blocks(parameters),
+        **_drives(telescope),
+        **_motors(telescope, outside),
+        **_gains(telescope),
+        **actuator_blocks(telescope, driven=any(port.name == ACTUATOR_FORCE for port in outside)),
+        **sensor_blocks(telescope),
     }
     there = {
-        SADM_ANGLE: driven_arrays(parameters),
-        PMA_STROKE: parameters["pma"]["azimuths_deg"],
-        PLACED_SENSORS: sensor_ports(parameters),
+        SADM_ANGLE: telescope.driven_arrays,
+        PMA_STROKE: telescope.pma.azimuths_deg,
+        PLACED_SENSORS: telescope.sensor_ports,
     }
     absent = [name for name, bodies in there.items() if not bodies]
     outputs: dict[str, str | tuple[str, ...]] = {
@@ -234,16 +229,16 @@ def _driven_at_G(
         "wheel_accel": "wheels.wheel_accel",
         PLACED_SENSORS: f"sensors.{PLACED_SENSORS}",
     }
-    wires = [*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(parameters, outside)]
-    wires += [*actuator_wires(parameters, systems), *sensor_wires(parameters)]
-    wires = _through(wires, _gains(parameters))
+    wires = [*_wires(), *_mounted_wires((*arrays, *others)), *_motor_wires(telescope, outside)]
+    wires += [*actuator_wires(telescope, systems), *sensor_wires(telescope)]
+    wires = _through(wires, _gains(telescope))
     return connect(
         systems,
         _with_wrenches(wires, acting),
         inputs=[
             *(port("G") for port in (ports.accel, ports.angle, ports.rate)),
-            Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
-            *disturbance_ports(parameters),
+            Port(WHEEL_TORQUE, len(telescope.wheels), "Nm"),
+            *telescope.disturbance_ports,
             FSM_COMMAND,
             PMA_FORCE,
             *outside,
@@ -252,20 +247,20 @@ def _driven_at_G(
     )
 
 
-def _platform(parameters: Parameters, isolated: bool) -> System:
+def _platform(telescope: Telescope, isolated: bool) -> System:
     """Platform of the payload on its isolator or fixed, with the proof-mass actuators that there are."""
     plate = (
         isolator(
-            component.isolator_component(parameters),
+            component.isolator_component(telescope),
             "I_p",
             "platform",
-            stiffness=factors(parameters).get(STIFFNESS),
-            damping=factors(parameters).get(DAMPING),
+            stiffness=telescope.factors.get(STIFFNESS),
+            damping=telescope.factors.get(DAMPING),
         )
         if isolated
-        else rigid_body("platform", "I_p", component.platform_mass(parameters), {"platform": np.zeros(3)}, motion=True)
+        else rigid_body("platform", "I_p", component.platform_mass(telescope), {"platform": np.zeros(3)}, motion=True)
     )
-    actuators = component.actuator_components(parameters)
+    actuators = component.actuator_components(telescope)
     if actuators:
         return actuated_platform(plate, actuators, "platform")
     wrench = ports.wrench("platform")
@@ -282,9 +277,9 @@ def _platform(parameters: Parameters, isolated: bool) -> System:
     )
 
 
-def _gains(parameters: Parameters) -> dict[str, System]:
+def _gains(telescope: Telescope) -> dict[str, System]:
     """Gains of the commanded ports that are uncertain, each by the name of its port."""
-    known = factors(parameters)
+    known = telescope.factors
     commanded = ((port, f"{port.name}.{GAIN}") for port in (FSM_COMMAND, PMA_FORCE))
     return {port.name: uncertain_gain(port, known[name]) for port, name in commanded if name in known}
 
@@ -295,9 +290,9 @@ def _through(wires: list[Connection], gains: Mapping[str, System]) -> list[Conne
     return [*turned, *((name, f"{name}.{name}") for name in gains)]
 
 
-def _drives(parameters: Parameters) -> dict[str, System]:
+def _drives(telescope: Telescope) -> dict[str, System]:
     """What parts the torques of the array drives and joins their angles; none where no array is driven."""
-    names = [array.name for array in driven_arrays(parameters)]
+    names = [array.name for array in telescope.driven_arrays]
     if not names:
         return {}
     each, torques = np.eye(len(names)), [Port(name, 1, "Nm") for name in names]
@@ -308,32 +303,32 @@ def _drives(parameters: Parameters) -> dict[str, System]:
     }
 
 
-def motor_ports(parameters: Parameters) -> tuple[Port, ...]:
+def motor_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Torques of the stepper motors and forces of the further actuators; none where nothing has them."""
-    count = len(motors_of(parameters))
+    count = len(telescope.motors)
     torques = (Port(MOTOR_TORQUE, count, "Nm"),) if count else ()
-    return (*torques, *actuator_ports(parameters))
+    return (*torques, *telescope.actuator_ports)
 
 
-def _array(parameters: Parameters, array: MountedBody, outside: tuple[Port, ...]) -> System:
+def _array(telescope: Telescope, array: MountedBody, outside: tuple[Port, ...]) -> System:
     """Block of an array, with the torque of its motor where that is an input."""
-    block = component.array_block(parameters, array)
+    block = component.array_block(telescope, array)
     if any(port.name == MOTOR_TORQUE for port in outside):
         return block
     return block.select(inputs=[p.name for p in block.inputs if p.name != MOTOR])
 
 
-def _motors(parameters: Parameters, outside: tuple[Port, ...]) -> dict[str, System]:
+def _motors(telescope: Telescope, outside: tuple[Port, ...]) -> dict[str, System]:
     """What parts the torques of the motors."""
-    torques = [Port(array.name, 1, "Nm") for array in motors_of(parameters)]
+    torques = [Port(array.name, 1, "Nm") for array in telescope.motors]
     whole = [port for port in outside if port.name == MOTOR_TORQUE]
     return {"motor_split": static_gain(np.eye(len(torques)), whole, torques)} if whole else {}
 
 
-def _motor_wires(parameters: Parameters, outside: tuple[Port, ...]) -> list[Connection]:
-    if not _motors(parameters, outside):
+def _motor_wires(telescope: Telescope, outside: tuple[Port, ...]) -> list[Connection]:
+    if not _motors(telescope, outside):
         return []
-    parts = [(f"motor_split.{one.name}", f"{one.name}.{MOTOR}") for one in motors_of(parameters)]
+    parts = [(f"motor_split.{one.name}", f"{one.name}.{MOTOR}") for one in telescope.motors]
     return [(MOTOR_TORQUE, f"motor_split.{MOTOR_TORQUE}"), *parts]
 
 
@@ -364,7 +359,7 @@ def _mounted_wires(bodies: Sequence[MountedBody]) -> list[Connection]:
     for one in bodies:
         wires.append((f"body.accel_{one.point}", f"{one.name}.accel_{one.point}"))
         wrenches.setdefault(one.point, []).append(f"{one.name}.wrench_{one.point}")
-    driven = [one for one in bodies if one.driven]
+    driven = [one for one in bodies if one.drive is not None]
     for one in driven:
         wires += [
             (f"sadm_split.{one.name}", f"{one.name}.sadm_torque"),
@@ -389,9 +384,11 @@ def _with_wrenches(wires: list[Connection], acting: Sequence[tuple[str, str]]) -
     return result
 
 
-def _flexible(parameters: Parameters, kind: str, data: ModalData, idle: set[str], **options: Any) -> System:
+def _flexible(telescope: Telescope, kind: str, data: ModalData, idle: set[str], **options: Any) -> System:
     """Central body or payload with its uncertain modes, without the wrench inputs of the idle points."""
-    return _without_loads(flexible_body(data, **factors_of_modes(parameters, kind, data.n_modes), **options), idle)
+    return _without_loads(
+        flexible_body(data, **factors_of_modes(telescope.factors, kind, data.n_modes), **options), idle
+    )
 
 
 def _without_loads(body: System, points: Iterable[str]) -> System:
@@ -411,15 +408,15 @@ def _torque_to_acceleration(free: System) -> System:
 
 
 def _free_flying(
-    free: System, parameters: Parameters, inertia: FloatArray, controlled: bool, outside: tuple[Port, ...]
+    free: System, telescope: Telescope, inertia: FloatArray, controlled: bool, outside: tuple[Port, ...]
 ) -> System:
     """Free motion of G: the wrench of all bodies there balances the external one; close the attitude loop."""
-    table = parameters["attitude_control"]
+    table = telescope.attitude_control
     law = attitude_control(
         np.diag(inertia),
-        wheel_axes(parameters),
-        bandwidth=table["bandwidth"],
-        damping=table["damping"],
+        telescope.wheel_axes,
+        bandwidth=table.bandwidth,
+        damping=table.damping,
     )
     torques: tuple[str, ...] = ("wheel_torque", "law.wheel_torque") if controlled else ("wheel_torque",)
     systems = {"free": free, "attitude": attitude("G")}
@@ -440,9 +437,9 @@ def _free_flying(
         systems,
         wires,
         inputs=[
-            *disturbance_ports(parameters),
+            *telescope.disturbance_ports,
             EXTERNAL_WRENCH,
-            Port(WHEEL_TORQUE, wheel_count(parameters), "Nm"),
+            Port(WHEEL_TORQUE, len(telescope.wheels), "Nm"),
             FSM_COMMAND,
             PMA_FORCE,
             *outside,

@@ -37,8 +37,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from titop_plant.telescope.parameters import FIRST_PROBABILITY, Parameters
-from titop_plant.telescope.requirements import instant_probability, telescope_requirements, window_probability
+from titop_plant.telescope.requirements import instant_probability, window_probability
+from titop_plant.telescope.telescope import FIRST_PROBABILITY, Telescope
 
 if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
     from lftkit import System
@@ -276,25 +276,25 @@ class ErrorBudget:
     ape_tone: float
 
 
-def error_budget(parameters: Parameters) -> ErrorBudget:
+def error_budget(telescope: Telescope) -> ErrorBudget:
     """The budget of a telescope: shares of its limits of the relative and of the absolute error.
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> budget = error_budget(load_parameters())
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> budget = error_budget(load_telescope())
     >>> mas = 3.141592653589793 / 648e6
     >>> [round(share / mas, 1) for share in (budget.limit, budget.noise, budget.slow, budget.fast_mirror)]
     [40.0, 12.0, 60.0, 88.0]
     >>> round(combined_level(budget.tone / mas, budget.total_noise / mas, 0.997), 1)
     40.0
     """
-    limit = float(parameters["weights"]["rpe_limit_fine"])
-    requirements = telescope_requirements(parameters)
+    limit = telescope.weights.rpe_limit_fine
+    requirements = telescope.requirements
     tone = _tone_share(TOTAL_NOISE, TONE, window_probability(requirements), ON_AXIS)
     absolute_tone = _tone_share(APE_NOISE, APE_TONE, instant_probability(requirements), ABSOLUTE_ON_AXIS)
-    ape = float(parameters["weights"]["ape_limit"])
-    alone = MOST_ALONE * float(parameters["weights"]["rpe_limit"])
+    ape = telescope.weights.ape_limit
+    alone = MOST_ALONE * telescope.weights.rpe_limit
     return ErrorBudget(
         limit=limit,
         noise=NOISE * limit,
@@ -313,12 +313,12 @@ def _tone_share(noise: float, known: float, probability: float, on_axis: float) 
     return known if probability == FIRST_PROBABILITY else largest_tone(noise, 1.0, probability, on_axis)
 
 
-def band_error_weight(parameters: Parameters, band: str) -> System:
+def band_error_weight(telescope: Telescope, band: str) -> System:
     """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
     from lftkit import cascade
     from titop_plant.telescope.weights import relative_error_weight
 
-    relative = relative_error_weight(parameters["weights"]["rpe_window"]).at({})
+    relative = relative_error_weight(telescope.weights.rpe_window).at({})
     return cascade(relative, band_weight(band).at({}), f"W_RPE, {band}")
 
 

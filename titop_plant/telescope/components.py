@@ -18,7 +18,6 @@ from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import MountedWheel, ReactionWheel
 from titop_plant.blocks.revolute_joint import DriveRotor
 from titop_plant.blocks.solar_array import SolarArray, solar_array
-from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.ports import AXES
 from titop_plant.structures.modal_data import ModalData, from_inertia
 from titop_plant.structures.modal_file import read_modal_data
@@ -28,10 +27,9 @@ from titop_plant.structures.residual_mass import (
     check_residual_mass,
     repair_residual_mass,
 )
-from titop_plant.telescope.layout import ANGLE, ARRAYS, MountedBody, reaction_wheels
+from titop_plant.telescope.layout import ANGLE, MountedBody
 from titop_plant.telescope.optics import TwoMirrorTelescope
-from titop_plant.telescope.parameters import Parameters, uncertain_parameters
-from titop_plant.telescope.tables.mechanisms import made_stepper
+from titop_plant.telescope.telescope import Telescope
 
 _ROUNDING = 1e-3
 """Part of the rigid mass that may be missing by rounding of the printed participation."""
@@ -49,23 +47,23 @@ def body_modes(body: MountedBody) -> ModalData:
         More is missing than rounding explains (a thousandth of the rigid mass); names axis and amount. A file that
         cannot be read or has points for other bodies.
     """
-    table = body.table
-    name = str(table.get("name", ARRAYS)).replace("_", " ")
-    if table.get("modal_data"):
+    table, name = body.modes, body.kind.replace("_", " ")
+    if table is None:
         return _from_file(body, name)
-    mass = from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], name)
-    damping = np.full(len(table["frequencies"]), table["damping"])
-    printed = ModalData(name, "A", np.zeros(3), mass, table["frequencies"], damping, np.array(table["participation"]))
+    mass = from_inertia(table.mass, table.inertia_at_cg, table.center_of_mass, name)
+    frequencies, participation = np.array(table.frequencies, dtype=float), np.array(table.participation)
+    damping = np.full(len(frequencies), table.damping)
+    printed = ModalData(name, "A", np.zeros(3), mass, frequencies, damping, participation)
     check_residual_mass(printed, tolerance=_ROUNDING)
     modes = [
-        ResidualMode(m["frequency"], table["damping"], np.eye(6)[AXES.index(m["direction"])], m["share"])
-        for m in table.get("further_modes", ())
+        ResidualMode(m.frequency, table.damping, np.eye(6)[AXES.index(m.direction)], m.share)
+        for m in table.further_modes
     ]
     return add_residual_modes(repair_residual_mass(printed).data, modes)
 
 
 def _from_file(body: MountedBody, name: str) -> ModalData:
-    path = str(body.table["modal_data"])
+    path = body.modal_data
     try:
         data = read_modal_data(path)
     except OSError as error:
@@ -76,14 +74,14 @@ def _from_file(body: MountedBody, name: str) -> ModalData:
     return replace(data, name=name)
 
 
-def uncertain_modes(body: MountedBody, parameters: Parameters) -> dict[int, RealParameter]:
+def uncertain_modes(body: MountedBody, telescope: Telescope) -> dict[int, RealParameter]:
     """Modes of a mounted body whose frequency is uncertain, by their place in its modal data."""
-    known = uncertain_parameters(parameters)
+    known = telescope.uncertain
     names = ((i, f"{body.parameters}.omega_{i + 1}") for i in range(len(known)))
     return {i: known[name] for i, name in names if name in known}
 
 
-def array_block(parameters: Parameters, array: MountedBody) -> System:
+def array_block(telescope: Telescope, array: MountedBody) -> System:
     """Solar array on its drive; one that is fixed has neither gearbox nor torque.
 
     Returns
@@ -91,87 +89,84 @@ def array_block(parameters: Parameters, array: MountedBody) -> System:
     System
         Ports of :mod:`titop_plant.blocks.solar_array`; without a drive ``accel_<P>`` and ``wrench_<P>`` alone.
     """
-    frequencies = uncertain_modes(array, parameters)
-    table, fixed = array.table, array.table["theta_range"][0]
-    axis = np.array(table["drive_axis"], dtype=float)
-    dcm = array.dcm
+    frequencies, fixed = uncertain_modes(array, telescope), array.theta_range[0]
+    axis, dcm, drive = np.array(array.axis, dtype=float), array.dcm, array.drive
     if not array.turns and fixed:
         dcm = dcm @ Rotation.from_rotvec(fixed * axis / math.sqrt(axis @ axis)).as_matrix().T
-    if not array.driven:
+    if drive is None:
         return _clamped(body_modes(array), array.point, dcm, frequencies)
     rotor = drive_rotor(array)
-    data = SolarArray(body_modes(array), axis, dcm, table["gearbox_stiffness"], table["gearbox_damping"], rotor)
-    tau = uncertain_parameters(parameters)[ANGLE] if array.turns else None
+    data = SolarArray(body_modes(array), axis, dcm, drive.gearbox_stiffness, drive.gearbox_damping, rotor)
+    tau = telescope.uncertain[ANGLE] if array.turns else None
     return solar_array(data, array.point, tau, frequencies)
 
 
 def drive_rotor(array: MountedBody) -> DriveRotor | None:
     """Rotor of the motor of an array's drive, where it has a stepper."""
-    if array.stepper is None:
+    motor = array.stepper
+    if motor is None:
         return None
-    motor = made_stepper(array.stepper)
     return DriveRotor(motor.rotor_inertia, motor.gear_ratio, motor.stiffness, motor.motor_damping)
 
 
-def appendage_block(parameters: Parameters, body: MountedBody) -> System:
+def appendage_block(telescope: Telescope, body: MountedBody) -> System:
     """Flexible appendage, clamped at its point: ``accel_<P>`` -> ``wrench_<P>``."""
-    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, parameters))
+    return _clamped(body_modes(body), body.point, body.dcm, uncertain_modes(body, telescope))
 
 
 def _clamped(modes: ModalData, point: str, dcm: FloatArray, frequencies: dict[int, RealParameter]) -> System:
     return mounted(flexible_body(modes, frequencies=frequencies), modes.parent, point, dcm=dcm)
 
 
-def wheel_components(parameters: Parameters) -> list[MountedWheel]:
+def wheel_components(telescope: Telescope) -> list[MountedWheel]:
     """The wheels around I_w, axes parallel to the body's frame."""
-    speeds = uncertain_parameters(parameters)
+    speeds = telescope.uncertain
     result = []
-    for i, one in enumerate(reaction_wheels(parameters), start=1):
-        bearing = None if one.bearing is None else WheelBearing(**one.bearing)
-        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia, bearing)
+    for i, one in enumerate(telescope.wheels, start=1):
+        wheel = ReactionWheel(one.mass, one.axial_inertia, one.radial_inertia, one.bearing)
         result.append(MountedWheel(wheel, one.axis, one.position, speeds[f"wheel_{i}.speed"]))
     return result
 
 
-def platform_mass(parameters: Parameters) -> FloatArray:
+def platform_mass(telescope: Telescope) -> FloatArray:
     """Mass matrix of the isolator's platform at I_p, shape (6, 6)."""
-    table = parameters["isolator"]
-    return from_inertia(table["mass"], table["inertia_at_cg"], table["center_of_mass"], "isolator platform")
+    table = telescope.isolator
+    return from_inertia(table.mass, table.inertia_at_cg, table.center_of_mass, "isolator platform")
 
 
-def isolator_component(parameters: Parameters) -> Isolator:
+def isolator_component(telescope: Telescope) -> Isolator:
     """The 6-dof isolator."""
-    table = parameters["isolator"]
-    return Isolator(platform_mass(parameters), np.diag(table["stiffness"]), np.diag(table["damping"]))
+    table = telescope.isolator
+    return Isolator(platform_mass(telescope), np.diag(table.stiffness), np.diag(table.damping))
 
 
-def actuator_components(parameters: Parameters) -> list[MountedActuator]:
+def actuator_components(telescope: Telescope) -> list[MountedActuator]:
     """Proof-mass actuators on the platform: at each azimuth one axial, one tangential; none without azimuths.
 
     Axial ones push along +z, tangential ones along increasing azimuth.
     """
-    table = parameters["pma"]
+    table = telescope.pma
     actuator = ProofMassActuator(
-        table["moving_mass"], table["casing_mass"], np.diag(table["inertia"]), table["stiffness"], table["damping"]
+        table.moving_mass, table.casing_mass, np.diag(table.inertia), table.stiffness, table.damping
     )
     result = []
-    for azimuth in np.radians(table["azimuths_deg"]):
+    for azimuth in np.radians(table.azimuths_deg):
         radial = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
         tangent = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
         up = np.array([0.0, 0.0, 1.0])
-        position = table["mounting_radius"] * radial + table["height"] * up
+        position = table.mounting_radius * radial + table.height * up
         result.append(MountedActuator(actuator, position, np.vstack([radial, tangent, up])))
         result.append(MountedActuator(actuator, position, np.vstack([up, radial, tangent])))
     return result
 
 
-def mirror_component(parameters: Parameters) -> FastSteeringMirror:
+def mirror_component(telescope: Telescope) -> FastSteeringMirror:
     """The fast steering mirror at I_f."""
-    table = parameters["fsm"]
-    return FastSteeringMirror(table["mass"], np.diag(table["inertia"]), table["stiffness"], table["damping"])
+    table = telescope.fsm
+    return FastSteeringMirror(table.mass, np.diag(table.inertia), table.stiffness, table.damping)
 
 
-def optics_component(parameters: Parameters) -> TwoMirrorTelescope:
+def optics_component(telescope: Telescope) -> TwoMirrorTelescope:
     """Paraxial data of the telescope."""
-    table = parameters["optics"]
-    return TwoMirrorTelescope(table["primary_focal_length"], table["mirror_distance"], table["back_focal_distance"])
+    table = telescope.optics
+    return TwoMirrorTelescope(table.primary_focal_length, table.mirror_distance, table.back_focal_distance)

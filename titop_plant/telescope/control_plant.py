@@ -33,10 +33,10 @@ from lftkit.systems.delay import delayed_port
 from titop_plant.blocks.uncertain_gain import uncertain_gain
 from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
-from titop_plant.telescope.parameters import Parameters, uncertain_parameters
-from titop_plant.telescope.sensors import noise_of_samples, sensors
-from titop_plant.telescope.tables.uncertain import GAIN, factors
+from titop_plant.telescope.tables.uncertain import GAIN
+from titop_plant.telescope.telescope import Telescope
 
 DISTURBANCES = (WHEEL_IMBALANCE, SADM_TORQUE)
 """Micro-vibrations; a telescope without array drives has the first port alone, see :func:`disturbances_of`."""
@@ -56,19 +56,19 @@ def disturbances_of(system: System) -> tuple[str, ...]:
     return present(DISTURBANCES, system.inputs)
 
 
-def with_sensors(system: System, parameters: Parameters) -> System:
+def with_sensors(system: System, telescope: Telescope) -> System:
     """Add the measured ports that the structure does not have, behind their low-pass (two states for each value).
 
     Gains of sensors that are uncertain are behind it.
     """
     systems, wires = {"telescope": system}, list[Connection]((p.name, f"telescope.{p.name}") for p in system.inputs)
     outputs: dict[str, str | tuple[str, ...]] = {p.name: f"telescope.{p.name}" for p in system.outputs}
-    known = factors(parameters)
-    for entry in MEASURED_SENSORS:
+    known = telescope.factors
+    for entry, sensor in zip(MEASURED_SENSORS, telescope.sensors):
         port, source = entry.port, system.output_port(entry.source)
         outputs[port.name] = f"telescope.{source.name}"
-        if entry.low_pass:
-            systems[port.name] = _low_pass(parameters["sensors"][entry.low_pass], source, port)
+        if sensor.low_pass:
+            systems[port.name] = _low_pass(sensor.low_pass, source, port)
             wires.append((f"telescope.{source.name}", f"{port.name}.{source.name}"))
             outputs[port.name] = f"{port.name}.{port.name}"
         factor = known.get(f"{port.name}.{GAIN}")
@@ -78,7 +78,7 @@ def with_sensors(system: System, parameters: Parameters) -> System:
             wires.append((outputs[port.name], f"{block}.{port.name}"))
             outputs[port.name] = f"{block}.{port.name}"
     seen = connect(systems, wires, inputs=system.inputs, outputs=outputs)
-    return seen.sorted_channels(list(uncertain_parameters(parameters))) if known else seen
+    return seen.sorted_channels(list(telescope.uncertain)) if known else seen
 
 
 def _low_pass(coefficients: Sequence[float], source: Port, port: Port) -> System:
@@ -134,17 +134,12 @@ def held_commands(plant: System, hold: float) -> System:
     return connect(systems, wires, inputs=plant.inputs, outputs=outputs)
 
 
-def control_plant(
-    telescope: System, parameters: Parameters, *, camera_period: float = 0.0, command_hold: float = 0.0
-) -> System:
+def control_plant(telescope: Telescope, *, camera_period: float = 0.0, command_hold: float = 0.0) -> System:
     """Generalised plant of the fine control (ports: see the module); 204 + 4 + 18 states.
 
     Parameters
     ----------
-    telescope : System
-        From :func:`titop_plant.telescope.assembly.build_telescope`.
-    parameters : mapping
-        Table ``sensors``.
+    telescope : Telescope
     camera_period : float
         Time between camera frames, whose value is held [s]: adds its mean age, see :func:`sample_hold`, as a
         Pade form of order 2 for each axis (4 states); other values that are held have that of their own rate. 0:
@@ -152,11 +147,12 @@ def control_plant(
     command_hold : float
         Mean delay of commands that are held for a tick [s], see :func:`held_commands` (16 states).
     """
-    seen = with_sensors(telescope, parameters).select(
-        inputs=(*disturbances_of(telescope), *COMMANDED), outputs=("los_controlled", *MEASURED)
+    assembled = assembled_telescope(telescope).system
+    seen = with_sensors(assembled, telescope).select(
+        inputs=(*disturbances_of(assembled), *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
-    sigma, root = noise_of_samples(parameters), np.sqrt(DT)
+    sigma, root = telescope.noise_of_samples, np.sqrt(DT)
     noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
     ports = {name: seen.output_port(name) for name in MEASURED}
     others = [port for name, port in ports.items() if name not in ACCELEROMETERS]
@@ -172,7 +168,7 @@ def control_plant(
     ]
     outputs: dict[str, str | tuple[str, ...]] = {"los_controlled": "plant.los_controlled"}
     ticks = sample_ticks(max(1, round(camera_period / DT)))
-    for sensor in sensors(parameters):
+    for sensor in telescope.sensors:
         name, port = sensor.port.name, ports[sensor.port.name]
         noisy = f"plant.{name}", f"{'noise' if name in ACCELEROMETERS else 'optical'}.{name}"
         behind = f"behind_{name}"

@@ -22,10 +22,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from titop_plant.interface import DT, FRAME_TICKS, RATE
+from titop_plant.interface import DT, RATE
+from titop_plant.telescope.sections import CameraTable, ImageOptics, made
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 if TYPE_CHECKING:
@@ -40,16 +42,7 @@ STORED_CURVES = Path(__file__).with_name("camera_noise.json")
 """Measured noise of the reference telescope's detector."""
 FOLLOWING = ("camera_filter", "camera_noise")
 """Keys of ``sensors`` that follow from the table unless the camera is a vector."""
-IMAGE_OPTICS = (
-    "aperture_diameter",
-    "obscuration",
-    "spider_vanes",
-    "spider_width",
-    "wavelength",
-    "pixel_mas",
-    "weight_mas",
-    "pupil",
-)
+IMAGE_OPTICS = tuple(field.name for field in fields(ImageOptics))
 """Values of ``optics`` that only an image needs: they are in no plant and no design, so not in the hash either."""
 
 
@@ -86,13 +79,13 @@ def whole_ticks(value: float) -> int | None:
     return ticks if math.isclose(ticks * DT, value, rel_tol=1e-9, abs_tol=1e-12) else None
 
 
-def star_camera(parameters: Mapping[str, Any], where: str) -> StarCamera:
+def star_camera(optics: ImageOptics, camera: CameraTable, where: str) -> StarCamera:
     """The camera that makes images.
 
     Parameters
     ----------
-    parameters : mapping
-        With the tables ``optics`` and ``camera``.
+    optics : ImageOptics
+    camera : CameraTable
     where : str
         Name of the file, for the messages.
 
@@ -101,14 +94,14 @@ def star_camera(parameters: Mapping[str, Any], where: str) -> StarCamera:
     ValueError
         Optics or a camera that cannot be used, one line.
     """
-    from pointing_analysis.image import guide_camera, optics
+    from pointing_analysis.image import guide_camera
+    from pointing_analysis.image.optics import from_mapping, read_pupil_file
     from pointing_analysis.image.star_camera import StarCamera
 
-    table = {key: parameters["optics"][key] for key in IMAGE_OPTICS}
-    pupil = optics.read_pupil_file(Path(table["pupil"])) if table["pupil"] else b""
-    found = optics.from_mapping(table, where, pupil)
-    camera = {key: value for key, value in parameters[TABLE].items() if key != NOISE_CURVE}
-    return StarCamera(found, guide_camera.from_mapping(camera, where))
+    pupil = read_pupil_file(Path(optics.pupil)) if optics.pupil else b""
+    found = from_mapping(asdict(optics), where, pupil)
+    table = {key: value for key, value in asdict(camera).items() if key != NOISE_CURVE}
+    return StarCamera(found, guide_camera.from_mapping(table, where))
 
 
 def star_noise(camera: StarCamera, file: str, where: str) -> float:
@@ -144,12 +137,12 @@ def star_noise(camera: StarCamera, file: str, where: str) -> float:
     )
 
 
-def with_guide_camera(parameters: dict[str, Any], own: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
-    """The parameters with low-pass and noise of the camera as its table makes them.
+def with_guide_camera(tables: dict[str, Any], own: Mapping[str, Any], file: ParameterFile) -> dict[str, Any]:
+    """The tables with low-pass and noise of the camera as that of the camera makes them.
 
     Parameters
     ----------
-    parameters : mapping
+    tables : mapping
         Merged with the reference.
     own : mapping
         What the file itself says.
@@ -160,89 +153,33 @@ def with_guide_camera(parameters: dict[str, Any], own: Mapping[str, Any], file: 
     ValueError
         Another kind of camera, a low-pass or a noise that is given beside the table, a table that cannot be used.
     """
-    kind = parameters["sensors"][KIND]
+    kind = tables["sensors"][KIND]
     if kind not in CAMERAS:
         raise file.error(f"sensors.{KIND}", f"must be {', '.join(CAMERAS[:-1])} or {CAMERAS[-1]}, got {kind!r}")
     if kind == VECTOR and TABLE not in own:
-        return parameters
+        return tables
     for key in ("exposure", "readout_delay"):
-        ticks = whole_ticks(value := parameters[TABLE][key])
+        ticks = whole_ticks(value := tables[TABLE][key])
         if ticks is None or ticks < (key == "exposure"):
             raise file.error(f"{TABLE}.{key}", f"must be whole milliseconds, got {value!r} s")
-    camera = star_camera(parameters, file.path)
+    camera = star_camera(made(ImageOptics, tables["optics"]), made(CameraTable, tables[TABLE]), file.path)
     if kind == VECTOR:
-        return parameters
+        return tables
     for key in FOLLOWING:
         if key in own.get("sensors", {}):
             raise file.error(f"sensors.{key}", f"must be left out where sensors.{KIND} is {kind}, got a value")
-    table = parameters[TABLE]
+    table = tables[TABLE]
     low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"]))
     noise = star_noise(camera, table[NOISE_CURVE], file.path)
-    return {**parameters, "sensors": {**parameters["sensors"], "camera_filter": low_pass, "camera_noise": noise}}
+    return {**tables, "sensors": {**tables["sensors"], "camera_filter": low_pass, "camera_noise": noise}}
 
 
-def for_frames(parameters: Mapping[str, Any], frame_ticks: int) -> Mapping[str, Any]:
-    """The parameters for a design, whose frames are those of 50 Hz, with the low-pass and noise of another frame rate.
-
-    A frame that is held longer is older by half of the difference, which the low-pass then has, and its noise per tick
-    is larger by the root of the ticks. Frames that are held for a shorter time keep the low-pass: they are better.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Of a camera that is no vector.
-    frame_ticks : int
-        Ticks of a frame.
-
-    Examples
-    --------
-    >>> table = {"exposure": 0.04, "readout_delay": 0.002}
-    >>> made = for_frames({"camera": table, "sensors": {"camera_noise": 1e-8}}, 80)["sensors"]
-    >>> c0, c1, _ = made["camera_filter"]
-    >>> round(c1 / c0, 9), made["camera_noise"]
-    (0.052, 2e-08)
-    """
-    if frame_ticks == FRAME_TICKS:
-        return parameters
-    table, sensors = parameters[TABLE], parameters["sensors"]
-    longer = max(0.0, 0.5 * (frame_ticks - FRAME_TICKS) * DT)
-    low_pass = list(exposure_low_pass(table["exposure"], table["readout_delay"] + longer))
-    noise = sensors["camera_noise"] * math.sqrt(frame_ticks / FRAME_TICKS)
-    return {**parameters, "sensors": {**sensors, "camera_filter": low_pass, "camera_noise": noise}}
-
-
-def check_exposure(parameters: Mapping[str, Any], frame_ticks: int) -> None:
-    """Refuse an exposure that is longer than the time between frames.
-
-    Parameters
-    ----------
-    parameters : mapping
-    frame_ticks : int
-        Ticks of a frame of the run.
-
-    Raises
-    ------
-    ValueError
-        It is longer.
-    """
-    exposure = parameters[TABLE]["exposure"]
-    if parameters["sensors"][KIND] != VECTOR and exposure > frame_ticks * DT * (1.0 + 1e-9):
-        raise ValueError(
-            f"camera.exposure must be at most the {frame_ticks * DT:g} s between frames of the run, got {exposure:g} s"
-        )
-
-
-def takes_images(parameters: Mapping[str, Any]) -> bool:
-    """Whether the camera makes frames with a star."""
-    return bool(parameters["sensors"][KIND] == IMAGE)
-
-
-def without_images(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters without what only images need: those of plant, loop and designs.
+def without_images(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables without what only images need: those of plant, loop and designs.
 
     What the camera's table makes of low-pass and noise stays, under ``sensors``.
     """
-    optics = {key: value for key, value in parameters["optics"].items() if key not in IMAGE_OPTICS}
-    sensors = {key: value for key, value in parameters["sensors"].items() if key != KIND}
-    kept = {key: value for key, value in parameters.items() if key != TABLE}
+    optics = {key: value for key, value in tables["optics"].items() if key not in IMAGE_OPTICS}
+    sensors = {key: value for key, value in tables["sensors"].items() if key != KIND}
+    kept = {key: value for key, value in tables.items() if key != TABLE}
     return {**kept, "optics": optics, "sensors": sensors}

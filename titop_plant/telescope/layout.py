@@ -10,15 +10,15 @@ Any number of each may be there. A file gives solar arrays and wheels in one of 
 ``[[appendage]]``          one table a flexible body without a drive, such as an antenna
 =========================  ==========================================================================================
 
-The rest of the project asks the functions of this module how many there are, where, and with which parameters.
+The rest of the project asks :class:`titop_plant.telescope.telescope.Telescope`, which reads them once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,12 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant import ports
 from titop_plant.blocks.pyramid import pyramid_axes
-from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, STAGES
+from titop_plant.telescope.places import BUS, PAYLOAD
+from titop_plant.telescope.sections import Matrix, Vector, frozen, made
+
+if TYPE_CHECKING:
+    from titop_plant.blocks.stepper import Stepper
+    from titop_plant.blocks.wheel_bearing import WheelBearing
 
 ARRAYS, WHEELS, APPENDAGES = "solar_array", "reaction_wheel", "appendage"
 """Tables of a parameter file."""
@@ -50,6 +55,12 @@ SOURCE_OF_STEPPER = (
 WHEEL_IMBALANCE, WHEEL_TORQUE, SADM_TORQUE = "wheel_imbalance", "wheel_torque", "sadm_torque"
 """Names of the input ports whose size depends on what is mounted."""
 
+BODY_POINTS = ("A1", "A2", "I_w", "I_p")
+"""Points of the central body's frame; a parameter file may add others."""
+
+GEAR_ERRORS = "gear_errors"
+"""Value of a stepper that is a list of pairs."""
+
 IMBALANCE_CHANNELS = 5
 """Forces x, y, z and torques x, y of one wheel."""
 
@@ -58,43 +69,113 @@ DRIVE = ("gearbox_stiffness", "gearbox_damping", "torque_bound")
 
 
 @dataclass(frozen=True)
+class FurtherMode:
+    """A mode beside the printed ones: frequency [rad/s], direction of the root's motion, share of the residual mass."""
+
+    frequency: float
+    direction: str
+    share: float
+
+
+@dataclass(frozen=True)
+class PrintedModes:
+    """Modal data of a flexible body in the parameter file: mass [kg], inertia [kg m2], modes [rad/s]."""
+
+    mass: float
+    inertia_at_cg: Matrix
+    center_of_mass: Vector
+    frequencies: Vector
+    damping: float
+    participation: Matrix
+    further_modes: tuple[FurtherMode, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Drive of a solar array.
+
+    Parameters
+    ----------
+    gearbox_stiffness, gearbox_damping, torque_bound : float
+        [Nm/rad], [Nm s/rad], largest disturbance torque [Nm].
+    stepper : Stepper, optional
+        Its motor, where the file has one.
+    """
+
+    gearbox_stiffness: float
+    gearbox_damping: float
+    torque_bound: float
+    stepper: Stepper | None = None
+
+
+@dataclass(frozen=True)
 class MountedBody:
     """A flexible body at a point of the central body.
 
     Parameters
     ----------
-    name : str
+    name, kind : str
+        Bodies of one kind share their modal data.
     point : str
         Of the central body.
     parameters : str
         Beginning of the names of its uncertain parameters; bodies with the same one share them.
-    table : mapping
-        Its data, see docs/your_spacecraft.md.
     dcm : ndarray, shape (3, 3)
         From the spacecraft's frame to the body's own.
+    modes : PrintedModes, optional
+        None where `modal_data` names a file.
+    modal_data : str
+    relative_uncertainty : float
+        Half-width of its frequencies, relative.
+    uncertain_modes : int, optional
+        How many of its frequencies are uncertain; None: all.
+    axis : tuple of float, optional
+        Of its rotation, in the spacecraft's frame; None of an appendage.
+    theta_range : tuple of float
+        Smallest and largest angle [rad]; equal: the angle at which it is fixed.
+    drive : Drive, optional
+        What turns it, whose torque disturbs and whose gearbox is elastic.
     """
 
     name: str
+    kind: str
     point: str
     parameters: str
-    table: Mapping[str, Any] = field(repr=False)
     dcm: FloatArray = field(repr=False)
-
-    @property
-    def driven(self) -> bool:
-        """Whether it turns on a drive, whose torque disturbs and whose gearbox is elastic."""
-        return bool(self.table.get("driven", True)) and "drive_axis" in self.table
-
-    @property
-    def stepper(self) -> Mapping[str, Any] | None:
-        """Values of the motor of its drive, where the file has them."""
-        return self.table.get(STEPPER) if self.driven else None
+    modes: PrintedModes | None = field(repr=False)
+    modal_data: str
+    relative_uncertainty: float
+    uncertain_modes: int | None
+    axis: Vector | None
+    theta_range: tuple[float, float]
+    drive: Drive | None
 
     @property
     def turns(self) -> bool:
         """Whether its angle is the parameter `ANGLE`."""
-        low, high = self.table.get("theta_range", (0.0, 0.0))
-        return self.driven and low < high
+        low, high = self.theta_range
+        return self.drive is not None and low < high
+
+    @property
+    def stepper(self) -> Stepper | None:
+        """Motor of its drive, where the file has one."""
+        return None if self.drive is None else self.drive.stepper
+
+
+@dataclass(frozen=True)
+class Broadband:
+    """One-sided densities of a wheel's broadband noise [N2/Hz, Nm2/Hz] at frequencies [Hz], by `DENSITIES`."""
+
+    frequency: Vector
+    radial_force: Vector | None = None
+    axial_force: Vector | None = None
+    radial_torque: Vector | None = None
+    axial_torque: Vector | None = None
+
+    def density(self, name: str) -> FloatArray:
+        """Values of one of `DENSITIES`, zeros where the file gives none."""
+        given = getattr(self, name)
+        return np.zeros(len(self.frequency)) if given is None else np.array(given, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -112,7 +193,7 @@ class WheelOnBoard:
         Its centre, from ``I_w`` [m].
     maximum_speed, default_speed : float
         rad/s.
-    bearing, broadband : mapping, optional
+    bearing, broadband : WheelBearing, Broadband, optional
         See :mod:`titop_plant.telescope.tables.mechanisms`.
     """
 
@@ -124,73 +205,76 @@ class WheelOnBoard:
     position: FloatArray = field(repr=False)
     maximum_speed: float
     default_speed: float
-    bearing: Mapping[str, float] | None = field(default=None, repr=False)
-    broadband: Mapping[str, list[float]] | None = field(default=None, repr=False)
+    bearing: WheelBearing | None = field(default=None, repr=False)
+    broadband: Broadband | None = field(default=None, repr=False)
 
 
-def solar_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
-    """Solar arrays of a parameter file, in its order.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> [(array.name, array.point, array.parameters) for array in solar_arrays(load_parameters())]
-    [('array_1', 'A1', 'solar_array'), ('array_2', 'A2', 'solar_array')]
-    """
-    given = parameters[ARRAYS]
-    drive = {key: parameters["sadm"][key] for key in (*DRIVE, STEPPER) if key in parameters["sadm"]}
+def read_arrays(tables: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+    """Solar arrays of the tables of a parameter file, in its order."""
+    given = tables[ARRAYS]
+    drive = {key: tables["sadm"][key] for key in (*DRIVE, STEPPER) if key in tables["sadm"]}
     if not isinstance(given, Mapping):
-        return tuple(_mounted(table, drive) for table in given)
+        return tuple(_mounted({**drive, **table}) for table in given)
     points = [key.removeprefix("dcm_") for key in given if key.startswith("dcm_")]
-    table = {**drive, **given}
+    shared = {**drive, **given, "kind": ARRAYS, "parameters": ARRAYS}
     return tuple(
-        MountedBody(f"array_{i}", point, ARRAYS, table, np.array(given[f"dcm_{point}"], dtype=float))
+        _mounted({**shared, "name": f"array_{i}", "point": point, "dcm": given[f"dcm_{point}"]})
         for i, point in enumerate(points, start=1)
     )
 
 
-def appendages(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
+def read_appendages(tables: Mapping[str, Any]) -> tuple[MountedBody, ...]:
     """Flexible bodies without a drive, in the order of the file."""
-    return tuple(_mounted(table, {}) for table in parameters.get(APPENDAGES, ()))
+    return tuple(_mounted(table) for table in tables.get(APPENDAGES, ()))
 
 
-def _mounted(table: Mapping[str, Any], drive: Mapping[str, Any]) -> MountedBody:
-    dcm = np.array(table.get("dcm", np.eye(3)), dtype=float)
-    own = str(table.get("parameters", table["name"]))
-    return MountedBody(str(table["name"]), str(table["point"]), own, {**drive, **table}, dcm)
+def _mounted(table: Mapping[str, Any]) -> MountedBody:
+    """A body of its table, which for a solar array has the values of the drive."""
+    name, axis = str(table["name"]), table.get("drive_axis")
+    low, high = table.get("theta_range", (0.0, 0.0))
+    return MountedBody(
+        name,
+        str(table.get("kind", name)),
+        str(table["point"]),
+        str(table.get("parameters", name)),
+        np.array(table.get("dcm", np.eye(3)), dtype=float),
+        None if table.get("modal_data") else _printed(table),
+        str(table.get("modal_data", "")),
+        float(table.get("relative_uncertainty", 0.0)),
+        table.get("uncertain_modes"),
+        frozen(axis),
+        (float(low), float(high)),
+        None if axis is None or not table.get("driven", True) else _drive(table),
+    )
 
 
-def driven_arrays(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
-    """Solar arrays with a drive: one signal of ``sadm_torque`` each."""
-    return tuple(array for array in solar_arrays(parameters) if array.driven)
+def _printed(table: Mapping[str, Any]) -> PrintedModes:
+    further = tuple(FurtherMode(**mode) for mode in table.get("further_modes", ()))
+    return made(PrintedModes, table, further_modes=further)
 
 
-def motors(parameters: Mapping[str, Any]) -> tuple[MountedBody, ...]:
-    """Driven arrays with a stepper motor."""
-    return tuple(array for array in driven_arrays(parameters) if array.stepper is not None)
+def _drive(table: Mapping[str, Any]) -> Drive:
+    stepper = table.get(STEPPER)
+    return made(Drive, table, stepper=None if stepper is None else read_stepper(stepper))
 
 
-def arrays_turn(parameters: Mapping[str, Any]) -> bool:
-    """Whether the telescope has the parameter `ANGLE`."""
-    return any(array.turns for array in solar_arrays(parameters))
+def read_stepper(table: Mapping[str, Any]) -> Stepper:
+    """The stepper motor of a table.
 
-
-def mounted_points(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Points of the central body where arrays and appendages are, each once."""
-    bodies = (*solar_arrays(parameters), *appendages(parameters))
-    return tuple(dict.fromkeys(body.point for body in bodies))
-
-
-def reaction_wheels(parameters: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
-    """Reaction wheels of a parameter file, in its order.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> len(reaction_wheels(load_parameters()))
-    4
+    Raises
+    ------
+    ValueError
+        A value that it cannot have.
     """
-    given = parameters[WHEELS]
+    from titop_plant.blocks.stepper import Stepper
+
+    rows = tuple((float(cycles), float(angle)) for cycles, angle in table.get(GEAR_ERRORS, ()))
+    return Stepper(**{**table, GEAR_ERRORS: rows})
+
+
+def read_wheels(tables: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
+    """Reaction wheels of the tables of a parameter file, in its order."""
+    given = tables[WHEELS]
     if isinstance(given, Mapping):
         return _pyramid(given)
     return tuple(
@@ -202,9 +286,46 @@ def reaction_wheels(parameters: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
 def _wheel(table: Mapping[str, Any], name: str, axis: FloatArray, position: ArrayLike, speed: float) -> WheelOnBoard:
     """A wheel of the kind that a table describes."""
     mass, axial, radial = (float(table[key]) for key in ("mass", "axial_inertia", "radial_inertia"))
-    place = np.array(position, dtype=float)
-    top, more = float(table["maximum_speed"]), (table.get(BEARING), table.get(BROADBAND))
-    return WheelOnBoard(name, mass, axial, radial, axis, place, top, float(speed), *more)
+    place, bearing = np.array(position, dtype=float), table.get(BEARING)
+    noise = None if BROADBAND not in table else made(Broadband, table[BROADBAND])
+    if bearing is not None:
+        from titop_plant.blocks.wheel_bearing import WheelBearing  # loads scipy
+
+        bearing = WheelBearing(**bearing)
+    top = float(table["maximum_speed"])
+    return WheelOnBoard(name, mass, axial, radial, axis, place, top, float(speed), bearing, noise)
+
+
+def read_nodes(tables: Mapping[str, Any]) -> dict[str, str]:
+    """Nodes of the structure beside the bus's reference point, by the names of places."""
+    arrays, others = read_arrays(tables), read_appendages(tables)
+    found = {**BUS, **{f"array_{i}": one.point for i, one in enumerate(arrays, start=1)}, **PAYLOAD}
+    found |= {one.name: one.point for one in (*arrays, *others)}
+    points = () if tables["body"]["modal_data"] else frame_points(tables["body"]["ports"])
+    return found | {point: point for point in points if point not in found.values()}
+
+
+def device_nodes(nodes: Mapping[str, str]) -> dict[str, str]:
+    """Nodes where a device may be, by the names of their places and by their own."""
+    return {**nodes, **{node: node for node in nodes.values()}}
+
+
+def frame_points(ports: Iterable[str]) -> tuple[str, ...]:
+    """Points of the central body's frame: its own, then those that the parameter file adds."""
+    return (*BODY_POINTS, *(name for name in ports if name not in BODY_POINTS))
+
+
+def read_source_tables(tables: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Tables of broadband noise and of steppers that make disturbances, each with the name of its wheel or array."""
+    wheels, arrays = read_wheels(tables), read_arrays(tables)
+    given = [
+        table if isinstance(table, list) else [table] * len(own)
+        for table, own in ((tables[WHEELS], wheels), (tables[ARRAYS], arrays))
+    ]
+    noisy = [(wheel.name, table.get(BROADBAND)) for wheel, table in zip(wheels, given[0])]
+    of_all = tables["sadm"].get(STEPPER)
+    stepping = [(one.name, table.get(STEPPER, of_all)) for one, table in zip(arrays, given[1]) if one.drive is not None]
+    return [(name, table) for name, table in (*noisy, *stepping) if table is not None]
 
 
 def _direction(axis: Sequence[float]) -> FloatArray:
@@ -224,11 +345,6 @@ def _pyramid(table: Mapping[str, Any]) -> tuple[WheelOnBoard, ...]:
     return tuple(found)
 
 
-def wheel_axes(parameters: Mapping[str, Any]) -> FloatArray:
-    """Spin axes Gamma, shape (3, n), body frame."""
-    return np.array([wheel.axis for wheel in reaction_wheels(parameters)]).T
-
-
 def speed_names(count: int) -> tuple[str, ...]:
     """Names of the parameters of so many wheels.
 
@@ -240,108 +356,33 @@ def speed_names(count: int) -> tuple[str, ...]:
     return tuple(f"wheel_{i}.speed" for i in range(1, count + 1))
 
 
-def control_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Stages of the control that a telescope has: those with forces only where it has proof-mass actuators.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> reference = load_parameters()
-    >>> control_stages(reference)
-    ('none', 'isolator', 'fsm', 'fsm+pma')
-    >>> control_stages({**reference, "pma": {**reference["pma"], "azimuths_deg": []}})
-    ('none', 'isolator', 'fsm')
-    """
-    actuators = len(parameters["pma"]["azimuths_deg"]) > 0
-    return tuple(stage for stage in STAGES if actuators or stage not in FORCE_STAGES)
-
-
-def mirror_stages(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Those of them with the mirror's loop closed: the last one closes all loops that there are."""
-    return tuple(stage for stage in control_stages(parameters) if stage in MIRROR_STAGES)
-
-
-def wheel_count(parameters: Mapping[str, Any]) -> int:
-    """Number of reaction wheels."""
-    given = parameters[WHEELS]
-    return len(given["azimuths_deg"]) if isinstance(given, Mapping) else len(given)
-
-
-def default_speeds(parameters: Mapping[str, Any]) -> tuple[float, ...]:
-    """Speeds of the wheels in the parameter file [rad/s]."""
-    return tuple(wheel.default_speed for wheel in reaction_wheels(parameters))
-
-
-def torque_bounds(parameters: Mapping[str, Any]) -> FloatArray:
-    """Largest disturbance torque of each array drive [Nm], shape (drives,)."""
-    return np.array([float(array.table["torque_bound"]) for array in driven_arrays(parameters)])
-
-
 def imbalance_port(wheels: int) -> Port:
     """Port of the imbalance of so many wheels."""
     unit = ",".join([ports.IMBALANCE_UNIT] * wheels)
     return Port(WHEEL_IMBALANCE, IMBALANCE_CHANNELS * wheels, unit)
 
 
-def disturbance_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
-    """Inputs of micro-vibrations: imbalance of the wheels and, where there are drives, their torques."""
-    drives = len(driven_arrays(parameters))
-    found = [imbalance_port(wheel_count(parameters))]
-    return (*found, Port(SADM_TORQUE, drives, "Nm")) if drives else tuple(found)
+def without_bearings(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables with rigid wheels."""
+    given = tables[WHEELS]
+    wheels = [given] if isinstance(given, Mapping) else given
+    rigid = [{key: value for key, value in wheel.items() if key != BEARING} for wheel in wheels]
+    return {**tables, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
 
 
-def channels(parameters: Mapping[str, Any]) -> int:
-    """Number of micro-vibration inputs.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> channels(load_parameters())
-    22
-    """
-    return IMBALANCE_CHANNELS * wheel_count(parameters) + len(driven_arrays(parameters))
-
-
-def source_tables(parameters: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Tables of broadband noise and of steppers that make disturbances, each with the name of its wheel or array.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> source_tables(load_parameters())
-    []
-    """
-    noisy = [(wheel.name, wheel.broadband) for wheel in reaction_wheels(parameters)]
-    stepping = [(array.name, array.stepper) for array in motors(parameters)]
-    return [(name, table) for name, table in (*noisy, *stepping) if table is not None]
-
-
-def on_bearings(parameters: Mapping[str, Any]) -> bool:
-    """Whether a wheel has a compliant bearing."""
-    return any(wheel.bearing is not None for wheel in reaction_wheels(parameters))
-
-
-def without_bearings(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters with rigid wheels."""
-    given = parameters[WHEELS]
-    tables = [given] if isinstance(given, Mapping) else given
-    rigid = [{key: value for key, value in table.items() if key != BEARING} for table in tables]
-    return {**parameters, WHEELS: rigid[0] if isinstance(given, Mapping) else rigid}
-
-
-def without_steppers(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters with drives whose gearbox ends at the body, with fixed harmonics."""
+def without_steppers(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables with drives whose gearbox ends at the body, with fixed harmonics."""
 
     def stripped(table: Any) -> Any:
         if isinstance(table, (list, tuple)):
             return [stripped(entry) for entry in table]
         return {key: value for key, value in table.items() if key != STEPPER}
 
-    return {**parameters, **{name: stripped(parameters[name]) for name in ("sadm", ARRAYS) if name in parameters}}
+    return {**tables, **{name: stripped(tables[name]) for name in ("sadm", ARRAYS) if name in tables}}
 
 
-def without_sources(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters without what only makes disturbances: broadband noise of wheels, torques of steppers."""
+def without_sources(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables without what only makes disturbances: broadband noise of wheels, torques of steppers."""
 
     def stripped(table: Any) -> Any:
         if isinstance(table, (list, tuple)):
@@ -354,7 +395,7 @@ def without_sources(parameters: Mapping[str, Any]) -> dict[str, Any]:
         return kept
 
     names = (ARRAYS, WHEELS, "sadm")
-    return {key: stripped(value) if key in names else value for key, value in parameters.items()}
+    return {key: stripped(value) if key in names else value for key, value in tables.items()}
 
 
 def present(names: Sequence[str], available: Sequence[Port]) -> tuple[str, ...]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from titop_plant.blocks.wheel_bearing import WheelBearing
 from titop_plant.telescope.components import drive_rotor
-from titop_plant.telescope.layout import WheelOnBoard, motors, reaction_wheels
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.layout import WheelOnBoard
+from titop_plant.telescope.telescope import Telescope
 
 
 @dataclass(frozen=True)
@@ -28,21 +27,21 @@ class MechanismMode:
     at_speed: float
 
 
-def mechanism_modes(parameters: Parameters) -> tuple[MechanismMode, ...]:
+def mechanism_modes(telescope: Telescope) -> tuple[MechanismMode, ...]:
     """Modes of all wheels with bearings and of all drives with a stepper; none of the reference telescope.
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> mechanism_modes(load_parameters())
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> mechanism_modes(load_telescope())
     ()
     """
-    found = [mode for wheel in reaction_wheels(parameters) for mode in _of_wheel(wheel)]
-    for array in motors(parameters):
-        rotor, gearbox = drive_rotor(array), float(array.table["gearbox_stiffness"])
-        if rotor is not None:
+    found = [mode for wheel in telescope.wheels for mode in _of_wheel(wheel)]
+    for array in telescope.motors:
+        rotor, drive = drive_rotor(array), array.drive
+        if rotor is not None and drive is not None:
             carried = rotor.gear_ratio**2
-            omega = math.sqrt((carried * rotor.stiffness + gearbox) / (carried * rotor.inertia))
+            omega = math.sqrt((carried * rotor.stiffness + drive.gearbox_stiffness) / (carried * rotor.inertia))
             found.append(MechanismMode(f"{array.name}, rotor of the motor", omega, omega))
     return tuple(found)
 
@@ -50,7 +49,7 @@ def mechanism_modes(parameters: Parameters) -> tuple[MechanismMode, ...]:
 def _of_wheel(wheel: WheelOnBoard) -> list[MechanismMode]:
     if wheel.bearing is None:
         return []
-    bearing, found = WheelBearing(**wheel.bearing), []
+    bearing, found = wheel.bearing, []
     for kind in ("radial", "axial"):
         stiffness = getattr(bearing, f"{kind}_stiffness")
         if stiffness is not None:

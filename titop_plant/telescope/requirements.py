@@ -2,7 +2,7 @@ r"""Pointing requirements of a telescope: read from its parameter file, and the 
 
 The list ``[[requirement]]`` of the file says what a line of sight must keep, in the form of
 :mod:`pointing_analysis.requirements.text`. Runs are judged by it, and the limits of the synthesis weights
-(``parameters["weights"]``) are made of it:
+(``telescope.weights``) are made of it:
 
 ===================  =================================================================================================
 ``ape_limit``        of the strictest requirement on \|APE\| that holds for all stages with fine control
@@ -27,19 +27,19 @@ from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 LIMITS = ("ape_limit", "rpe_limit", "rpe_limit_fine", "rpe_window")
-"""Values of ``parameters["weights"]`` that are made of the requirements."""
+"""Values of the table ``weights`` that are made of the requirements."""
 
 
-def telescope_requirements(parameters: Mapping[str, Any]) -> tuple[Requirement, ...]:
-    """Requirements of a telescope, those of all stages.
+def read_requirements(tables: Mapping[str, Any]) -> tuple[Requirement, ...]:
+    """Requirements of the tables of a parameter file, those of all stages.
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> [r.quantity for r in telescope_requirements(load_parameters())]
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> [r.quantity for r in load_telescope().requirements]
     ['|APE|', 'rms RPE(20 ms)', 'rms RPE(20 ms)']
     """
-    return tuple(_parsed(entry) for entry in parameters["requirement"])
+    return tuple(_parsed(entry) for entry in tables["requirement"])
 
 
 def take_limits(own: dict[str, Any], file: ParameterFile) -> dict[str, float]:
@@ -141,8 +141,8 @@ def window_length(requirements: Sequence[Requirement]) -> float:
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> window_length(telescope_requirements(load_parameters()))
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> window_length(load_telescope().requirements)
     0.02
     """
     fine, _ = _finest(requirements)
@@ -154,8 +154,8 @@ def window_probability(requirements: Sequence[Requirement]) -> float:
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> window_probability(telescope_requirements(load_parameters()))
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> window_probability(load_telescope().requirements)
     0.997
     """
     fine, _ = _finest(requirements)
@@ -167,8 +167,8 @@ def instant_probability(requirements: Sequence[Requirement]) -> float:
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> instant_probability(telescope_requirements(load_parameters()))
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> instant_probability(load_telescope().requirements)
     0.997
     """
     found = _absolute(requirements)

@@ -1,11 +1,12 @@
 """The sensors of the loop: ports, noise, bias, which of them have frames, which are behind the washout.
 
 The entries of :mod:`titop_plant.sensor_table` with the values of the table ``sensors`` of a parameter file, in the
-order of the measurement. Simulation, generalised plants, sampled loop, tuner and campaign take them from here.
+order of the measurement. Simulation, generalised plants, sampled loop, tuner and campaign take them from the telescope.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +14,7 @@ import numpy as np
 
 from lftkit import Port
 from lftkit.arrays import FloatArray
-from titop_plant.interface import FRAME_TICKS, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
-from titop_plant.telescope.parameters import Parameters
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,8 @@ class Sensor:
         Whether it has a value at some ticks only, which is held between them.
     washout : float
         Corner of the high-pass before the controllers [rad/s]; 0: none.
+    low_pass : tuple of float
+        ``c0, c1, c2`` of its low-pass ``c0 / (s^2 + c1 s + c2)``; empty: none.
     """
 
     port: Port
@@ -39,10 +40,11 @@ class Sensor:
     bias: FloatArray
     framed: bool
     washout: float
+    low_pass: tuple[float, ...]
 
 
-def sensors(parameters: Parameters) -> tuple[Sensor, ...]:
-    """Sensors in the order of the measurement.
+def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:
+    """Sensors of the table ``sensors`` of a parameter file, in the order of the measurement.
 
     Raises
     ------
@@ -51,11 +53,10 @@ def sensors(parameters: Parameters) -> tuple[Sensor, ...]:
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> [(s.port.name, s.framed, s.washout > 0.0) for s in sensors(load_parameters())][2:]
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> [(s.port.name, s.framed, s.washout > 0.0) for s in load_telescope().sensors][2:]
     [('accel_M2', False, True), ('camera_los', True, False), ('fsm_angle', False, False)]
     """
-    table: Any = parameters["sensors"]
 
     def value(entry: SensorEntry, key: str) -> Any:
         if key and key not in table:
@@ -67,30 +68,7 @@ def sensors(parameters: Parameters) -> tuple[Sensor, ...]:
     def sensor(entry: SensorEntry) -> Sensor:
         size, washout = np.ones(entry.port.size), float(value(entry, entry.washout))
         noise, bias = (value(entry, key) * size for key in (entry.noise, entry.bias))
-        return Sensor(entry.port, noise, bias, entry.framed, washout)
+        low_pass = tuple(map(float, value(entry, entry.low_pass))) if entry.low_pass else ()
+        return Sensor(entry.port, noise, bias, entry.framed, washout, low_pass)
 
     return tuple(sensor(entry) for entry in MEASURED_SENSORS)
-
-
-def noise_of_samples(parameters: Parameters) -> FloatArray:
-    """Standard deviation of the samples, of a frame for the camera, shape (22,) [m/s2, rad/s2, rad]."""
-    return np.concatenate([sensor.noise for sensor in sensors(parameters)])
-
-
-def noise_of_ticks(parameters: Parameters, frame_ticks: int = FRAME_TICKS) -> FloatArray:
-    """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
-
-    Parameters
-    ----------
-    parameters : mapping
-    frame_ticks : int
-        Ticks of a frame of the camera.
-    """
-    ticks = sample_ticks(frame_ticks)
-    found = (sensor.noise * np.sqrt(ticks.get(sensor.port.name, 1)) for sensor in sensors(parameters))
-    return np.concatenate(list(found))
-
-
-def constant_error(parameters: Parameters) -> FloatArray:
-    """Bias of the samples, shape (22,) [m/s2, rad/s2, rad]."""
-    return np.concatenate([sensor.bias for sensor in sensors(parameters)])

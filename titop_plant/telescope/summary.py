@@ -11,7 +11,7 @@ from scipy import linalg
 from lftkit import RealParameter
 from lftkit.arrays import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
-from titop_plant.telescope.assembly import Telescope
+from titop_plant.telescope.assembly import AssembledTelescope
 from titop_plant.telescope.mechanism_modes import MechanismMode
 
 
@@ -97,17 +97,17 @@ class PlantSummary:
         }
 
 
-def summarise(telescope: Telescope) -> PlantSummary:
+def summarise(assembled: AssembledTelescope) -> PlantSummary:
     """Order, occurrences, poles, inertia and residual masses of a telescope.
 
     Examples
     --------
-    >>> from titop_plant.simulation.build import telescope
-    >>> found = summarise(telescope())
+    >>> from titop_plant.telescope.assembly import assembled_telescope
+    >>> found = summarise(assembled_telescope())
     >>> found.order, found.occurrences["solar_array.tau"], found.hurwitz
     (204, 32, True)
     """
-    system = telescope.system
+    system = assembled.system
     poles = linalg.eigvals(system.at({}).A)
     return PlantSummary(
         order=system.order,
@@ -116,8 +116,8 @@ def summarise(telescope: Telescope) -> PlantSummary:
         hurwitz=bool(poles.real.max() < 0.0),
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),
-        total_inertia=telescope.inertia,
-        mechanisms=telescope.mechanisms,
+        total_inertia=assembled.inertia,
+        mechanisms=assembled.mechanisms,
         bodies=tuple(
             BodySummary(
                 data.name,
@@ -127,6 +127,6 @@ def summarise(telescope: Telescope) -> PlantSummary:
                 float(linalg.eigvalsh(data.residual_mass())[0]),
                 smallest_residual_fraction(data),
             )
-            for data in telescope.bodies
+            for data in assembled.bodies
         ),
     )

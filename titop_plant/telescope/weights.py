@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from lftkit import Port, System, state_space
 from lftkit.arrays import FloatArray
-from titop_plant.telescope.layout import torque_bounds, wheel_count
-from titop_plant.telescope.parameters import Parameters
+from titop_plant.telescope.telescope import Telescope
 
 
-def disturbance_weight(parameters: Parameters) -> System:
+def disturbance_weight(telescope: Telescope) -> System:
     """From normalised disturbances to wheel imbalance [N, Nm] and SADM torque [Nm]; a state for each imbalance.
 
     For the reference telescope 22 disturbances: 20 of four wheels, 2 of the drives.
@@ -24,14 +23,14 @@ def disturbance_weight(parameters: Parameters) -> System:
     --------
     The amplitude is 0.4 N at high frequency and nearly zero at low frequency:
 
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> W = disturbance_weight(load_parameters()).nominal()
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> W = disturbance_weight(load_telescope()).nominal()
     >>> round(abs(complex(W(1e4j)[0, 0])), 3), round(abs(complex(W(0)[0, 0])), 6)
     (0.4, 4e-06)
     """
-    table = parameters["weights"]
-    zero, pole = table["wheel_imbalance_zero"], table["wheel_imbalance_pole"]
-    size, bounds = np.tile(table["wheel_imbalance"], wheel_count(parameters)), torque_bounds(parameters)
+    table = telescope.weights
+    zero, pole = table.wheel_imbalance_zero, table.wheel_imbalance_pole
+    size, bounds = np.tile(table.wheel_imbalance, len(telescope.wheels)), telescope.torque_bounds
     n, m = size.size, size.size + bounds.size
     D = np.diag(np.r_[size, bounds])
     B = np.hstack([np.eye(n), np.zeros((n, bounds.size))])

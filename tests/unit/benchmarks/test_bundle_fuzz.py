@@ -14,7 +14,7 @@ from lftkit.proofs.trusted import checker
 from los_design.synthesis.store import load_designs
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import write_bundle
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 PATH = Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py"
 SPEC = importlib.util.spec_from_file_location("bundle_fuzz", PATH)
@@ -35,7 +35,7 @@ def test_a_proof_of_a_wider_box_states_the_same(tmp_path: Path, monkeypatch: pyt
         for name in names:
             monkeypatch.setattr(place, name, getattr(place, name))  # put back at the end
     proof = unpack(FOLDER / f"{STAGE}-{FIGURE}{SUFFIX}", tmp_path / "proof.npz")
-    write_bundle(tmp_path / "bundle.zip", load_parameters(), load_designs("implemented"), {(STAGE, FIGURE): proof})
+    write_bundle(tmp_path / "bundle.zip", load_telescope(), load_designs("implemented"), {(STAGE, FIGURE): proof})
     each, members = script.remember(), script.members_of(tmp_path / "bundle.zip")
     with script.open_bundle(tmp_path / "bundle.zip") as bundle:
         own = script.stated(script.check_bundle(bundle, each))
@@ -53,7 +53,7 @@ def test_no_mutation_is_accepted_with_another_statement(tmp_path: Path, monkeypa
             monkeypatch.setattr(place, name, getattr(place, name))  # put back at the end
     monkeypatch.chdir(tmp_path)
     proof = unpack(FOLDER / f"{STAGE}-{FIGURE}{SUFFIX}", tmp_path / "proof.npz")
-    write_bundle(tmp_path / "bundle.zip", load_parameters(), load_designs("implemented"), {(STAGE, FIGURE): proof})
+    write_bundle(tmp_path / "bundle.zip", load_telescope(), load_designs("implemented"), {(STAGE, FIGURE): proof})
     counts = script.attacked(tmp_path / "bundle.zip", 40, 5, script.remember(), tmp_path / "mutated.zip")
     outcomes = {found for _, found in counts}
     assert {"refused", "same"} <= outcomes <= {"refused", "same", "subject", "wording", "proven", "fewer"}

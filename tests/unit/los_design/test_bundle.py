@@ -47,9 +47,8 @@ from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.guide_camera import without_images
-from titop_plant.telescope.parameters import load_parameters, parameters_digest
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 STAGE, FIGURE = "fsm+pma", "slow"
 Mutation = Callable[[dict[str, bytes]], None]
@@ -57,15 +56,15 @@ Mutation = Callable[[dict[str, bytes]], None]
 
 @pytest.fixture(scope="module")
 def loop() -> ImplementedLoop:
-    parameters = load_parameters()
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope = load_telescope()
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     return ImplementedLoop(open_loop, *load_designs("implemented"), STAGE)
 
 
 @pytest.fixture(scope="module")
 def proof(loop: ImplementedLoop) -> LoopProof:
     """Without strips: all but the scalings is there."""
-    metric = figures_of(loop.parameters, STAGE)[FIGURE]
+    metric = figures_of(loop.telescope, STAGE)[FIGURE]
     names = tuple(p.name for p in loop.system.parameters)
     about = {"stage": STAGE, "figure": FIGURE, "limit": metric.limit}
     return LoopProof(telescope_model(loop, metric), names, box_of(loop), metric.band, 0.9, (), about)
@@ -75,7 +74,7 @@ def proof(loop: ImplementedLoop) -> LoopProof:
 def written(loop: ImplementedLoop, proof: LoopProof, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bundle")
     write_loop_proof(proof, folder / "proof.npz")
-    write_bundle(folder / BUNDLE, loop.parameters, loop.pair, {(STAGE, FIGURE): folder / "proof.npz"})
+    write_bundle(folder / BUNDLE, loop.telescope, loop.pair, {(STAGE, FIGURE): folder / "proof.npz"})
     return folder / BUNDLE
 
 
@@ -94,9 +93,9 @@ def changed(source: Path, target: Path, mutation: Mutation) -> Path:
 
 def test_a_bundle_holds_controllers_telescope_and_proofs(written: Path, loop: ImplementedLoop) -> None:
     with open_bundle(written) as bundle:
-        assert bundle.subject == Subject.of(*load_designs("implemented"), parameters_digest(load_parameters()))
+        assert bundle.subject == Subject.of(*load_designs("implemented"), load_telescope().digest)
         assert bundle.figures == ((STAGE, FIGURE),) and bundle.proof(STAGE, FIGURE).level == 0.9
-        assert dict(bundle.parameters) == without_images(loop.parameters)
+        assert bundle.telescope.to_mapping() == loop.telescope.without_images()
         kept = bundle.folder
     assert not kept.exists()
 
@@ -110,7 +109,7 @@ def test_the_name_is_that_of_the_content(
         name = bundle.name
     write_loop_proof(replace(proof, level=0.8), tmp_path / "lower.npz")
     for file, same in (("plain.npz", True), ("lower.npz", False)):
-        write_bundle(tmp_path / file, loop.parameters, loop.pair, {(STAGE, FIGURE): tmp_path / file})
+        write_bundle(tmp_path / file, loop.telescope, loop.pair, {(STAGE, FIGURE): tmp_path / file})
         with open_bundle(tmp_path / file) as bundle:
             assert (bundle.name == name) == same
 
@@ -123,7 +122,7 @@ def test_a_proof_of_noise_goes_with_it_and_needs_all_its_parts(
     with open_bundle(written) as bundle:
         own, files = bundle.name, {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         assert bundle.noise == ()
-        write_bundle(tmp_path / BUNDLE, loop.parameters, loop.pair, {**files, (STAGE, NOISE): tmp_path / "noise.npz"})
+        write_bundle(tmp_path / BUNDLE, loop.telescope, loop.pair, {**files, (STAGE, NOISE): tmp_path / "noise.npz"})
     with open_bundle(tmp_path / BUNDLE) as bundle:
         assert bundle.noise == (STAGE,) and bundle.figures == ((STAGE, FIGURE),) and bundle.name != own
         with pytest.raises(ProofError, match="noise: parts of all rows"):
@@ -135,16 +134,15 @@ def test_a_proof_of_noise_goes_with_it_and_needs_all_its_parts(
 
 def test_modal_data_of_a_body_go_with_it(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
     (tmp_path / "mine.csv").write_text("any content\n")
-    body = {**loop.parameters["body"], "modal_data": str(tmp_path / "mine.csv")}
-    own = {**loop.parameters, "body": body}
+    own = loop.telescope.changed({"body": {"modal_data": str(tmp_path / "mine.csv")}})
     with open_bundle(written) as bundle:
         proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
-    name = parameters_digest(own)
+    name = own.digest
     (tmp_path / "mine.csv").unlink()
     with open_bundle(tmp_path / BUNDLE) as bundle:
-        assert parameters_digest(bundle.parameters) == name
-        assert Path(bundle.parameters["body"]["modal_data"]).read_text() == "any content\n"
+        assert bundle.telescope.digest == name
+        assert Path(bundle.telescope.body.modal_data).read_text() == "any content\n"
 
 
 @pytest.mark.parametrize("name", ["appendage", "solar_array"])
@@ -157,18 +155,19 @@ def test_modal_data_of_mounted_bodies_go_with_it(
         (tmp_path / f"mine_{number}.csv").write_text(f"content {number}\n")
         tables.append({"name": f"body {number}", "modal_data": str(tmp_path / f"mine_{number}.csv")})
     source = {"name": "mine", "text": "two\nlines", "folder": str(tmp_path)}
-    own = {**loop.parameters, name: tables, "disturbance": [source]}
+    own = loop.telescope.changed({name: tables, "disturbance": [source]})
     with open_bundle(written) as bundle:
         proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         write_bundle(tmp_path / BUNDLE, own, loop.pair, proofs)
-    digest = parameters_digest(own)
+    digest = own.digest
     for number in range(2):
         (tmp_path / f"mine_{number}.csv").unlink()
     with open_bundle(tmp_path / BUNDLE) as bundle:
-        assert parameters_digest(bundle.parameters) == digest
+        assert bundle.telescope.digest == digest
         assert str(tmp_path) not in (bundle.folder / TELESCOPE).read_text()
-        found = [Path(table["modal_data"]).read_text() for table in bundle.parameters[name][1:]]
-        assert found == ["content 0\n", "content 1\n"] and "modal_data" not in bundle.parameters[name][0]
+        first, *others = bundle.telescope.to_mapping()[name]
+        found = [Path(table["modal_data"]).read_text() for table in others]
+        assert found == ["content 0\n", "content 1\n"] and "modal_data" not in first
 
 
 def members_of(bundle: Bundle) -> dict[str, bytes]:
@@ -245,10 +244,11 @@ def test_any_other_number_is_another_subject_or_refused(member: str, written: Pa
 
 def test_a_bundle_speaks_of_the_requirements_of_its_limits_alone() -> None:
     """Not of one that is added for another stage, or of another window."""
-    parameters = load_parameters()
-    own = [row["text"] for row in parameters["requirement"]]
+    telescope = load_telescope()
+    rows = telescope.to_mapping()["requirement"]
+    own = [row["text"] for row in rows]
     added = {"name": "other", "text": "prob(|APE| < 1 arcsec) >= 0.997 at 95 % confidence", "loop": "isolator"}
-    with_other = {**parameters, "requirement": [*parameters["requirement"], added]}
+    with_other = telescope.changed({"requirement": [*rows, added]})
     figures = {name: ProvenFigure("fsm", name, 0.5, 1.0, (0.0, 1.0), 1, 1) for name in ("APE", "fast", "mirror")}
     assert requirements_of(with_other, figures.values(), ()) == tuple(own[:2])
     assert requirements_of(with_other, [figures["fast"]], ()) == (own[1],)
@@ -258,12 +258,12 @@ def test_a_bundle_speaks_of_the_requirements_of_its_limits_alone() -> None:
 
 def test_a_requirement_on_instants_is_not_what_is_proven() -> None:
     """Proven is the rms of each window, which is smaller by up to sqrt 3: check-proof says so with the requirement."""
-    parameters = load_parameters()
+    telescope = load_telescope()
     text = "prob(|RPE(20 ms)| < 40 mas) >= 0.997 at 95 % confidence"
-    rows = [row for row in parameters["requirement"] if "RPE" not in row["text"]]
+    rows = [row for row in telescope.to_mapping()["requirement"] if "RPE" not in row["text"]]
     rows += [{"name": loop, "text": text, "loop": [loop]} for loop in ("fsm", "fsm+pma")]
     slow = ProvenFigure("fsm+pma", "slow", 0.5, 1.0, (0.0, 1.0), 1, 1)
-    (said,) = requirements_of({**parameters, "requirement": rows}, [slow], ())
+    (said,) = requirements_of(telescope.changed({"requirement": rows}), [slow], ())
     assert said == f"{text}; {OF_WINDOWS}"
 
 
@@ -353,13 +353,13 @@ def test_the_box_is_that_of_all_proofs(loop: ImplementedLoop, tmp_path: Path) ->
     wide = tuple((5.0 * low, 5.0 * high) for low, high in box)
     files = {}
     for figure, own, level in (("fast, 128.5 to 132", box, 0.494), ("fast, 150 to 200", wide, 1000.0)):
-        metric = provable(loop.parameters, STAGE)[figure]
+        metric = provable(loop.telescope, STAGE)[figure]
         model = telescope_model(loop, metric)
         scalings = tuple(np.array([np.eye(len(group), dtype=complex)] * 2) for group in model.groups)
         strip = Strip(own, np.array(metric.band), scalings, scalings, np.ones(2))
         files[STAGE, figure] = tmp_path / f"{figure}.npz"
         write_loop_proof(LoopProof(model, names, own, metric.band, level, (strip,)), files[STAGE, figure])
-    write_bundle(tmp_path / BUNDLE, loop.parameters, loop.pair, files)
+    write_bundle(tmp_path / BUNDLE, loop.telescope, loop.pair, files)
     with open_bundle(tmp_path / BUNDLE) as bundle:
         checked = check_bundle(bundle, lambda function, strips: [1 for _ in strips])
     assert [figure.level for figure in checked.figures] == [0.494, 1000.0]
@@ -424,7 +424,7 @@ def test_the_command_refuses_in_one_line(written: Path, tmp_path: Path, capsys: 
 def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoop, tmp_path: Path) -> None:
     """Of the shipped pair what the shipped statements say; of others what the bundle beside them says, or nothing."""
     k_fsm, k_pma = loop.pair
-    telescope_name = parameters_digest(loop.parameters)
+    telescope_name = loop.telescope.digest
     shipped = statement_of(Subject.of(k_fsm, k_pma, telescope_name), STAGE, None)
     assert shipped is not None and shipped.checked and shipped.text.startswith("proven for every telescope")
     assert shipped.noise_text.startswith("with noise, proven: APE ") and "noise" not in shipped.text
@@ -435,7 +435,7 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
     assert statement_of(Subject.of(k_fsm, k_pma, "another"), STAGE, None) is None
     with open_bundle(written) as bundle:
         proofs = {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
-        write_bundle(tmp_path / BUNDLE, loop.parameters, (k_fsm, other), proofs)
+        write_bundle(tmp_path / BUNDLE, loop.telescope, (k_fsm, other), proofs)
     found = statement_of(Subject.of(k_fsm, other, telescope_name), STAGE, tmp_path)
     assert found is not None
     assert found.text.endswith(f"slow 36 of 40 mas (bundle {found.bundle[:12]}, not checked here)")
@@ -446,9 +446,9 @@ def test_what_flies_is_named_with_its_bundle(written: Path, loop: ImplementedLoo
 
 def test_shipped_statements_are_of_the_shipped_pair() -> None:
     content = json.loads(statements.SHIPPED.read_text("utf-8"))
-    telescope = parameters_digest(load_parameters())
-    assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), telescope)
+    digest = load_telescope().digest
+    assert Subject(**content["subject"]) == Subject.of(*load_designs("implemented"), digest)
     for row in content["figures"]:
-        limit = provable(load_parameters(), row["stage"])[row["figure"]].limit
+        limit = provable(load_telescope(), row["stage"])[row["figure"]].limit
         assert row["level"] <= 1.0 and row["limit"] == pytest.approx(limit, rel=1e-12)
     assert Statement("0", (), True).text.endswith(" (bundle 0)")

@@ -47,13 +47,13 @@ BAND = (200.0, 212.0)
 
 
 @pytest.fixture(scope="module")
-def loop(system, parameters) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, parameters), *load_designs("implemented"), "fsm+pma")
+def loop(system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), "fsm+pma")
 
 
 @pytest.fixture(scope="module")
 def part(loop: ImplementedLoop, tmp_path_factory: pytest.TempPathFactory) -> ProofPart:
-    model = telescope_model(loop, figures_of(loop.parameters, loop.stage)["fast"])
+    model = telescope_model(loop, figures_of(loop.telescope, loop.stage)["fast"])
     return ProofPart(model, box_of(loop), BAND, 1.0, math.inf, tmp_path_factory.mktemp("parts") / "000.npz")
 
 
@@ -65,11 +65,11 @@ def deviations(loop: ImplementedLoop, points) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
-def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, parameters) -> None:
+def test_the_model_has_the_gains_of_the_implemented_loop(stage: str, system, telescope) -> None:
     """All figures, random members and frequencies; 16 occurrences of the angle in place of 32."""
-    loop = ImplementedLoop(OpenLoop(system, parameters), *load_designs("implemented"), stage)
+    loop = ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), stage)
     rng = np.random.default_rng(3)
-    for metric in figures_of(parameters, stage).values():
+    for metric in figures_of(telescope, stage).values():
         model = telescope_model(loop, metric)
         assert model.sizes[0] == 32
         low, high = max(metric.band[0], 0.02), min(metric.band[1], 3000.0)
@@ -83,7 +83,7 @@ def test_the_models_of_margins_have_the_sensitivities_of_the_implemented_loop(lo
     """S, T = S - I, and what T is for one more tick, at random members and frequencies."""
     rng = np.random.default_rng(5)
     points = rng.uniform(size=(5, 7))
-    for name, metric in margins_of(loop.parameters, loop.stage).items():
+    for name, metric in margins_of(loop.telescope, loop.stage).items():
         model, channels = telescope_model(loop, metric), slice(metric.rows.start - 2, metric.rows.stop - 2)
         for omega in (0.3, 7.4, 198.0, 2500.0):
             S = loop.sensitivities(loop.at(omega), points)[:, channels, channels]
@@ -95,8 +95,8 @@ def test_the_models_of_margins_have_the_sensitivities_of_the_implemented_loop(lo
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9)
 
 
-def test_bands_and_parts_leave_no_frequency_out(parameters) -> None:
-    figures = figures_of(parameters, "fsm+pma")
+def test_bands_and_parts_leave_no_frequency_out(telescope) -> None:
+    figures = figures_of(telescope, "fsm+pma")
     assert set(figures) == {"APE", "slow", "fast", "mirror", "force"}
     assert figures["slow"].band[1] == figures["fast"].band[0] and figures["fast"].band[1] == NYQUIST
     for metric in figures.values():
@@ -124,7 +124,7 @@ def test_a_part_of_the_band_is_proven_checked_and_kept(part: ProofPart, loop: Im
 @pytest.mark.parametrize("name", ["sensitivity, mirror", "gain x0.5, mirror", "one more tick, mirror"])
 def test_a_part_of_a_margin_is_proven_over_the_box(name: str, loop: ImplementedLoop, tmp_path: Path) -> None:
     """Where the mirror's loop acts, below its limit; not far below what members have."""
-    model, box, band = telescope_model(loop, margins_of(loop.parameters, loop.stage)[name]), box_of(loop), (7.4, 7.5)
+    model, box, band = telescope_model(loop, margins_of(loop.telescope, loop.stage)[name]), box_of(loop), (7.4, 7.5)
     found = prove_part(ProofPart(model, box, band, 1.0, math.inf, tmp_path / "part.npz"))
     assert found.finished and not found.uncovered
     names = tuple(p.name for p in loop.system.parameters)
@@ -149,10 +149,10 @@ def test_a_part_of_the_noise_is_proven_near_what_members_have(loop: ImplementedL
 
 
 @pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
-def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, parameters) -> None:
+def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, telescope) -> None:
     """The integral of both axes' gains at the nominal member against the Lyapunov equation of the periodic loop."""
     pair = load_designs("implemented")
-    own = ImplementedLoop(OpenLoop(system, parameters), *pair, stage)
+    own = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
     model, zero = noise_model(own), np.zeros((1, 7))
     omega = np.unique(np.concatenate([np.geomspace(1e-3, NYQUIST, 250), np.linspace(1.0, NYQUIST, 150)]))
     power = np.zeros(len(omega))
@@ -160,7 +160,7 @@ def test_the_noise_of_the_model_is_that_of_the_sampled_loop(stage: str, system, 
         axis = dataclasses.replace(model, rows=(row,))
         power += [float(member_gains(axis, float(w), zero)[0]) ** 2 for w in omega]
     found = model.scale * math.sqrt(model.dt / math.pi * trapezoid(power, omega))
-    exact = noise_rms(noise_covariances(own.system.at({}), *pair, parameters, loop=stage))[0]
+    exact = noise_rms(noise_covariances(own.system.at({}), *pair, telescope, loop=stage))[0]
     assert found == pytest.approx(exact, rel=0.01)
 
 
@@ -200,10 +200,10 @@ def test_a_part_without_time_is_open_and_not_kept(part: ProofPart, tmp_path: Pat
     assert not found.finished and found.uncovered == [BAND] and not late.file.exists()
 
 
-def test_the_level_of_a_known_worst_point_is_violated(system, parameters, tmp_path: Path) -> None:
+def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_path: Path) -> None:
     """Controllers of before, without margins: 40 mas is broken by 1.484."""
     pair = [SampledSystem.from_file(FIXTURES / f"{name}_without_margin.json") for name in ("k_fsm", "k_pma")]
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma")
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
     values = dict(zip(loop.names, (-789.9, 1047.2, 1047.2, 1047.2, 0.7801, 2.7825, -0.789)))
     known = [WorstPoint("fsm+pma", "fast", 1.484, 40.0, 683.9, values, np.zeros(22), np.zeros(2))]
     with Workers() as workers:

@@ -20,36 +20,33 @@ from los_estimator.problem import kalman_start, observer_plant, observer_structu
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop_norms import sampled_loop_metrics
 from titop_plant.interface import LOOP_DELAY, MEASURED
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import design_basis
+from titop_plant.simulation.build import control_loop_plant
 
 IMPLEMENTED = DesignOptions()
 
 
-def test_kalman_observer_has_the_noise_of_the_paper(parameters) -> None:
+def test_kalman_observer_has_the_noise_of_the_paper(telescope) -> None:
     """Accelerometer noise: 0.98 of 10 arcsec in the paper, 145 mas of relative error on a preliminary model."""
-    assembled = telescope()
-    plant = observer_plant(assembled, parameters)
-    names, weights = ("noise -> RPE", "noise -> APE", "mirror"), parameters["weights"]
-    bounds = weights["rpe_limit"], weights["ape_limit"], parameters["fsm"]["authority"]
+    plant = observer_plant(telescope)
+    names, weights = ("noise -> RPE", "noise -> APE", "mirror"), telescope.weights
+    bounds = weights.rpe_limit, weights.ape_limit, telescope.fsm.authority
     rows = [replace(figure(name), inputs=MEASURED) if "noise" in name else figure(name) for name in names]
-    requirements = [requirement(row, parameters, "fsm", bound) for row, bound in zip(rows, bounds)]
+    requirements = [requirement(row, telescope, "fsm", bound) for row, bound in zip(rows, bounds)]
     structure = observer_structure(plant)
     problem = Problem([plant({})], requirements, structure)
-    start = kalman_start(structure, assembled, parameters)
+    start = kalman_start(structure, telescope)
     found = dict(zip((r.name for r in requirements), problem.evaluate(start, gradients=False).values[:, 0]))
     assert 0.85 < found["noise -> APE"] < 1.05
     assert 1.3 < found["noise -> RPE"] < 1.6
     assert found["mirror"] < 1.0
 
 
-def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None:
-    assembled = telescope()
-    plant = observer_plant(assembled, parameters, **IMPLEMENTED.hold_delays)
-    requirements = [r for r in implemented_requirements(parameters, "fsm") if r.name in ("fast", "noise -> RPE")]
+def test_gradients_of_the_observer_problem_equal_differences(telescope) -> None:
+    plant = observer_plant(telescope, **IMPLEMENTED.hold_delays)
+    requirements = [r for r in implemented_requirements(telescope, "fsm") if r.name in ("fast", "noise -> RPE")]
     structure = observer_structure(plant, camera_hold=True)
     problem = Problem([plant({})], requirements, structure, loop_delay=IMPLEMENTED.delay)
-    x = kalman_start(structure, assembled, parameters, lead=LOOP_DELAY)
+    x = kalman_start(structure, telescope, lead=LOOP_DELAY)
     pieces = problem.evaluate(x, band=0.01).pieces
     rng = np.random.default_rng(0)
     for i in range(len(requirements)):
@@ -61,39 +58,37 @@ def test_gradients_of_the_observer_problem_equal_differences(parameters) -> None
         assert best.gradient @ direction == pytest.approx((ends[1] - ends[0]) / (2.0 * h), rel=1e-6)
 
 
-def test_a_random_start_is_stable_and_has_a_small_gain(parameters) -> None:
+def test_a_random_start_is_stable_and_has_a_small_gain(telescope) -> None:
     k_fsm, _ = load_designs("implemented")
-    plant = actuator_plant(
-        telescope(), parameters, continuous(k_fsm), loop_delay=IMPLEMENTED.delay, **IMPLEMENTED.hold_delays
-    )
+    plant = actuator_plant(telescope, continuous(k_fsm), loop_delay=IMPLEMENTED.delay, **IMPLEMENTED.hold_delays)
     start = random_law(0)
     assert np.linalg.eigvals(start.A).real.max() < 0.0
     structure = actuator_structure(plant)
     problem = Problem(
-        [plant({})], implemented_requirements(parameters, "fsm+pma"), structure, loop_delay=IMPLEMENTED.delay
+        [plant({})], implemented_requirements(telescope, "fsm+pma"), structure, loop_delay=IMPLEMENTED.delay
     )
     assert problem.abscissa(structure.parameters_of(start)) < 0.0
 
 
 @pytest.mark.parametrize("variant", ["implemented", "implemented_nominal"])
-def test_stored_designs_have_the_provenance_of_this_telescope(variant: str, parameters) -> None:
+def test_stored_designs_have_the_provenance_of_this_telescope(variant: str, telescope) -> None:
     for system in load_designs(variant):
-        assert system.design_basis == design_basis(parameters).to_mapping()
+        assert system.design_basis == telescope.design_basis.to_mapping()
         assert system.provenance["command"].startswith("los-testbed design all")
         assert continuous(system).order == 4
 
 
-def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(parameters) -> None:
+def test_implemented_designs_are_stable_and_within_the_templates_at_nominal(telescope) -> None:
     k_fsm, k_pma = load_designs("implemented")
-    plant = control_loop_plant(telescope(), parameters).at({})
+    plant = control_loop_plant(telescope).at({})
     one, two = (
-        sampled_loop_metrics(plant, k_fsm, k_pma, parameters, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
+        sampled_loop_metrics(plant, k_fsm, k_pma, telescope, loop=loop, frame_ticks=20) for loop in ("fsm", "fsm+pma")
     )
     assert one.radius < 1.0 and two.radius < 1.0
     assert max(one.ape, one.rpe, one.mirror) < 1.0
     assert max(two.ape, two.rpe_fine, two.force) < 1.0
-    assert two.noise_ape < parameters["weights"]["ape_limit"]
-    assert two.noise_rpe < parameters["weights"]["rpe_limit"]
+    assert two.noise_ape < telescope.weights.ape_limit
+    assert two.noise_rpe < telescope.weights.rpe_limit
 
 
 def test_a_controller_without_its_continuous_form_is_named(tmp_path) -> None:

@@ -18,8 +18,8 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from los_loop.spec import laws
 from titop_plant.interface import DT, MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_digest, parameters_hash
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 
 def changes(system: SampledSystem) -> dict[str, SampledSystem]:
@@ -77,10 +77,10 @@ def test_matrices_of_other_shapes_have_other_digests() -> None:
 
 
 def test_what_decides_has_128_bits() -> None:
-    parameters = load_parameters()
-    subject = Subject.of(*load_designs("implemented"), parameters_digest(parameters))
+    telescope = load_telescope()
+    subject = Subject.of(*load_designs("implemented"), telescope.digest)
     assert [len(name) for name in vars(subject).values()] == [32, 32, 32]
-    assert parameters_digest(parameters).startswith(parameters_hash(parameters))
+    assert telescope.digest.startswith(telescope.parameters_hash)
 
 
 def test_a_proof_for_one_sensitivity_is_none_for_another() -> None:
@@ -92,11 +92,9 @@ def test_a_proof_for_one_sensitivity_is_none_for_another() -> None:
 
 def test_each_field_of_a_model_changes_the_name_of_its_parts() -> None:
     """Period, hold and channels too: parts of a proof that are kept are found by this name."""
-    parameters = load_parameters()
-    loop = ImplementedLoop(
-        OpenLoop(control_loop_plant(telescope(), parameters), parameters), *load_designs("implemented"), "fsm"
-    )
-    model, box = telescope_model(loop, figures_of(parameters, "fsm")["slow"]), box_of(loop)
+    telescope = load_telescope()
+    loop = ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
+    model, box = telescope_model(loop, figures_of(telescope, "fsm")["slow"]), box_of(loop)
     own = model_digest(model, box)
     assert len(own) == 64 and model.dt == DT
     assert model_digest(model, (*box[:-1], (0.0, 1.0))) != own

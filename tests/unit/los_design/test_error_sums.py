@@ -17,7 +17,8 @@ from los_design.verification.statements import SHIPPED, statement_of
 from los_design.verification.subject import Subject
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import combined_level
-from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 TONES = {"APE": 6.9 * RAD_PER_ARCSEC, "slow": 19.0 * RAD_PER_MAS, "fast": 20.0 * RAD_PER_MAS}
 ALONG = math.sqrt(0.7)
@@ -25,7 +26,7 @@ NOISE = tuple(NoiseBound(rms, ALONG * rms) for rms in (1.6 * RAD_PER_ARCSEC, 11.
 
 
 def sums(tones: dict[str, float], noise: tuple[NoiseBound, NoiseBound] | None) -> dict[str, float]:
-    return {row.name: row.value for row in error_sums(load_parameters(), "fsm+pma", tones, noise)}
+    return {row.name: row.value for row in error_sums(load_telescope(), "fsm+pma", tones, noise)}
 
 
 TURN = 1.7
@@ -62,13 +63,13 @@ def test_tones_and_noise_are_below_the_sum_as_often_as_is_asked() -> None:
 
 def test_parts_near_the_edge_count_with_their_own_bounds() -> None:
     """From the edge on without a gap; above them the bound of the whole band."""
-    parameters = load_parameters()
+    telescope = load_telescope()
     names = list(PARTS)
-    assert fast_pieces(parameters, {}) == []
-    assert fast_pieces(parameters, {"fast": 20.0}) == [(1.7, 20.0)]
-    assert fast_pieces(parameters, {"fast": 20.0, names[1]: 5.0}) == [(1.7, 20.0)]
+    assert fast_pieces(telescope, {}) == []
+    assert fast_pieces(telescope, {"fast": 20.0}) == [(1.7, 20.0)]
+    assert fast_pieces(telescope, {"fast": 20.0, names[1]: 5.0}) == [(1.7, 20.0)]
     levels = {"fast": 20.0, names[0]: 5.0, names[1]: 25.0}
-    assert fast_pieces(parameters, levels) == [(1.7, 5.0), (pytest.approx(2.52), 20.0), (2.57, 20.0)]
+    assert fast_pieces(telescope, levels) == [(1.7, 5.0), (pytest.approx(2.52), 20.0), (2.57, 20.0)]
     parts = sums(TONES | dict.fromkeys(names, 10.0 * RAD_PER_MAS), NOISE)["RPE, fast tone of norm 1 and noise"]
     assert parts == pytest.approx(combined_level(20.0, 11.0, 0.997, 0.7, turn=4.0)), "from 200 rad/s on"
 
@@ -99,19 +100,19 @@ def test_a_disk_margin_in_words_is_never_more_than_what_is_proven() -> None:
     assert bound_text("one more tick, mirror", 0.5, 1.0) == "one more tick, mirror 0.5 of 1 (kept)"
 
 
-def asking_for(part: str) -> Parameters:
+def asking_for(part: str) -> Telescope:
     """The reference telescope with another probability of the mirror's requirement on windows."""
-    parameters = load_parameters()
-    rows = [dict(row) for row in parameters["requirement"]]
+    telescope = load_telescope()
+    rows = telescope.to_mapping()["requirement"]
     (row,) = (row for row in rows if "< 100 mas" in row["text"])
     row["text"] = row["text"].replace("0.997", part)
-    return {**parameters, "requirement": rows}
+    return telescope.changed({"requirement": rows})
 
 
 def test_a_sum_is_of_the_requirement_that_its_limit_is_made_of() -> None:
     """The mirror alone in all but 1e-8 of the windows, both stages in 99.7 %; the telescope has the same digest."""
     parameters = asking_for("0.99999999")
-    assert parameters_hash(parameters) == parameters_hash(load_parameters())
+    assert parameters.parameters_hash == load_telescope().parameters_hash
     assert required_probabilities(parameters, "fsm") == (0.997, 0.99999999)
     assert required_probabilities(parameters, "fsm+pma") == (0.997, 0.997)
     found = {row.name: row for row in error_sums(parameters, "fsm", TONES, NOISE)}
@@ -128,7 +129,7 @@ def test_a_sum_is_of_the_requirement_that_its_limit_is_made_of() -> None:
 def test_sums_with_noise_are_stated_for_the_probability_that_is_asked_for() -> None:
     """A requirement that the shipped telescope does not have: sums of its own, above those of 99.7 %."""
     subject = Subject(**json.loads(SHIPPED.read_text("utf-8"))["subject"])
-    own = statement_of(subject, "fsm", None, load_parameters())
+    own = statement_of(subject, "fsm", None, load_telescope())
     assert own is not None and own == statement_of(subject, "fsm", None)
     assert own.noise_text.endswith(" mas, each with probability 0.997") and own.noise_text.count("probability") == 1
     other = statement_of(subject, "fsm", None, asking_for("0.99999999"))

@@ -16,8 +16,8 @@ from titop_plant.interface import DT, FRAME_TICKS
 
 
 @pytest.fixture(scope="module", params=["fsm", "fsm+pma"])
-def loop(request: pytest.FixtureRequest, system, parameters) -> ImplementedLoop:
-    return ImplementedLoop(OpenLoop(system, parameters), *load_designs("implemented"), request.param)
+def loop(request: pytest.FixtureRequest, system, telescope) -> ImplementedLoop:
+    return ImplementedLoop(OpenLoop(system, telescope), *load_designs("implemented"), request.param)
 
 
 def member(model: LoopModel, omega: float, deviations: FloatArray) -> ComplexArray:
@@ -39,7 +39,7 @@ def members(loop: ImplementedLoop, count: int) -> FloatArray:
 
 def test_the_closed_gain_is_the_sensitivity_of_the_opened_one(loop: ImplementedLoop) -> None:
     """``S = (I - L)^-1`` at members, though the one has the camera's loop closed and the other one open."""
-    metrics = frames_of(loop.parameters, loop.stage)
+    metrics = frames_of(loop.telescope, loop.stage)
     closed, opened = (telescope_model(loop, metrics[name]) for name in (SEEN, IMAGES))
     for deviations in members(loop, 4):
         for omega in (0.05, 3.0, 8.0, 60.0, 157.0):
@@ -50,7 +50,7 @@ def test_the_closed_gain_is_the_sensitivity_of_the_opened_one(loop: ImplementedL
 def test_found_members_keep_both_limits_and_their_periodic_loop_is_stable(loop: ImplementedLoop) -> None:
     found = dict.fromkeys(LIMITS, 0.0)
     drawn = members(loop, 3)
-    for name, metric in frames_of(loop.parameters, loop.stage).items():
+    for name, metric in frames_of(loop.telescope, loop.stage).items():
         model = telescope_model(loop, metric)
         for omega in np.geomspace(max(metric.band[0], 5.0), metric.band[1], 40):
             found[name] = max(found[name], *(float(np.linalg.norm(member(model, omega, one), 2)) for one in drawn))

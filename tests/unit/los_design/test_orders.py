@@ -21,35 +21,34 @@ from los_design.synthesis.starts import padded, random_law, zero_controller
 from los_design.synthesis.store import continuous
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
-from titop_plant.simulation.build import telescope
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "paper"
 OMEGA = np.geomspace(1e-2, 1e3, 30)
 
 
-def kalman_of(order: int, parameters):
-    structure = observer_structure(observer_plant(telescope(), parameters), order=order)
-    return controller(structure, kalman_start(structure, telescope(), parameters))
+def kalman_of(order: int, telescope):
+    structure = observer_structure(observer_plant(telescope), order=order)
+    return controller(structure, kalman_start(structure, telescope))
 
 
-def test_the_kalman_start_of_higher_order_is_the_same_observer(parameters) -> None:
+def test_the_kalman_start_of_higher_order_is_the_same_observer(telescope) -> None:
     """More states, which decay and have no effect yet; those of order 4 are as they were."""
-    expected = frequency_response(kalman_of(4, parameters), OMEGA)
+    expected = frequency_response(kalman_of(4, telescope), OMEGA)
     for order in (5, 8):
-        found = kalman_of(order, parameters)
+        found = kalman_of(order, telescope)
         assert found.order == order and np.linalg.eigvals(found.A).real.max() < 0.0
         np.testing.assert_allclose(frequency_response(found, OMEGA), expected, rtol=1e-6, atol=1e-12)
         assert np.all(np.abs(found.B[4:]).max(axis=1) > 0.0) and not found.C[:, 4:].any()
 
 
-def test_the_kalman_start_of_lower_order_is_truncated(parameters) -> None:
-    size = np.abs(frequency_response(kalman_of(4, parameters), OMEGA)).max()
+def test_the_kalman_start_of_lower_order_is_truncated(telescope) -> None:
+    size = np.abs(frequency_response(kalman_of(4, telescope), OMEGA)).max()
     errors = []
     for order in (0, 1, 2, 3):
-        found = kalman_of(order, parameters)
+        found = kalman_of(order, telescope)
         assert found.order == order
         errors.append(
-            np.abs(frequency_response(found, OMEGA) - frequency_response(kalman_of(4, parameters), OMEGA)).max()
+            np.abs(frequency_response(found, OMEGA) - frequency_response(kalman_of(4, telescope), OMEGA)).max()
         )
     assert errors[0] == pytest.approx(size) and errors[2] <= errors[0]
 
@@ -75,18 +74,18 @@ def test_a_padded_controller_has_the_same_response(order: int) -> None:
         padded(found, 2)
 
 
-def test_a_design_begins_with_the_one_of_lower_order(parameters, monkeypatch) -> None:
+def test_a_design_begins_with_the_one_of_lower_order(telescope, monkeypatch) -> None:
     """Its first look has the values that the other ended with; K_PMA compares no random starts."""
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=6))
     monkeypatch.setattr(synthesis, "hidden_peaks", lambda *given: [])
     monkeypatch.setattr(paper_start, "STEPS", 1)
     low, high = (DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1) for order in (1, 2))
-    k_fsm = synthesis.design_observer(telescope(), parameters, low)
-    k_pma = synthesis.design_actuators(telescope(), parameters, k_fsm, low)
+    k_fsm = synthesis.design_observer(telescope, low)
+    k_pma = synthesis.design_actuators(telescope, k_fsm, low)
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=0))
     more = [
-        synthesis.design_observer(telescope(), parameters, high, start=k_fsm),
-        synthesis.design_actuators(telescope(), parameters, k_fsm, high, start=k_pma),
+        synthesis.design_observer(telescope, high, start=k_fsm),
+        synthesis.design_actuators(telescope, k_fsm, high, start=k_pma),
     ]
     for below, above in zip((k_fsm, k_pma), more):
         assert continuous(above).order == 2 and "starts" not in above.provenance
@@ -94,19 +93,19 @@ def test_a_design_begins_with_the_one_of_lower_order(parameters, monkeypatch) ->
         assert above.provenance["tuned_values"] == pytest.approx(below.provenance["tuned_values"], rel=1e-5)
 
 
-def test_a_start_is_refused_with_a_loop_delay(parameters) -> None:
+def test_a_start_is_refused_with_a_loop_delay(telescope) -> None:
     with pytest.raises(ValueError, match="start must be left out with a loop delay, got one"):
-        synthesis.design_observer(telescope(), parameters, DesignOptions(), start=zero_controller("k-fsm"))
+        synthesis.design_observer(telescope, DesignOptions(), start=zero_controller("k-fsm"))
 
 
 @pytest.mark.parametrize("order", [0, 1, 6])
-def test_a_design_of_another_order_is_stored_and_loads_again(order: int, parameters, tmp_path, monkeypatch) -> None:
+def test_a_design_of_another_order_is_stored_and_loads_again(order: int, telescope, tmp_path, monkeypatch) -> None:
     """Both controllers, K_PMA behind that K_FSM; with next to no effort."""
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
     monkeypatch.setattr(paper_start, "STEPS", 1)
     options = DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1)
-    k_fsm = synthesis.design_observer(telescope(), parameters, options)
-    k_pma = synthesis.design_actuators(telescope(), parameters, k_fsm, options)
+    k_fsm = synthesis.design_observer(telescope, options)
+    k_pma = synthesis.design_actuators(telescope, k_fsm, options)
     ports = (K_FSM_INPUTS, K_FSM_OUTPUTS), (K_PMA_INPUTS, K_PMA_OUTPUTS)
     for kind, system, (inputs, outputs) in zip(("k-fsm", "k-pma"), (k_fsm, k_pma), ports):
         system.require(inputs, outputs, 1e-3)

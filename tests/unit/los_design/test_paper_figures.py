@@ -22,8 +22,9 @@ from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
 from los_estimator.problem import observer_plant
 from titop_plant.interface import STAGES
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import Curve
+from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.load import load_telescope
 
 ARCSEC = np.pi / 648000.0
 PAPER = Path(__file__).parents[3] / "examples" / "paper"
@@ -59,9 +60,9 @@ def by_hand(case: PaperCase, stage: str, values: dict[str, float], omega: float)
     """Largest singular value [arcsec], from the response of the open telescope and the printed filters and weights."""
     s = 1j * omega
     if stage == "none":
-        plant = telescope(FILE, isolated=False).system.at(values)
+        plant = assembled_telescope(load_telescope(FILE), isolated=False).system.at(values)
     else:
-        plant = telescope(FILE).system.at(values)
+        plant = assembled_telescope(load_telescope(FILE)).system.at(values)
     (G,) = extended_response(*plant.matrices, [omega])
     w = plant.input_indices(["wheel_imbalance", "sadm_torque"])
     wheel = np.array([0.4, 0.4, 0.35, 0.3, 0.3]) * abs((s + 5.101e-5) / (s + 5.101))
@@ -102,8 +103,8 @@ def test_stages_without_control_are_computed_once(case: PaperCase) -> None:
 
 def test_the_peak_of_a_curve_is_the_certified_gamma(case: PaperCase) -> None:
     """APE of K_FSM at the nominal member: the norm of the assembled loop with its weights."""
-    (ape, *_) = paper_requirements(case.parameters, "fsm")
-    plant = observer_plant(telescope(FILE), case.parameters)
+    (ape, *_) = paper_requirements(case.telescope, "fsm")
+    plant = observer_plant(case.telescope)
     found = certify([plant({})], continuous(case.pairs["robust"][0]), [ape]).values.item()
     assert case.clouds("robust")["fsm"][0].size.max() / 10.0 == pytest.approx(found, rel=1e-3)
 
@@ -129,7 +130,7 @@ def test_gammas_are_rows_of_the_paper_s_limits(case: PaperCase, monkeypatch: pyt
     """Robust over the members, nominal at one and over the members; an unstable loop is said to be one."""
     asked = []
 
-    def check(telescope, parameters, k_fsm, k_pma, at):
+    def check(telescope, k_fsm, k_pma, at):
         asked.append((k_fsm.name, len(at)))
         return {"fsm": [0.5, 0.6, np.inf], "pma": [0.1, 0.2, 0.3, 0.4]}
 

@@ -19,61 +19,62 @@ from los_design.synthesis.store import continuous
 from los_design.synthesis.synthesis import design_actuators, design_observer
 from los_estimator.problem import observer_plant
 from los_loop.continuous_loop import continuous_open_loop
-from titop_plant.simulation.build import telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 FILE = str(Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml")
 ARCSEC = np.pi / 648000.0
 
 
-def largest_error(parameters) -> float:
+def largest_error(telescope) -> float:
     """Largest line of sight of the nominal telescope on its isolator [rad], normalised disturbances."""
-    loop, omega = continuous_open_loop(telescope(FILE), parameters), np.geomspace(0.03, 0.12, 60)
+    loop = continuous_open_loop(telescope)
+    omega = np.geomspace(0.03, 0.12, 60)
     responses: list[FloatArray] = [loop.closed_over(lft, loop.point({})[None])[0] for lft in loop.at(omega)]
     return max(float(np.linalg.norm(r[-2:, : loop.disturbances], 2)) for r in responses)
 
 
 @pytest.fixture(scope="module")
 def k_fsm():
-    return design_observer(telescope(FILE), load_parameters(FILE), DesignOptions(nominal=True, loop_delay=0.0))
+    telescope = load_telescope(FILE)
+    return design_observer(telescope, DesignOptions(nominal=True, loop_delay=0.0))
 
 
 def test_the_nominal_k_fsm_is_at_the_bound_of_the_mirror(k_fsm) -> None:
     """APE >= (L0 - reach g3) / limit for every observer; the design is there, by the norms of the assembled loop."""
-    parameters = load_parameters(FILE)
+    telescope = load_telescope(FILE)
     assert k_fsm.provenance["status"] == "converged"
-    asked = observer_requirements(parameters)
-    found = certify([observer_plant(telescope(FILE), parameters)({})], continuous(k_fsm), asked)
+    asked = observer_requirements(telescope)
+    found = certify([observer_plant(telescope)({})], continuous(k_fsm), asked)
     gammas = dict(zip((r.name for r in asked), found.upper[:, 0]))
     assert found.abscissae.max() < 0.0
     for name, value in k_fsm.provenance["tuned_values"].items():
         assert gammas[name] == pytest.approx(value, rel=5e-3)  # samples beside a peak
-    reach = parameters["fsm"]["authority"] * parameters["fsm"]["los_sensitivity"]
-    floor = (largest_error(parameters) - reach * gammas["mirror"]) / parameters["weights"]["ape_limit"]
+    reach = telescope.fsm.authority * telescope.fsm.los_sensitivity
+    floor = (largest_error(telescope) - reach * gammas["mirror"]) / telescope.weights.ape_limit
     assert floor * (1.0 - 1e-3) <= gammas["APE"] <= floor * 1.01
     assert gammas["mirror"] <= 1.0 + 1e-5
 
 
 def test_noise_asked_of_k_fsm_is_that_of_the_platform_behind_an_idle_k_pma(k_fsm) -> None:
     """From the plant of K_FSM with the observer closed, and from that of K_PMA with no force."""
-    parameters, observer = load_parameters(FILE), continuous(k_fsm)
-    noise = observer_requirements(parameters)[-1]
-    alone = certify([observer_plant(telescope(FILE), parameters)({})], observer, [noise]).values.item()
-    plant = actuator_plant(telescope(FILE), parameters, observer)
+    telescope, observer = load_telescope(FILE), continuous(k_fsm)
+    noise = observer_requirements(telescope)[-1]
+    alone = certify([observer_plant(telescope)({})], observer, [noise]).values.item()
+    plant = actuator_plant(telescope, observer)
     structure = actuator_structure(plant)
     size = structure.outputs[0].size, structure.inputs[0].size
     idle = System.static(np.zeros(size), structure.inputs, structure.outputs)
-    (both,) = (r for r in paper_requirements(parameters, "fsm+pma") if r.name == noise.name)
+    (both,) = (r for r in paper_requirements(telescope, "fsm+pma") if r.name == noise.name)
     assert 0.1 < alone < 1.0
     assert abs(certify([plant({})], idle, [both]).values.item() / alone - 1.0) < 1e-6
 
 
 @pytest.mark.slow
 def test_the_nominal_k_pma_is_converged_and_certified(k_fsm) -> None:
-    parameters, options = load_parameters(FILE), DesignOptions(nominal=True, loop_delay=0.0, starts=2)
-    k_pma = design_actuators(telescope(FILE), parameters, k_fsm, options)
-    asked = paper_requirements(parameters, "fsm+pma")
-    plant = actuator_plant(telescope(FILE), parameters, continuous(k_fsm))
+    telescope, options = load_telescope(FILE), DesignOptions(nominal=True, loop_delay=0.0, starts=2)
+    k_pma = design_actuators(telescope, k_fsm, options)
+    asked = paper_requirements(telescope, "fsm+pma")
+    plant = actuator_plant(telescope, continuous(k_fsm))
     found = certify([plant({})], continuous(k_pma), asked)
     assert k_pma.provenance["status"] == "converged" and len(k_pma.provenance["starts"]) == 2
     assert found.abscissae.max() < 0.0
@@ -86,14 +87,14 @@ def test_a_design_goes_on_while_the_norms_show_hidden_peaks(monkeypatch) -> None
     """Of the nominal loop, at what was reached there; a frequency of two of them is one."""
     answers, lines, looked = [[3.0, 5.0, 3.0], [], []], list[str](), []
 
-    def peaks(telescope, parameters, pair, stage, reached):
+    def peaks(telescope, pair, stage, reached):
         looked.append((stage, sorted(reached)))
         return answers.pop(0)
 
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
     monkeypatch.setattr(synthesis, "hidden_peaks", peaks)
     options = DesignOptions(nominal=True, loop_delay=0.0)
-    design_observer(telescope(FILE), load_parameters(FILE), options, lines.append)
+    design_observer(load_telescope(FILE), options, lines.append)
     assert looked == [("fsm", ["APE", "RPE", "mirror"])] * 2
     assert [line for line in lines if line.startswith("goes on")] == [
         "goes on: the nominal loop has peaks beside the samples at 3, 5 rad/s"

@@ -12,21 +12,21 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import figures_of
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 STAGE = "fsm+pma"
 
 
 @pytest.fixture(scope="module")
 def loop() -> ImplementedLoop:
-    parameters = load_parameters()
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope = load_telescope()
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     return ImplementedLoop(open_loop, *load_designs("implemented"), STAGE)
 
 
 def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: ImplementedLoop) -> None:
-    worst, metric = load_worst_points()[STAGE]["slow"], figures_of(loop.parameters, STAGE)["slow"]
+    worst, metric = load_worst_points()[STAGE]["slow"], figures_of(loop.telescope, STAGE)["slow"]
     found = {effect.parameter: effect for effect in effects_of_box(loop, metric, worst)}
     assert set(found) == set(loop.names)
     point = loop.point(dict(worst.parameters))
@@ -43,7 +43,7 @@ def test_slopes_are_those_of_the_gain_and_ranges_hold_its_values(loop: Implement
 
 def test_a_per_cent_of_all_disturbances_is_a_per_cent_of_the_figure(loop: ImplementedLoop) -> None:
     """The fast worst tone is of the wheels, whose weight multiplies it."""
-    worst, metrics = load_worst_points()[STAGE]["fast"], figures_of(loop.parameters, STAGE)
+    worst, metrics = load_worst_points()[STAGE]["fast"], figures_of(loop.telescope, STAGE)
     (effect,) = effects_of_entries([loop], {STAGE: metrics}, [worst], ["weights.wheel_imbalance"])
     assert effect.slope == pytest.approx(0.01, rel=1e-3)
     assert effect.largest / effect.value == pytest.approx(1.01, rel=1e-4)
@@ -53,7 +53,7 @@ def test_a_per_cent_of_all_disturbances_is_a_per_cent_of_the_figure(loop: Implem
 @pytest.mark.parametrize("entry", ["isolator", "isolator.nothing", "nothing.stiffness", "camera.noise_curve"])
 def test_what_is_no_entry_of_numbers_is_refused_in_one_line(entry: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ValueError, match="must be TABLE"):
-        changed_entry(load_parameters(), entry, 1.0)
+        changed_entry(load_telescope(), entry, 1.0)
     with pytest.raises(SystemExit) as ended:
         main(["design", "sensitivity", "--of", entry])
     (line,) = capsys.readouterr().err.strip().splitlines()

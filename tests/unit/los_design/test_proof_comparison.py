@@ -20,25 +20,24 @@ from los_design.verification.loop_models import box_of, figures_of, telescope_mo
 from los_design.verification.proof_comparison import compare_proof
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 FIGURE = "slow"
 
 
 def loop_of(gain: float = 1.0, stiffer: float = 1.0) -> ImplementedLoop:
     """The shipped loop, with another gain of K_FSM or another isolator."""
-    parameters = load_parameters()
-    parameters["isolator"]["stiffness"] = [stiffer * k for k in parameters["isolator"]["stiffness"]]
+    stiffness = [stiffer * k for k in load_telescope().isolator.stiffness]
+    telescope = load_telescope().changed({"isolator": {"stiffness": stiffness}})
     k_fsm, k_pma = load_designs("implemented")
-    system = control_loop_plant(telescope() if stiffer == 1.0 else build_telescope(parameters), parameters)
-    return ImplementedLoop(OpenLoop(system, parameters), replace(k_fsm, C=gain * k_fsm.C), k_pma, "fsm+pma")
+    system = control_loop_plant(telescope)
+    return ImplementedLoop(OpenLoop(system, telescope), replace(k_fsm, C=gain * k_fsm.C), k_pma, "fsm+pma")
 
 
 def proof_of(loop: ImplementedLoop, level: float = 0.99, figure: str = FIGURE) -> LoopProof:
     """Without its strips, which a comparison does not look at."""
-    metric = figures_of(loop.parameters, loop.stage)[figure]
+    metric = figures_of(loop.telescope, loop.stage)[figure]
     names = tuple(p.name for p in loop.system.parameters)
     about = {"stage": loop.stage, "figure": figure}
     return LoopProof(telescope_model(loop, metric), names, box_of(loop), metric.band, level, (), about)

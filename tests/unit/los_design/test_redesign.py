@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,7 +22,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import parameters_hash
+from titop_plant.telescope.telescope import Telescope
 
 
 @pytest.fixture
@@ -32,20 +31,20 @@ def stand_ins(monkeypatch) -> list[str]:
     made: list[str] = []
     k_fsm, k_pma = load_designs("implemented")
 
-    def pair(assembled, parameters, options, report, kept, workers):
+    def pair(telescope, options, report, kept, workers):
         made.append(f"pair, seed {options.seed}, {'short' if options.short else 'full'}")
         made.append("goes on" if kept[0].exists() else "begins")
         report("round 1: fine")
         kept[0].write_text("{}")
         return k_fsm, k_pma
 
-    def points(parameters, k_fsm, k_pma, options, workers):
-        system = control_loop_plant(build_telescope(parameters), parameters)
-        search = Search(ImplementedLoop(OpenLoop(system, parameters), k_fsm, k_pma, "fsm"))
+    def points(telescope, k_fsm, k_pma, options, workers):
+        system = control_loop_plant(telescope)
+        search = Search(ImplementedLoop(OpenLoop(system, telescope), k_fsm, k_pma, "fsm"))
         found = [search.confirmed(search.metrics["slow"], 5.0, np.full(7, share)) for share in (0.6, 0.3, 0.6)]
         return {"fsm": {"slow": found}, "fsm+pma": {"slow": []}}
 
-    def check(system, parameters, k_fsm, k_pma, at, workers, placed):
+    def check(system, telescope, k_fsm, k_pma, at, workers, placed):
         made.append(f"check at {len(at)}")
         return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, gammas={"fsm": [0.5], "pma": [0.6]})
 
@@ -56,9 +55,9 @@ def stand_ins(monkeypatch) -> list[str]:
     return made
 
 
-def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, parameters, tmp_path) -> None:
+def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, telescope, tmp_path) -> None:
     lines: list[str] = []
-    found = design_all(parameters, tmp_path / "new" / "soft", effort="short", report=lines.append)
+    found = design_all(telescope, tmp_path / "new" / "soft", effort="short", report=lines.append)
     folder = tmp_path / "new" / "soft"
     assert {p.name for p in folder.iterdir()} == {"k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"}
     tuned_at = len({tuple(v.values()) for k in load_designs("implemented") for v in k.provenance["active_models"] if v})
@@ -68,63 +67,63 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, param
     assert "round 1: fine" in lines
     content = json.loads((folder / "verification.json").read_text())
     assert content == {"implemented": {"samples": 39 + tuned_at}, "not_met": found.not_met}
-    assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == parameters_hash(parameters)
+    assert json.loads((folder / "worst_points.json").read_text())["parameters_hash"] == telescope.parameters_hash
     assert load_worst_points(folder)["fsm"]["slow"].omega == 5.0
     adversarial = load_adversarial(folder)
     assert len(adversarial) == tuned_at + 2, "two different points of the search, and those of the design"
     assert all(set(values) == set(adversarial[0]) for values in adversarial)
 
 
-def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, parameters, tmp_path) -> None:
-    design_all(parameters, tmp_path, effort="short")
+def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, telescope, tmp_path) -> None:
+    design_all(telescope, tmp_path, effort="short")
     stand_ins.clear()
     lines: list[str] = []
-    design_all(parameters, tmp_path, effort="short", report=lines.append)
+    design_all(telescope, tmp_path, effort="short", report=lines.append)
     assert not any(s.startswith("pair") for s in stand_ins) and "k_fsm.json, k_pma.json: kept" in lines
     for changed in ({"seed": 1}, {"seed": 1, "effort": "full"}, {"effort": "short", "resume": False}):
         stand_ins.clear()
-        design_all(parameters, tmp_path, **{"effort": "short", **changed})
+        design_all(telescope, tmp_path, **{"effort": "short", **changed})
         assert sum(s.startswith("pair") for s in stand_ins) == 1
     stand_ins.clear()
-    other = {**parameters, "isolator": {**parameters["isolator"], "damping": [1000.0] * 6}}
+    other = telescope.changed({"isolator": {"damping": [1000.0] * 6}})
     design_all(other, tmp_path, effort="short")
     assert sum(s.startswith("pair") for s in stand_ins) == 1
 
 
-def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, parameters, tmp_path) -> None:
+def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "rounds.json").write_text("{}")
-    design_all(parameters, tmp_path, effort="short")
+    design_all(telescope, tmp_path, effort="short")
     assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
     stand_ins.clear()
     (tmp_path / "rounds.json").write_text("{}")
-    design_all(parameters, tmp_path, effort="short", resume=False)
+    design_all(telescope, tmp_path, effort="short", resume=False)
     assert "begins" in stand_ins
 
 
-def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, parameters, tmp_path, monkeypatch) -> None:
+def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, telescope, tmp_path, monkeypatch) -> None:
     late = tuple(replace(k, provenance={**k.provenance, "status": "out_of_time"}) for k in load_designs("implemented"))
     pair, limits = redesign.design_pair, []
 
-    def ended(assembled, parameters, options, report, kept, workers):
+    def ended(telescope, options, report, kept, workers):
         limits.append(options.wall_limit)
-        pair(assembled, parameters, options, report, kept, workers)
+        pair(telescope, options, report, kept, workers)
         return late
 
     monkeypatch.setattr(redesign, "design_pair", ended)
-    design_all(parameters, tmp_path, effort="short", wall_limit=60.0)
+    design_all(telescope, tmp_path, effort="short", wall_limit=60.0)
     assert limits == [60.0] and (tmp_path / "rounds.json").exists()
     monkeypatch.setattr(redesign, "design_pair", pair)
     stand_ins.clear()
-    design_all(parameters, tmp_path, effort="short")
+    design_all(telescope, tmp_path, effort="short")
     assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
 
 
-def test_the_output_is_checked_before_the_work(stand_ins, parameters, tmp_path) -> None:
+def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):
-        design_all(parameters, tmp_path / "file" / "soft")
+        design_all(telescope, tmp_path / "file" / "soft")
     with pytest.raises(ValueError, match="effort must be one of full, short, got 'medium'"):
-        design_all(parameters, tmp_path, effort="medium")
+        design_all(telescope, tmp_path, effort="medium")
     assert stand_ins == []
 
 
@@ -157,10 +156,11 @@ def long_arrays(table: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("change", [soft_isolator, heavy_payload, long_arrays])
-def test_another_telescope_is_redesigned(change, parameters, tmp_path) -> None:
+def test_another_telescope_is_redesigned(change, telescope, tmp_path) -> None:
     """Every requirement is met or listed with its value; the worst excess is below that of the stored pair."""
-    table: dict[str, Any] = copy.deepcopy(dict(parameters))
-    change(table)
+    tables: dict[str, Any] = telescope.to_mapping()
+    change(tables)
+    table = Telescope(tables)
     found = design_all(table, tmp_path, effort="short", report=print)
     assert found.check.all_stable
     assert found.met or all(any(digit.isdigit() for digit in line) for line in found.not_met)

@@ -43,7 +43,7 @@ class FewSamples:
         self.around: list[float] = []
         self.open_loop = SimpleNamespace(
             names=NAMES,
-            parameters=None,
+            telescope=None,
             point=lambda values: np.array([values.get("p", 0.5), values.get("q", 0.5)]),
             values=lambda point: dict(zip(NAMES, np.asarray(point).tolist())),
         )
@@ -65,7 +65,7 @@ class Bench:
         self.samples = FewSamples()
         monkeypatch.setattr(task_module, "pair_problem", self.problem)
         monkeypatch.setattr(rounds, "descend", self.descend)
-        monkeypatch.setattr(task_module, "limits", lambda parameters, stage: SHARES)
+        monkeypatch.setattr(task_module, "limits", lambda telescope, stage: SHARES)
 
     def problem(self, samples, stages, tuned, threads):
         gains = tuple(SimpleNamespace(name=name) for name in SHARES)

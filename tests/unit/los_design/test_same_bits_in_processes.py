@@ -16,8 +16,8 @@ from los_design.verification.stage_check import check_stage
 from los_design.verification.verification import verification_points
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)
 
@@ -25,10 +25,10 @@ SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patien
 @pytest.mark.slow
 def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
     monkeypatch.setattr(stage_check, "CHUNK", 2)
-    parameters, pair = load_parameters(), load_designs("implemented")
-    system = control_loop_plant(telescope(), parameters)
-    at = verification_points(parameters, system, 0)[:3]
-    open_loop, found, checked = OpenLoop(system, parameters), [], []
+    telescope, pair = load_telescope(), load_designs("implemented")
+    system = control_loop_plant(telescope)
+    at = verification_points(telescope, system, 0)[:3]
+    open_loop, found, checked = OpenLoop(system, telescope), [], []
     with one_thread(), Workers(2) as two:
         for workers in (Workers(), two):
             search = Search(ImplementedLoop(open_loop, *pair, "fsm+pma"), SMALL)
@@ -45,9 +45,9 @@ def test_a_search_and_a_check_in_two_processes(monkeypatch) -> None:
 
 
 def test_values_and_gradients_in_two_threads() -> None:
-    parameters = load_parameters()
+    telescope = load_telescope()
     with one_thread():
-        samples = Samples(OpenLoop(control_loop_plant(telescope(), parameters), parameters))
+        samples = Samples(OpenLoop(control_loop_plant(telescope), telescope))
         samples.add(np.random.default_rng(0).uniform(size=(2, 7)))
         one, two = (pair_problem(samples, (ALONE, BOTH), (0, 1), threads) for threads in (1, 2))
         matrices = []

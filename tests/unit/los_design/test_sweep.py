@@ -11,25 +11,25 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.margins import doubtful
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 OMEGA = np.array([0.3, 7.4, 40.0, 190.0, 580.0, 2500.0])
 
 
 @pytest.fixture(scope="module")
 def loops() -> list[ImplementedLoop]:
-    parameters = load_parameters()
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope = load_telescope()
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     return [ImplementedLoop(open_loop, *load_designs("implemented"), stage) for stage in MIRROR_STAGES]
 
 
 def test_parts_of_a_grid_have_the_largest_values_of_each_point(loops) -> None:
     """Of both stages; the point with the largest force at 580 rad/s counts as unstable, and has no part in them."""
     cube = np.random.default_rng(3).uniform(size=(7, 7))
-    force = loop_metrics(loops[1].parameters, loops[1].stage)["force"]
+    force = loop_metrics(loops[1].telescope, loops[1].stage)["force"]
     stable = np.arange(7) != loops[1].gains(loops[1].at(580.0), force, cube).argmax()
-    reaches = [Reach(loop, loop_metrics(loop.parameters, loop.stage)) for loop in loops]
+    reaches = [Reach(loop, loop_metrics(loop.telescope, loop.stage)) for loop in loops]
     parts = [sweep(reaches, OMEGA, np.arange(k, len(OMEGA), 2), cube, [stable, stable]) for k in range(2)]
     for reach, loop, found in zip(reaches, loops, (joined(part) for part in zip(*parts))):
         doubt = np.zeros_like(found.doubt)
@@ -47,6 +47,6 @@ def test_parts_of_a_grid_have_the_largest_values_of_each_point(loops) -> None:
 
 
 def test_without_changes_nothing_is_in_doubt(loops) -> None:
-    reach = Reach(loops[1], loop_metrics(loops[1].parameters, loops[1].stage), changes=False)
+    reach = Reach(loops[1], loop_metrics(loops[1].telescope, loops[1].stage), changes=False)
     (found,) = sweep([reach], OMEGA, np.arange(6), np.full((1, 7), 0.5), [np.array([True])])
     assert not found.doubt.any() and found.value["APE"][0] > 0.0

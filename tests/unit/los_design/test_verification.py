@@ -32,10 +32,10 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
-from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant
 from titop_plant.simulation.disturbances import rpe_weight, weight_amplitudes
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level
-from titop_plant.telescope.parameters import load_parameters, parameter_corners
+from titop_plant.telescope.load import load_telescope
 
 PAPER = Path(__file__).parents[3] / "examples" / "paper"
 POINTS = [{"stiffness": 0.5}, {"stiffness": 1.7}, {}]
@@ -50,27 +50,27 @@ def quiet_pair() -> tuple[SampledSystem, SampledSystem]:
     return replace(k_fsm, D=D), k_pma
 
 
-def metrics(values: dict, parameters, stage: str, **options) -> SampledLoopMetrics:
+def metrics(values: dict, telescope, stage: str, **options) -> SampledLoopMetrics:
     plant = small_plant(values.get("stiffness", 1.0))
-    return sampled_loop_metrics(plant, *quiet_pair(), parameters, loop=stage, frame_ticks=20, **options)
+    return sampled_loop_metrics(plant, *quiet_pair(), telescope, loop=stage, frame_ticks=20, **options)
 
 
-def checked(points, parameters, **options) -> ImplementedCheck:
-    return check_implemented(small_family(), parameters, *quiet_pair(), points, **options)
+def checked(points, telescope, **options) -> ImplementedCheck:
+    return check_implemented(small_family(), telescope, *quiet_pair(), points, **options)
 
 
 @pytest.fixture(scope="module")
-def three(parameters) -> tuple[ImplementedCheck, int]:
+def three(telescope) -> tuple[ImplementedCheck, int]:
     """The check of the three points, with changes, and how often it told that it goes on."""
     ticks = []
-    return checked(iter(POINTS), parameters, tick=lambda: ticks.append(1)), len(ticks)
+    return checked(iter(POINTS), telescope, tick=lambda: ticks.append(1)), len(ticks)
 
 
-def test_the_worst_metrics_over_the_points_are_kept(three, parameters) -> None:
+def test_the_worst_metrics_over_the_points_are_kept(three, telescope) -> None:
     """Against the grid of each point's own modes: refined peaks are not below it, and not far above."""
     found, ticks = three
-    one = [metrics(v, parameters, "fsm") for v in POINTS]
-    two = [metrics(v, parameters, "fsm+pma") for v in POINTS]
+    one = [metrics(v, telescope, "fsm") for v in POINTS]
+    two = [metrics(v, telescope, "fsm+pma") for v in POINTS]
     expected = [max(column) for column in zip(*[(m.ape, m.rpe, m.mirror) for m in one])]
     np.testing.assert_array_less(np.array(expected), 1.003 * np.array(found.fsm))
     np.testing.assert_allclose(found.fsm, expected, rtol=0.02)
@@ -82,7 +82,7 @@ def test_the_worst_metrics_over_the_points_are_kept(three, parameters) -> None:
     assert stiffness == pytest.approx(POINTS[int(np.argmax([m.ape for m in one]))].get("stiffness", 1.0))
 
 
-def test_refined_peaks_are_on_top(three, parameters) -> None:
+def test_refined_peaks_are_on_top(three, telescope) -> None:
     """Frequencies 1e-4 to both sides of every worst point have no larger gain: the periodic solution says so."""
     for check in (three[0].alone, three[0].both):
         for name in ("APE", "mirror"):
@@ -90,16 +90,16 @@ def test_refined_peaks_are_on_top(three, parameters) -> None:
             plant = small_plant(p.parameters["stiffness"])
             loop = sampled_loop(plant, *quiet_pair(), loop=check.stage, frame_ticks=20, los_sensitivity=0.1)
             omega = p.omega * np.exp([-1e-4, 0.0, 1e-4])
-            response, _ = weighted_gains(loop, plant, parameters, omega)
+            response, _ = weighted_gains(loop, plant, telescope, omega)
             gains = np.linalg.norm(response[:, rows], 2, axis=(1, 2)) / p.limit
             assert gains[1] == pytest.approx(p.gamma, rel=1e-9)
             assert max(gains[0], gains[2]) <= gains[1] * (1.0 + 1e-6)
 
 
-def test_the_worst_of_many_points_is_the_largest_of_each_alone(parameters) -> None:
+def test_the_worst_of_many_points_is_the_largest_of_each_alone(telescope) -> None:
     """Peaks that can't be the largest are not refined; those of a point alone always are."""
     points = [{"stiffness": float(v)} for v in np.linspace(0.6, 0.61, 3)]
-    loop = ImplementedLoop(OpenLoop(small_family(), parameters), *quiet_pair(), "fsm+pma")
+    loop = ImplementedLoop(OpenLoop(small_family(), telescope), *quiet_pair(), "fsm+pma")
     alone = [stage_check.check_stage(loop, [point], changes=False).worst for point in points]
     together = stage_check.check_stage(loop, points, changes=False).worst
     for name, worst in together.items():
@@ -178,8 +178,8 @@ def test_a_peak_between_the_frequencies_of_the_grid_is_found_beside_a_larger_val
 def test_a_peak_that_is_below_another_one_on_the_grid_is_found() -> None:
     """The worst slow tone: a mode with a damping ratio of 1 % between two frequencies of the grid, beside a value of
     0.457 at 6 rad/s that is larger than those on the grid beside it."""
-    parameters, stored = load_parameters(), load_worst_points()["fsm+pma"]["slow"]
-    open_loop = OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope, stored = load_telescope(), load_worst_points()["fsm+pma"]["slow"]
+    open_loop = OpenLoop(control_loop_plant(telescope), telescope)
     loop = ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma")
     (found,) = stage_check.check_stages([loop], [stored.parameters], changes=False)
     assert found.worst["slow"].gamma == pytest.approx(stored.gamma, rel=1e-5)
@@ -206,12 +206,12 @@ def test_points_that_share_a_bracket_are_narrowed_together() -> None:
     assert found == (pytest.approx(1.05, rel=1e-5), 5.0)
 
 
-def test_noise_is_that_of_the_nominal_point(three, parameters) -> None:
+def test_noise_is_that_of_the_nominal_point(three, telescope) -> None:
     found = three[0]
     for stage in ("fsm", "fsm+pma"):
-        known = metrics({}, parameters, stage)
+        known = metrics({}, telescope, stage)
         assert found.noise[stage] == pytest.approx((known.noise_ape, known.noise_rpe), rel=1e-12)
-    platform = metrics({}, parameters, "fsm+pma", sensors="platform")
+    platform = metrics({}, telescope, "fsm+pma", sensors="platform")
     assert found.pma[2] == pytest.approx(platform.noise_ape / (10.0 * ARCSEC), rel=1e-12)
     assert platform.noise_ape < 0.99 * found.noise["fsm+pma"][0]
     shown = found.to_mapping()
@@ -233,9 +233,9 @@ def test_noise_is_that_of_the_nominal_point(three, parameters) -> None:
     assert all(0.5 <= part <= 1.0 for parts in found.on_axis.values() for part in parts)
 
 
-def test_an_unstable_point_fails_and_makes_the_gammas_infinite(parameters) -> None:
+def test_an_unstable_point_fails_and_makes_the_gammas_infinite(telescope) -> None:
     points = [{}, {"stiffness": -1.0}, POINTS[0], {"stiffness": -2.0}]
-    found = checked(points, parameters, changes=False)
+    found = checked(points, telescope, changes=False)
     assert (found.stable, found.count, found.all_stable) == (2, 4, False)
     assert found.fsm == [np.inf] * 3
     assert [found.pma[0], found.pma[1], found.pma[3]] == [np.inf] * 3
@@ -246,24 +246,24 @@ def test_an_unstable_point_fails_and_makes_the_gammas_infinite(parameters) -> No
     assert "fsm: APE inf of its limit, must be at most 1" in broken_requirements(found)
 
 
-def test_a_point_counts_as_stable_if_both_stages_are(parameters) -> None:
+def test_a_point_counts_as_stable_if_both_stages_are(telescope) -> None:
     """The force law drives the plant unstable, the mirror's loop does not."""
     k_fsm, k_pma = quiet_pair()
     strong = replace(k_pma, D=1e4 * k_pma.D)
-    found = check_implemented(small_family(), parameters, k_fsm, strong, [{}, {}], changes=False)
+    found = check_implemented(small_family(), telescope, k_fsm, strong, [{}, {}], changes=False)
     assert (found.alone.stable.all(), found.both.stable.any()) == (True, False)
     assert (found.stable, found.count, found.platform_noise) == (0, 2, np.inf)
     assert failures({"mine": found}) == ["mine: unstable at 2 of 2 points"]
 
 
-def test_changes_that_make_a_loop_unstable_are_counted(parameters, monkeypatch) -> None:
+def test_changes_that_make_a_loop_unstable_are_counted(telescope, monkeypatch) -> None:
     def changes(loop, stage: str):
         yield "twice", lambda: replace(loop, hold=2.0 * loop.hold)
         yield "same", lambda: loop
 
     monkeypatch.setattr(sweep, "doubtful", lambda S, omega, stage: np.ones((len(S), len(change_names(stage))), bool))
     monkeypatch.setattr(stage_check, "changed_loops", changes)
-    found = checked(POINTS, parameters)
+    found = checked(POINTS, telescope)
     assert found.lost_margins() == [f"{stage}: twice unstable at 3 points" for stage in ("fsm", "fsm+pma")]
     assert found.to_mapping()["margins"]["unstable_changes"] == found.lost_margins()
     assert set(found.lost_margins()) <= set(broken_requirements(found))
@@ -293,28 +293,28 @@ def drifting_pair() -> tuple[SampledSystem, SampledSystem]:
     return k_fsm, quiet_pair()[1]
 
 
-def test_a_change_that_lets_a_slow_pole_drift_is_found_at_every_point(parameters) -> None:
+def test_a_change_that_lets_a_slow_pole_drift_is_found_at_every_point(telescope) -> None:
     """Far below the frequencies of the figures; only the first point is looked at by eigenvalues in any case."""
-    found = check_implemented(small_family(), parameters, *drifting_pair(), POINTS)
+    found = check_implemented(small_family(), telescope, *drifting_pair(), POINTS)
     assert found.alone.stable.all()
     for name in ("gain x0.5", "gain x0.5 at mirror 1", "gain x0.5 at mirror 2"):
         assert f"fsm: {name} unstable at 3 points" in found.lost_margins()
     assert not [line for line in found.lost_margins() if line.startswith("fsm: gain x2")]
 
 
-def test_no_points_are_refused(parameters) -> None:
+def test_no_points_are_refused(telescope) -> None:
     with pytest.raises(ValueError, match="points must hold at least one parameter point, got none"):
-        checked([], parameters)
+        checked([], telescope)
 
 
-def test_points_are_nominal_all_corners_and_random_ones(parameters) -> None:
-    system = control_loop_plant(telescope(), parameters)
-    points = verification_points(parameters, system, 3)
+def test_points_are_nominal_all_corners_and_random_ones(telescope) -> None:
+    system = control_loop_plant(telescope)
+    points = verification_points(telescope, system, 3)
     assert points[0] == {}
-    assert points[1:129] == parameter_corners(parameters)
+    assert points[1:129] == telescope.corners()
     assert len({tuple(p.values()) for p in points[1:129]}) == 128
     assert points[129:] == system.sample_values(np.random.default_rng(0), 3)
-    assert verification_points(parameters, system, 3, seed=1)[129:] != points[129:]
+    assert verification_points(telescope, system, 3, seed=1)[129:] != points[129:]
 
 
 def transfer(matrices, omega: np.ndarray) -> np.ndarray:
@@ -323,7 +323,7 @@ def transfer(matrices, omega: np.ndarray) -> np.ndarray:
     return np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) + D for w in omega])
 
 
-def hand_closed_gains(plant: System, parameters, pair: tuple[SampledSystem, SampledSystem], omega: np.ndarray):
+def hand_closed_gains(plant: System, telescope, pair: tuple[SampledSystem, SampledSystem], omega: np.ndarray):
     """Gammas at each frequency in the paper's order, shape (k, 7), noise as its density.
 
     Written from the physical plant: accelerations through the washout, mirror at minus ten times the estimate.
@@ -332,8 +332,8 @@ def hand_closed_gains(plant: System, parameters, pair: tuple[SampledSystem, Samp
     k_fsm, k_pma = (transfer([s.provenance["continuous"][k] for k in "ABCD"], omega) for s in pair)
     washout = np.ones((omega.size, 1, 22), complex)
     washout[:, 0, :18] = (1j * omega / (1j * omega + 0.1))[:, None]
-    size, window = weight_amplitudes(parameters, omega)[:, None, :], rpe_weight(omega, 0.02)
-    sigma = np.array(parameters["sensors"]["accelerometer_noise"]) * np.sqrt(1e-3)
+    size, window = weight_amplitudes(telescope, omega)[:, None, :], rpe_weight(omega, 0.02)
+    sigma = telescope.sensors[0].noise * np.sqrt(1e-3)
     entering = np.concatenate([G[:, :22, 8:], np.broadcast_to(np.eye(22)[:, :6], (omega.size, 22, 6))], axis=2)
     columns = []
     for stage, rpe_limit in (("fsm", 0.1 * ARCSEC), ("fsm+pma", 0.04 * ARCSEC)):
@@ -356,23 +356,23 @@ def hand_closed_gains(plant: System, parameters, pair: tuple[SampledSystem, Samp
 @pytest.mark.parametrize("ending", ["", pytest.param("_nominal", marks=pytest.mark.slow)])
 def test_paper_gammas_are_those_of_the_loop_closed_by_hand(ending: str) -> None:
     """Worst of two points; peaks on a grid reach the certified norms and do not exceed them."""
-    parameters, assembled = load_parameters(PAPER / "telescope.toml"), telescope(str(PAPER / "telescope.toml"))
+    telescope = load_telescope(PAPER / "telescope.toml")
     pair = [SampledSystem.from_file(PAPER / "designs" / f"{kind}{ending}.json") for kind in ("k_fsm", "k_pma")]
-    system = control_loop_plant(assembled, parameters)
+    system = control_loop_plant(telescope)
     points = [{"wheel_1.speed": 200.0, "wheel_3.speed": -300.0, "solar_array.tau": 0.3}, {}]
     expected = np.zeros((2, 7))
     for row, values in zip(expected, points):
         plant = system.at(values)
         poles = linalg.eigvals(plant.A)
         omega = np.unique(np.r_[np.geomspace(1e-3, 1e4, 200), np.abs(poles[poles.imag > 1e-3])])
-        gains = hand_closed_gains(plant, parameters, pair, omega)
+        gains = hand_closed_gains(plant, telescope, pair, omega)
         row[5] = np.sqrt(integrate.trapezoid(gains[:, 5], omega) / np.pi)
         for column in (0, 1, 2, 3, 4, 6):
             k = int(np.clip(gains[:, column].argmax(), 1, omega.size - 2))
             fine = np.linspace(omega[k - 1], omega[k + 1], 41)
-            row[column] = max(gains[k, column], hand_closed_gains(plant, parameters, pair, fine)[:, column].max())
+            row[column] = max(gains[k, column], hand_closed_gains(plant, telescope, pair, fine)[:, column].max())
     worst = expected.max(axis=0)
-    found = check_paper(assembled, parameters, *pair, points)
+    found = check_paper(telescope, *pair, points)
     gammas = np.r_[found["fsm"], found["pma"]]
     H_infinity = [0, 1, 2, 3, 4, 6]
     assert np.all(worst[H_infinity] <= 1.0001 * gammas[H_infinity])
@@ -386,7 +386,8 @@ def test_an_unstable_paper_design_has_infinite_gammas() -> None:
     matrices = dict(k_fsm.provenance["continuous"])
     matrices["A"] = (np.array(matrices["A"]) + 1e3 * np.eye(4)).tolist()
     broken = replace(k_fsm, provenance={**k_fsm.provenance, "continuous": matrices})
-    assert check_paper(telescope(str(file)), load_parameters(file), broken, k_pma, [{}])["fsm"] == [np.inf] * 3
+    telescope = load_telescope(file)
+    assert check_paper(telescope, broken, k_pma, [{}])["fsm"] == [np.inf] * 3
 
 
 def test_published_gammas() -> None:

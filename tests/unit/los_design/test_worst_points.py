@@ -30,7 +30,6 @@ from los_loop.spec import DISTURBANCE, INPUTS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.disturbances import no_tones, weight_amplitudes
 from titop_plant.simulation.plant_step import step_matrix
-from titop_plant.telescope.parameters import parameter_box
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = (*(f"wheel_{i}.speed" for i in range(1, 5)), *(f"solar_array.{n}" for n in ("omega_1", "omega_2", "tau")))
@@ -52,12 +51,12 @@ def known_values(stage: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("stage", ["isolator", "fsm", "fsm+pma"])
-def test_the_response_is_that_of_the_periodic_solution(stage: str, system, parameters, pair) -> None:
-    loop, values = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), known_values("fsm+pma")
+def test_the_response_is_that_of_the_periodic_solution(stage: str, system, telescope, pair) -> None:
+    loop, values = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), known_values("fsm+pma")
     plant = system.at(values)
     exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
-    expected = tone_response(exact, plant, omega).fundamental * weight_amplitudes(parameters, omega)[:, None, :]
+    expected = tone_response(exact, plant, omega).fundamental * weight_amplitudes(telescope, omega)[:, None, :]
     rows = (slice(0, 2), slice(2, 4), slice(4, 10))[: {"isolator": 1, "fsm": 2, "fsm+pma": 3}[stage]]
     for w, reference in zip(omega, expected):
         found = loop.all_responses(loop.at(float(w)), loop.point(values)[None])[0][:, INPUTS[DISTURBANCE]]
@@ -65,9 +64,9 @@ def test_the_response_is_that_of_the_periodic_solution(stage: str, system, param
             assert np.linalg.norm(found[part] - reference[part]) < 1e-5 * np.linalg.norm(reference[part])
 
 
-def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pair) -> None:
+def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pair) -> None:
     """With the plant's response from the mirror alone: S = (I - L)^-1, L by tones on the command, no LFT."""
-    loop, values, w = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"), known_values("fsm"), 7.0
+    loop, values, w = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"), known_values("fsm"), 7.0
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.at(values)
     n = plant.A.shape[0]
@@ -93,8 +92,8 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, parameters, pa
         ("fsm+pma", "sensitivity, forces", 2588.0),
     ],
 )
-def test_gradients_equal_differences(stage: str, name: str, omega: float, system, parameters, pair) -> None:
-    loop, metric = ImplementedLoop(OpenLoop(system, parameters), *pair, stage), loop_metrics(parameters, stage)[name]
+def test_gradients_equal_differences(stage: str, name: str, omega: float, system, telescope, pair) -> None:
+    loop, metric = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), loop_metrics(telescope, stage)[name]
     h, point = 1e-5, np.clip(loop.point(known_values("fsm+pma")), 2e-5, 1.0 - 2e-5)
     value, slope, by_frequency = loop.gain(loop.at(omega), metric, point)
     both = [loop.gains(loop.at(omega), metric, point + sign * h * np.eye(7)) for sign in (1.0, -1.0)]
@@ -104,10 +103,10 @@ def test_gradients_equal_differences(stage: str, name: str, omega: float, system
 
 
 @pytest.mark.parametrize("stage", ["fsm+pma", "fsm"])
-def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, parameters, pair) -> None:
+def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope, pair) -> None:
     """From frequencies 0.2 % and parameters 3 % of the box away; confirmed by the periodic solution."""
     omega, _, gamma = KNOWN[stage]
-    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, stage))
+    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, stage))
     metric, start = search.metrics["fast"], search.loop.point(known_values(stage))
     rng = np.random.default_rng(1)
     near = np.clip(start + 0.03 * rng.uniform(-1.0, 1.0, 7), 0.0, 1.0)
@@ -115,10 +114,10 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, parameters
     found = search.confirmed(metric, at, where)
     assert found.gamma > gamma - 5e-4
     assert abs(found.omega / omega - 1.0) < 5e-3
-    assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in parameter_box(parameters).items())
+    assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
     plant = system.at(found.parameters)
     exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
-    _, relative = weighted_gains(exact, plant, parameters, np.array([found.omega]))
+    _, relative = weighted_gains(exact, plant, telescope, np.array([found.omega]))
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
 
@@ -151,8 +150,8 @@ class Resonance:
 
 
 @pytest.fixture
-def search(system, parameters, pair) -> Search:
-    return Search(ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma"), SearchOptions(members=4))
+def search(system, telescope, pair) -> Search:
+    return Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma"), SearchOptions(members=4))
 
 
 @pytest.mark.parametrize(("peak", "start"), [(378.2, 381.0), (381.0, 378.5), (310.0, 460.0)])
@@ -172,9 +171,9 @@ def test_peaks_of_members_are_starts_though_the_grid_misses_them(search: Search,
     assert len(found) == 4 and all(abs(omega / peak - 1.0) < 2e-3 for _, omega, _ in found)
 
 
-def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> None:
+def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> None:
     """The unit disturbance causes gamma times the limit along the direction, by the sampled plant's response."""
-    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"))
+    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
     found = search.confirmed(search.metrics["APE"], 0.8, search.loop.point(known_values("fsm")))
     assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
         1.0
@@ -182,13 +181,13 @@ def test_the_vectors_are_those_of_the_largest_gain(system, parameters, pair) -> 
     plant = system.at(found.parameters)
     exact = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
-    caused = response @ (weight_amplitudes(parameters, np.array([0.8]))[0] * found.disturbance)
+    caused = response @ (weight_amplitudes(telescope, np.array([0.8]))[0] * found.disturbance)
     np.testing.assert_allclose(caused, found.gamma * found.limit * found.direction, rtol=1e-4)
     assert search.loop.stage == found.stage and found.channel.startswith(("wheel", "solar array drive"))
 
 
-def test_points_are_stored_and_read_back(tmp_path, system, parameters, pair) -> None:
-    search = Search(ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm"))
+def test_points_are_stored_and_read_back(tmp_path, system, telescope, pair) -> None:
+    search = Search(ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm"))
     slow, fast = (
         search.confirmed(search.metrics[name], w, np.full(7, 0.5)) for name, w in (("slow", 5.0), ("fast", 400.0))
     )
@@ -205,9 +204,9 @@ def test_points_are_stored_and_read_back(tmp_path, system, parameters, pair) -> 
         load_worst_points(tmp_path / "none")
 
 
-def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system, parameters, pair) -> None:
+def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system, telescope, pair) -> None:
     options = SearchOptions(frequencies=40, points=4, ascents=6, iterations=3, seed=3)
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "isolator")
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "isolator")
     runs = [Search(loop, options).run(["fast"])["fast"] for _ in range(2)]
     assert [(p.gamma, p.omega) for p in runs[0]] == [(p.gamma, p.omega) for p in runs[1]]
     assert all(85.0 <= p.omega <= 3000.0 for p in runs[0])
@@ -218,8 +217,8 @@ def test_a_search_with_small_effort_is_reproducible_and_within_its_bands(system,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["fsm+pma", "fsm"])
-def test_the_search_finds_the_known_worst_cases_by_itself(stage: str, system, parameters, pair) -> None:
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, stage)
+def test_the_search_finds_the_known_worst_cases_by_itself(stage: str, system, telescope, pair) -> None:
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, stage)
     found: list[WorstPoint] = Search(loop, SearchOptions(seed=5)).run(["fast"])["fast"]
     omega, _, gamma = KNOWN[stage]
     assert found[0].gamma >= gamma - 1e-3

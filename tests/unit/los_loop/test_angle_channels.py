@@ -11,16 +11,16 @@ from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kep
 from los_loop.open_loop import MANY, OpenLoop, closed_lft
 from titop_plant.blocks.rotation import rotation
 from titop_plant.interface import COMMANDS
-from titop_plant.simulation.build import control_loop_plant, telescope
+from titop_plant.simulation.build import control_loop_plant
 from titop_plant.simulation.disturbances import REFERENCE_CHANNELS, weight_amplitudes
 from titop_plant.telescope.layout import ANGLE
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 
 @pytest.fixture(scope="module")
 def open_loop() -> OpenLoop:
-    parameters = load_parameters()
-    return OpenLoop(control_loop_plant(telescope(), parameters), parameters)
+    telescope = load_telescope()
+    return OpenLoop(control_loop_plant(telescope), telescope)
 
 
 def points(count: int) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_responses_to_disturbances_are_those_of_the_plant_at_the_parameters(
     """The plant that the expression of the telescope gives at numbers, without any channel: few points, and many."""
     at, system = points(count), open_loop.system
     found = open_loop.closed_over(open_loop.at(np.array([omega]))[0], at)[:, :, :REFERENCE_CHANNELS]
-    size = weight_amplitudes(open_loop.parameters, np.array([omega]))[0]
+    size = weight_amplitudes(open_loop.telescope, np.array([omega]))[0]
     for k in (0, 1, 2, 3, count - 1):
         plant = system.at(open_loop.values(at[k]))
         exact = FrequencyResponse.of(plant.A, plant.B[:, COMMANDS:], plant.C, plant.D[:, COMMANDS:]).at([omega])[0]
@@ -64,7 +64,7 @@ def test_responses_are_those_of_all_channels_of_the_telescope(omega: float, open
     delta = (open_loop.low + at * open_loop.width - open_loop.nominal)[:, [names.index(c) for c in system.channels]]
     into = slice(q + COMMANDS, None)
     whole = closed_lft(G[:q, :q], G[q:, :q], G[:q, into], G[q:, into], delta.astype(complex))
-    expected = whole * weight_amplitudes(open_loop.parameters, np.array([omega]))[0]
+    expected = whole * weight_amplitudes(open_loop.telescope, np.array([omega]))[0]
     found = open_loop.closed_over(open_loop.at(np.array([omega]))[0], at)[:, :, :REFERENCE_CHANNELS]
     for rows in (slice(0, 18), slice(18, 20), slice(20, 22), slice(22, 24)):
         size = np.linalg.norm(expected[:, rows], axis=(1, 2))

@@ -19,10 +19,10 @@ from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from los_loop.implemented_loop import LoopMetric
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMAND_PORTS, COMMANDED, FORCES, MEASURED, MIRROR, MIRROR_STAGES, PLATFORM
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
 OMEGA = np.array([0.05, 0.9, 7.3, 61.0, 400.0, 1570.0])
@@ -30,46 +30,46 @@ OMEGA = np.array([0.05, 0.9, 7.3, 61.0, 400.0, 1570.0])
 
 @pytest.fixture(scope="module")
 def open_loop() -> OpenLoop:
-    return continuous_open_loop(telescope(), load_parameters())
+    return continuous_open_loop(load_telescope())
 
 
 @pytest.fixture(scope="module")
 def matrices() -> tuple[FloatArray, FloatArray]:
     """Gain matrices of the Kalman observer and of a random K_PMA with which the loop is stable."""
     return (
-        gain_matrix_of(kalman_observer(load_parameters(), telescope().bodies[1]).at({})),
+        gain_matrix_of(kalman_observer(load_telescope(), assembled_telescope().bodies[1]).at({})),
         gain_matrix_of(random_law(2, 1.0)),
     )
 
 
 def by_algebra(stage: str, values: dict[str, float], matrices: tuple[FloatArray, FloatArray]) -> dict[str, FloatArray]:
     """Gains at OMEGA of the loop closed by its equations: the plant's transfer matrices and the controllers'."""
-    parameters = load_parameters()
-    plant = control_plant(telescope().system, parameters)
+    telescope = load_telescope()
+    plant = control_plant(telescope)
     inputs, outputs = (*disturbances_of(plant), *COMMANDED), (*MEASURED, "los_controlled")
     G = frequency_response(plant[outputs, inputs].at(values), OMEGA)
     found: dict[str, list[float]] = {"APE": [], "RPE": [], "RPE, fine": [], "mirror": [], "force": []}
-    weights = parameters["weights"]
+    weights = telescope.weights
     for w, g in zip(OMEGA, G):
         K = np.zeros((8, 22), complex)
         for rows, columns, M, gain in (
-            (MIRROR, slice(0, 22), matrices[0], -1.0 / parameters["fsm"]["los_sensitivity"]),
+            (MIRROR, slice(0, 22), matrices[0], -1.0 / telescope.fsm.los_sensitivity),
             (FORCES, PLATFORM, matrices[1], float(stage == "fsm+pma")),
         ):
             A, B, C, D = M[:4, :4], M[:4, 4:], M[4:, :4], M[4:, 4:]
             K[rows, columns] = gain * (D + C @ linalg.solve(1j * w * np.eye(4) - A, B))
-        size = weight_amplitudes(parameters, np.array([w]))[0]
+        size = weight_amplitudes(telescope, np.array([w]))[0]
         Gw, Gu = g[:, :-8] * size, g[:, -8:]
         u = linalg.solve(np.eye(8) - K @ Gu[:22], K @ Gw[:22])
         los = Gw[22:] + Gu[22:] @ u
-        rpe = weights["rpe_limit" if stage == "fsm" else "rpe_limit_fine"]
+        rpe = weights.rpe_limit if stage == "fsm" else weights.rpe_limit_fine
         error = float(linalg.svdvals(los)[0])
-        found["APE"].append(error / weights["ape_limit"])
-        relative = error * float(rpe_weight(np.array([w]), weights["rpe_window"])[0])
+        found["APE"].append(error / weights.ape_limit)
+        relative = error * float(rpe_weight(np.array([w]), weights.rpe_window)[0])
         found["RPE"].append(relative / rpe)
-        found["RPE, fine"].append(relative / weights["rpe_limit_fine"])
-        found["mirror"].append(float(linalg.svdvals(u[MIRROR])[0]) / parameters["fsm"]["authority"])
-        found["force"].append(float(linalg.svdvals(u[FORCES])[0]) / parameters["pma"]["authority"])
+        found["RPE, fine"].append(relative / weights.rpe_limit_fine)
+        found["mirror"].append(float(linalg.svdvals(u[MIRROR])[0]) / telescope.fsm.authority)
+        found["force"].append(float(linalg.svdvals(u[FORCES])[0]) / telescope.pma.authority)
     return {name: np.array(column) for name, column in found.items()}
 
 
@@ -118,7 +118,7 @@ def test_the_tuner_has_the_gains_of_the_loop(stage: tuple[int, ...], open_loop: 
     task = task_of(open_loop, stage)
     x, problem = parameters_of(task.blocks, matrices), task.problem()
     loop, values = task.loop(x, stage), problem.values(x)
-    assert task.limits(stage) == paper_limits(open_loop.parameters, stage, fine=True)
+    assert task.limits(stage) == paper_limits(open_loop.telescope, stage, fine=True)
     for k in range(0, len(problem.samples), 97):
         closed = loop.at(float(problem.samples.omega[k]))
         for gain, found in zip(problem.gains, values[:, k]):
@@ -132,9 +132,9 @@ def test_the_tuner_has_the_gains_of_the_loop(stage: tuple[int, ...], open_loop: 
 def test_poles_are_those_of_the_connected_systems(stage: str, open_loop: OpenLoop, matrices) -> None:
     loop = ContinuousLoop(open_loop, *matrices, stage)
     values = members(open_loop)[1]
-    plant = control_plant(telescope().system, load_parameters()).at(values)
+    plant = control_plant(load_telescope()).at(values)
     law = transform(
-        kalman_observer(load_parameters(), telescope().bodies[1]),
+        kalman_observer(load_telescope(), assembled_telescope().bodies[1]),
         outputs={"los_estimate": (-10.0 * np.eye(2), COMMAND_PORTS[0])},
     )
     systems = {"plant": plant, "mirror": law, "forces": random_law(2, 1.0)}

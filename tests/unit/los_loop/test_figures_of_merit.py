@@ -28,7 +28,7 @@ ADDED = replace(
     name="force, slow",
     paper=(),
     band=(0.0, 85.0),
-    limit=lambda parameters, stage: 0.2,
+    limit=lambda telescope, stage: 0.2,
     target=None,
     allowed=0.5,
 )
@@ -51,10 +51,10 @@ def test_the_table_is_that_of_the_paper_and_of_the_loop() -> None:
         assert (row.name in INDICES) == row.is_error
 
 
-def test_a_target_is_at_most_what_is_accepted(parameters) -> None:
+def test_a_target_is_at_most_what_is_accepted(telescope) -> None:
     for stage in MIRROR_STAGES:
         for row in figures(stage):
-            assert 0.0 < row.tuned_for(parameters, stage) <= row.allowed * row.limit(parameters, stage)
+            assert 0.0 < row.tuned_for(telescope, stage) <= row.allowed * row.limit(telescope, stage)
 
 
 @pytest.mark.parametrize(
@@ -68,15 +68,15 @@ def test_a_target_is_at_most_what_is_accepted(parameters) -> None:
 )
 def test_ports_that_the_loop_does_not_have_are_named(output, inputs, message) -> None:
     with pytest.raises(ValueError, match=f"mine: {message}"):
-        FigureOfMerit("mine", output, inputs, lambda parameters, stage: 1.0)
+        FigureOfMerit("mine", output, inputs, lambda telescope, stage: 1.0)
     with pytest.raises(ValueError, match=r"figure must be one of APE, RPE, .*, got 'mine'"):
         figure("mine")
 
 
-def test_an_added_row_is_tuned_for(added, parameters, system) -> None:
+def test_an_added_row_is_tuned_for(added, telescope, system) -> None:
     """The tuner on responses and that on state spaces have it, with its band, bound and kind."""
-    assert limits(parameters, BOTH)["force, slow"] == 0.1 and "force, slow" not in limits(parameters, ALONE)
-    problem = pair_problem(Samples(OpenLoop(system, parameters)), (ALONE, BOTH), (0, 1))
+    assert limits(telescope, BOTH)["force, slow"] == 0.1 and "force, slow" not in limits(telescope, ALONE)
+    problem = pair_problem(Samples(OpenLoop(system, telescope)), (ALONE, BOTH), (0, 1))
     gain = next(g for g in problem.gains if g.name == "force, slow")
     assert gain.hard and gain.scale(np.array([10.0, 84.0, 86.0])).tolist() == [10.0, 10.0, 0.0]
     names = [noise.name for noise in problem.noises]
@@ -84,23 +84,23 @@ def test_an_added_row_is_tuned_for(added, parameters, system) -> None:
     heard = problem.noises[-1].density[0]
     assert np.flatnonzero(heard).tolist() == [18, 19]
     assert problem.noises[0].density[0, 18] == heard[18]
-    force = requirement(replace(ADDED, band=(0.0, np.inf)), parameters, "fsm+pma", 0.1)
+    force = requirement(replace(ADDED, band=(0.0, np.inf)), telescope, "fsm+pma", 0.1)
     assert (force.outputs, force.bound, force.hard) == (("pma_force",), 0.1, True)
-    assert "force, slow" not in [r.name for r in paper_requirements(parameters, "fsm+pma")]
+    assert "force, slow" not in [r.name for r in paper_requirements(telescope, "fsm+pma")]
     with pytest.raises(ValueError, match="force, slow: band must be the whole axis"):
-        implemented_requirements(parameters, "fsm+pma")
+        implemented_requirements(telescope, "fsm+pma")
     with pytest.raises(ValueError, match="noise of the camera: the plant has one noise for camera_los, fsm_angle"):
-        implemented_requirements(parameters, "fsm")
+        implemented_requirements(telescope, "fsm")
 
 
 @pytest.mark.slow
-def test_an_added_row_is_searched_verified_and_proven(added, parameters, system) -> None:
+def test_an_added_row_is_searched_verified_and_proven(added, telescope, system) -> None:
     """The slow forces of the stored design, by the search's response at their worst point."""
     pair = load_designs("implemented")
-    check = check_implemented(system, parameters, *pair, [{}], changes=False)
+    check = check_implemented(system, telescope, *pair, [{}], changes=False)
     found = check.both.worst["force, slow"]
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, FORCE_STAGES[0])
-    assert "force, slow" in Search(loop).metrics and figures_of(parameters, "fsm+pma")["force, slow"].band == (
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, FORCE_STAGES[0])
+    assert "force, slow" in Search(loop).metrics and figures_of(telescope, "fsm+pma")["force, slow"].band == (
         0.0,
         85.0,
     )
@@ -116,16 +116,16 @@ def test_an_added_row_is_searched_verified_and_proven(added, parameters, system)
 
 
 @pytest.mark.slow
-def test_an_added_row_is_a_column_of_campaigns(monkeypatch, parameters, system) -> None:
+def test_an_added_row_is_a_column_of_campaigns(monkeypatch, telescope, system) -> None:
     before = metric_columns("model", ())
     monkeypatch.setattr(figures_of_merit, "FIGURES", (*FIGURES, ADDED, NOISE))
     assert set(metric_columns("model", ())) - set(before) == {"force_slow_gain"}
     assert meaning("force_slow_gain") == "force slow gain"
     pair = load_designs("implemented")
-    found = ModelDepth.of(system, parameters, *pair, "fsm+pma").metrics({})
+    found = ModelDepth.of(system, telescope, *pair, "fsm+pma").metrics({})
     assert tuple(found) == model_metrics()
-    loop = ImplementedLoop(OpenLoop(system, parameters), *pair, "fsm+pma")
-    metric = loop_metrics(parameters, "fsm+pma")["force, slow"]
+    loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
+    metric = loop_metrics(telescope, "fsm+pma")["force, slow"]
     values = [loop.gains(loop.at(w), metric, loop.point({})[None])[0] for w in np.geomspace(0.01, 85.0, 400)]
     assert found["force_slow_gain"] >= 0.99 * max(values) > 0.0
 

@@ -6,17 +6,17 @@ import pytest
 from lftkit.analysis.frequency_response import FrequencyResponse
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMANDS, DT
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 
 @pytest.mark.parametrize("omega", [0.3, 85.0, 580.7, 1400.0])
 def test_held_commands_reach_every_output_as_through_each_mode(omega: float) -> None:
     """Modes in balanced coordinates, condition 1e3: in metres and microradians it is 1e5 to 1e9."""
-    parameters = load_parameters()
-    system = control_loop_plant(telescope(), parameters)
+    telescope = load_telescope()
+    system = control_loop_plant(telescope)
     q = len(system.channels)
-    open_loop = OpenLoop(system, parameters)
+    open_loop = OpenLoop(system, telescope)
     held = open_loop.at(np.array([omega]))[0][open_loop.channels :, -COMMANDS:]
     B, C, D = system.B[:, q : q + COMMANDS], system.C[q:], system.D[q:, q : q + COMMANDS]
     modes = FrequencyResponse.of(system.A, B, C, D)

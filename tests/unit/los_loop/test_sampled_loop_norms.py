@@ -104,9 +104,9 @@ def relative_error_weight(omega: np.ndarray, window: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("omega", [55.0, 217.0, 400.0])
-def test_the_relative_error_counts_the_power_of_all_sidebands(omega: float, parameters, monkeypatch) -> None:
+def test_the_relative_error_counts_the_power_of_all_sidebands(omega: float, telescope, monkeypatch) -> None:
     loop = closed(COMPLETE)
-    amplitude = weight_amplitudes(parameters, omega)[0]
+    amplitude = weight_amplitudes(telescope, omega)[0]
     spectrum = np.fft.fft(stepped(loop, omega)[:, :2], axis=0) / COMPLETE
     shifts = 2.0 * np.pi * np.fft.fftfreq(COMPLETE, DT)
     weights = relative_error_weight(np.abs(omega + shifts), 0.02)
@@ -114,28 +114,28 @@ def test_the_relative_error_counts_the_power_of_all_sidebands(omega: float, para
     expected = np.linalg.svd(whole)[1][0]
     assert expected > 1.01 * np.linalg.svd(whole[:2])[1][0]
     monkeypatch.setattr(sampled_loop_norms, "loop_grid", lambda *_: np.array([omega]))
-    grid, response, relative = weighted_response(loop, PLANT, parameters)
+    grid, response, relative = weighted_response(loop, PLANT, telescope)
     assert grid.tolist() == [omega]
     assert relative[0] == pytest.approx(expected, rel=1e-6)
     assert np.abs(response[0, :2] - spectrum[0] * amplitude).max() < 1e-6 * np.abs(spectrum[0] * amplitude).max()
 
 
-def gains(loop: SampledLoop, omega: np.ndarray, parameters) -> np.ndarray:
+def gains(loop: SampledLoop, omega: np.ndarray, telescope) -> np.ndarray:
     """Largest singular values to line of sight, mirror and forces from the settled loop, shape (k, 3)."""
     rows = []
     for w in omega:
-        H = stepped(loop, w).mean(axis=0) * weight_amplitudes(parameters, w)[0]
+        H = stepped(loop, w).mean(axis=0) * weight_amplitudes(telescope, w)[0]
         rows.append([np.linalg.norm(H[part], 2) for part in (slice(0, 2), slice(2, 4), slice(4, 10))])
     return np.array(rows)
 
 
 @pytest.mark.parametrize("frame_ticks", [1, COMPLETE])
-def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, parameters) -> None:
+def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, telescope) -> None:
     """Reached at a frequency of the grid, and not exceeded on another one."""
     plant, controllers = small_plant(), small_controllers()
-    found = sampled_loop_metrics(plant, *controllers, parameters, loop="fsm+pma", frame_ticks=frame_ticks, noise=False)
+    found = sampled_loop_metrics(plant, *controllers, telescope, loop="fsm+pma", frame_ticks=frame_ticks, noise=False)
     loop = closed(frame_ticks)
-    omega, response, relative = weighted_response(loop, plant, parameters)
+    omega, response, relative = weighted_response(loop, plant, telescope)
     assert omega[0] == pytest.approx(1e-2) and omega[-1] == pytest.approx(3e3)
     assert found.rpe == pytest.approx(relative.max() / 4.84813681109536e-07, rel=1e-12)
     assert found.rpe_fine == pytest.approx(2.5 * found.rpe, rel=1e-12)
@@ -144,20 +144,20 @@ def test_metrics_are_the_peaks_over_their_limits(frame_ticks: int, parameters) -
     norms = np.array([np.linalg.norm(response[:, part], 2, axis=(1, 2)) for part in parts])
     peaks = omega[norms.argmax(axis=1)]
     limits = np.array([4.84813681109536e-05, 5.3e-3, 31.6])
-    expected = np.diag(gains(loop, peaks, parameters)) / limits
+    expected = np.diag(gains(loop, peaks, telescope)) / limits
     assert [found.ape, found.mirror, found.force] == pytest.approx(expected, rel=1e-8)
     others = np.random.default_rng(3).uniform(np.log(1.0), np.log(2e3), 60)
-    elsewhere = gains(loop, np.exp(others), parameters).max(axis=0) / limits
+    elsewhere = gains(loop, np.exp(others), telescope).max(axis=0) / limits
     assert np.all(elsewhere <= 1.001 * np.array([found.ape, found.mirror, found.force]))
     assert np.isnan(found.noise_ape) and np.isnan(found.noise_rpe)
     assert found.stable and found.radius == pytest.approx(loop.spectral_radius(), rel=1e-12)
 
 
 @pytest.mark.parametrize("stage", ["fsm", "fsm+pma"])
-def test_grid_resolves_the_resonances(stage: str, parameters) -> None:
+def test_grid_resolves_the_resonances(stage: str, telescope) -> None:
     """Near every lightly damped pole of the loop there are several frequencies."""
     loop = closed(20, stage)
-    omega, _, _ = weighted_response(loop, PLANT, parameters, 5.0)
+    omega, _, _ = weighted_response(loop, PLANT, telescope, 5.0)
     assert omega[0] == pytest.approx(5.0)
     for w in (12.0, 60.0, 180.0, 420.0):
         assert np.sum(np.abs(omega / w - 1.0) < 0.05) >= 3
@@ -189,14 +189,14 @@ def covariance(loop: SampledLoop, sigma: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize("sensors", [None, "platform"])
 @pytest.mark.parametrize("frame_ticks", [1, 20])
-def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, parameters) -> None:
+def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, telescope) -> None:
     """Sensors with different noise on every kind of channel, so that none is taken for another."""
     table: dict[str, Any] = {
         "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
         "camera_noise": 2e-3,
         "strain_gauge_noise": 5e-2,
     }
-    changed = {**parameters, "sensors": {**parameters["sensors"], **table}}
+    changed = telescope.changed({"sensors": table})
     sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [2e-3] * 2, [5e-2] * 2]
     if sensors == "platform":
         sigma[6:] = 0.0
@@ -208,12 +208,12 @@ def test_noise_is_the_settled_covariance(frame_ticks: int, sensors: str | None, 
 
 
 @pytest.mark.parametrize("frame_ticks", [9, 20])
-def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, parameters) -> None:
+def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, telescope) -> None:
     k_fsm, k_pma = small_controllers()
     D = k_fsm.D.copy()
     D[:, 18:20] *= 8.0
     found = sampled_loop_metrics(
-        small_plant(), replace(k_fsm, D=D), k_pma, parameters, loop="fsm", frame_ticks=frame_ticks
+        small_plant(), replace(k_fsm, D=D), k_pma, telescope, loop="fsm", frame_ticks=frame_ticks
     )
     assert not found.stable and found.radius > 1.0
     values = found.ape, found.rpe, found.rpe_fine, found.mirror, found.force, found.noise_ape, found.noise_rpe
@@ -221,7 +221,7 @@ def test_an_unstable_loop_has_infinite_metrics(frame_ticks: int, parameters) -> 
     assert np.isnan(found.omega_rpe)
 
 
-def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(parameters, monkeypatch) -> None:
+def test_a_loop_with_a_motion_that_does_not_decay_is_unstable(telescope, monkeypatch) -> None:
     monkeypatch.setattr(SampledLoop, "spectral_radius", lambda _: 1.0)
-    found = sampled_loop_metrics(small_plant(), *small_controllers(), parameters, loop="fsm", frame_ticks=20)
+    found = sampled_loop_metrics(small_plant(), *small_controllers(), telescope, loop="fsm", frame_ticks=20)
     assert not found.stable and found.ape == np.inf

@@ -9,8 +9,8 @@ from scipy import linalg
 from los_design.synthesis.store import load_designs
 from los_loop.sampled_loop import SampledLoop, sampled_loop
 from titop_plant.interface import DT
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 DAMPING, HIGHEST = 0.05, 60.0
 
@@ -57,7 +57,7 @@ def test_a_change_is_made_to_all_matrices(loop: SampledLoop) -> None:
 @pytest.mark.parametrize("frame_ticks", [20, 100, 250])
 def test_slow_modes_of_a_long_period_are_those_of_its_parts(frame_ticks: int) -> None:
     """Loops open: modes of telescope and controllers, also where others are alike over a period."""
-    plant = control_loop_plant(telescope(), load_parameters()).at({})
+    plant = control_loop_plant(load_telescope()).at({})
     pair = load_designs("implemented")
     loop = sampled_loop(plant, *pair, loop="isolator", frame_ticks=frame_ticks, los_sensitivity=0.1)
     poles = np.concatenate([linalg.eigvals(plant.A), *(np.log(linalg.eigvals(K.A)) / DT for K in pair)])

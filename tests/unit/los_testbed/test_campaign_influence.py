@@ -14,14 +14,14 @@ CORNERS = members("corners", 0, 0)
 SIGNS = np.sign(CORNERS - CORNERS.mean(axis=0))
 
 
-def shares(parameters: Any, metric: Any) -> dict[str, float]:
+def shares(telescope: Any, metric: Any) -> dict[str, float]:
     """First-order shares by parameter."""
-    return {one.parameter: one.first_order for one in influences(parameters, metric)}
+    return {one.parameter: one.first_order for one in influences(telescope, metric)}
 
 
-def pairs(parameters: Any, metric: Any) -> dict[tuple[str, str], float]:
+def pairs(telescope: Any, metric: Any) -> dict[tuple[str, str], float]:
     """Shares of the pairs that have one."""
-    return {one.parameters: one.share for one in pair_effects(parameters, metric) if one.share > 0.0}
+    return {one.parameters: one.share for one in pair_effects(telescope, metric) if one.share > 0.0}
 
 
 def test_corners_have_the_shares_of_a_two_level_design() -> None:

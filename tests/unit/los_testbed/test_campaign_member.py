@@ -125,7 +125,7 @@ def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
     estimator.reset()
     controller.reset()
     record = los_testbed.campaign.member._Record(
-        np.empty((base.ticks, 4)), float(evaluator.family.parameters["fsm"]["los_sensitivity"])
+        np.empty((base.ticks, 4)), evaluator.family.telescope.fsm.los_sensitivity
     )
     if growth:
         with np.errstate(all="ignore"), pytest.raises(LoopDivergedError) as caught:

@@ -50,9 +50,9 @@ def depth(evaluator: MemberEvaluator) -> ModelDepth:
 def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvaluator, index: int) -> None:
     found = row(evaluator, index)
     assert found["status"] == "ok"
-    plant, parameters = evaluator.family.control_loop.at(point(index)), evaluator.family.parameters
+    plant, telescope = evaluator.family.control_loop.at(point(index)), evaluator.family.parameters
     pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
-    exact = sampled_loop_metrics(plant, *pair, parameters, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    exact = sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", frame_ticks=FRAME_TICKS)
     pairs = (
         (exact.ape, "ape_gain"),
         (exact.rpe_fine, "rpe_fine_gain"),
@@ -63,7 +63,7 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
         assert 0.997 * value < found[name] < 1.06 * value, name
     closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)
     near = found["rpe_peak_rad_s"] * (1.0 + np.linspace(-1e-3, 1e-3, 41))
-    peak = float(weighted_gains(closed, plant, parameters, near)[1].max()) / parameters["weights"]["rpe_limit_fine"]
+    peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert found["rpe_fine_gain"] == pytest.approx(peak, rel=5e-3)
     assert found["noise_ape_arcsec_rms"] * RAD_PER_ARCSEC == pytest.approx(exact.noise_ape, rel=1e-3)
     assert found["noise_rpe_mas_rms"] * RAD_PER_MAS == pytest.approx(exact.noise_rpe, rel=1e-3)

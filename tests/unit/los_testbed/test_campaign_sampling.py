@@ -11,7 +11,7 @@ from los_testbed.campaign.sampling import COLUMNS, box, command, member_seeds, m
 from los_testbed.config import RunConfig
 from los_testbed.variants import check_ranges
 
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 RANGES = np.array(list(box().values()))
 
@@ -94,4 +94,4 @@ def test_command_of_a_member_names_its_settings_to_the_last_bit() -> None:
     speeds = words.index("--wheel-speed")
     assert [float(w) for w in words[speeds + 1 : speeds + 5]] == settings(row)["wheel_speed"]
     assert float(words[words.index("--tau") + 1]) == row["tau"]
-    check_ranges(RunConfig(**settings(row)), load_parameters())
+    check_ranges(RunConfig(**settings(row)), load_telescope())

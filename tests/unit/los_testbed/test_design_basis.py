@@ -21,12 +21,12 @@ from lftkit import SampledSystem
 from los_design.synthesis.store import VARIANTS, load_designs
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDS, FORCES, MIRROR, STAGES, DesignBasis, design_warnings
-from titop_plant.telescope.guide_camera import IMAGE_OPTICS, without_images
-from titop_plant.telescope.parameters import design_basis, load_parameters
+from titop_plant.telescope.guide_camera import IMAGE_OPTICS
+from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
-REFERENCE = load_parameters()
+REFERENCE = load_telescope()
 
 
 def toml(value: Any) -> str:
@@ -74,20 +74,20 @@ def sensitive(path: Path, value: float = 0.2, table: str = "los_sensitivity") ->
 
 def test_the_stored_designs_are_made_for_the_reference_telescope() -> None:
     for variant in VARIANTS:
-        assert design_warnings(load_designs(variant), design_basis(REFERENCE), closed=True) == ()
+        assert design_warnings(load_designs(variant), REFERENCE.design_basis, closed=True) == ()
     assert RunParts(RunConfig()).check() == ()
 
 
 def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> None:
     """A controller made for the reference is refused or warned about, whatever number the user's file changes."""
-    known, pair = design_basis(REFERENCE).parameters_hash, load_designs("implemented")
-    without = without_images(REFERENCE)
+    known, pair = REFERENCE.design_basis.parameters_hash, load_designs("implemented")
+    without = REFERENCE.without_images()
     walked = list(numbers(without))
     tables = {number[0] for number in walked}
     assert {"fsm", "pma", "sensors", "optics", "isolator", "payload", "body", "solar_array", "weights"} <= tables
     hashes = set()
     for number in walked:
-        basis = design_basis(load_parameters(user_file(tmp_path / "user.toml", number)))
+        basis = load_telescope(user_file(tmp_path / "user.toml", number)).design_basis
         assert basis.parameters_hash is not None
         hashes.add(basis.parameters_hash)
         if number == ("fsm", "los_sensitivity"):
@@ -103,10 +103,10 @@ def test_no_number_of_the_parameter_file_changes_unnoticed(tmp_path: Path) -> No
 def test_the_optics_of_images_are_in_no_design(tmp_path: Path) -> None:
     """Another aperture or detector leaves the hash, the plant and the stored designs as they are."""
     (tmp_path / "user.toml").write_text("[optics]\naperture_diameter = 2.4\npixel_mas = 50.0\nobscuration = 0.0\n")
-    parameters = load_parameters(tmp_path / "user.toml")
-    assert parameters["optics"]["aperture_diameter"] == 2.4
-    assert design_basis(parameters) == design_basis(REFERENCE)
-    assert set(IMAGE_OPTICS) < set(REFERENCE["optics"])
+    telescope = load_telescope(tmp_path / "user.toml")
+    assert telescope.optics.aperture_diameter == 2.4
+    assert telescope.design_basis == REFERENCE.design_basis
+    assert set(IMAGE_OPTICS) < set(REFERENCE.to_mapping()["optics"])
 
 
 @pytest.mark.parametrize("loop", STAGES)
@@ -182,7 +182,7 @@ def test_the_command_warns_before_the_run_and_in_the_bag(tmp_path: Path, capsys:
     assert parameters["fsm_authority"] == 0.004
     assert parameters["los_sensitivity"] == 0.1
     assert parameters["rate_hz"] == 1000
-    assert parameters["parameters_hash"] == design_basis(REFERENCE).parameters_hash
+    assert parameters["parameters_hash"] == REFERENCE.design_basis.parameters_hash
 
 
 @pytest.mark.parametrize("command", [["run", "--mode=inprocess"], ["stages", "--samples=1"]])
@@ -237,7 +237,7 @@ def test_a_bag_from_before_is_replayed_with_the_reference_telescopes_sensitivity
     new = ("parameters_hash", "los_sensitivity", "rate_hz")
     run.parameters = {key: value for key, value in run.parameters.items() if key not in new}
     chosen = controllers(run)
-    assert chosen.as_recorded and chosen.controller.los_sensitivity == REFERENCE["fsm"]["los_sensitivity"]
+    assert chosen.as_recorded and chosen.controller.los_sensitivity == REFERENCE.fsm.los_sensitivity
 
 
 @pytest.mark.parametrize(

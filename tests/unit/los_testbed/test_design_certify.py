@@ -128,7 +128,7 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
 
     limits = []
 
-    def stored(parameters: Any, folder: Path, *, wall_limit: float, **_: object) -> SimpleNamespace:
+    def stored(telescope: Any, folder: Path, *, wall_limit: float, **_: object) -> SimpleNamespace:
         limits.append(wall_limit)
         for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
             system.to_file(folder / name)

@@ -14,7 +14,7 @@ from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS, of_designs, worst
 
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
 
 SOFT = "[isolator]\nstiffness = [1.33e6, 1.33e6, 1.33e6, 0.365e6, 0.52e6, 0.8825e6]\n"
 
@@ -37,7 +37,7 @@ def folder(tmp_path: Path, soft: Path) -> Path:
     values |= {"solar_array.omega_1": 0.75, "solar_array.omega_2": 2.6, "solar_array.tau": 0.25}
     point = {"parameters": values, "omega": 400.0, "gamma": 0.9, "limit": 1e-7}
     stages = {stage: dict.fromkeys(("APE", "RPE", "slow", "fast"), point) for stage in STAGES}
-    content = {"parameters_hash": parameters_hash(load_parameters(soft)), "stages": stages}
+    content = {"parameters_hash": load_telescope(soft).parameters_hash, "stages": stages}
     (made / WORST_POINTS).write_text(json.dumps(content), "utf-8")
     return made
 
@@ -47,7 +47,7 @@ def test_a_run_takes_controllers_telescope_and_worst_point(folder: Path) -> None
     assert config.k_fsm == str(folder / "k_fsm.json") and config.k_pma == str(folder / "k_pma.json")
     assert config.parameters == str(folder / TELESCOPE_FILE)
     assert (config.tau, config.wheel_speed) == (0.25, (100.0, 200.0, 300.0, 400.0))
-    assert load_parameters(config.parameters) == load_parameters(folder / TELESCOPE_FILE)
+    assert load_telescope(config.parameters) == load_telescope(folder / TELESCOPE_FILE)
 
 
 def test_a_member_that_is_named_stays(folder: Path) -> None:

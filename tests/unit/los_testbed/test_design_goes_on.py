@@ -23,7 +23,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Stand-in for the tuning: keeps its state, then does what stands first in the list: a status, or an error."""
     ends: list[Any] = []
 
-    def design(telescope: Any, parameters: Any, options: DesignOptions, report: Any, kept: Kept) -> Any:
+    def design(telescope: Any, options: DesignOptions, report: Any, kept: Kept) -> Any:
         state = RoundState.load(kept) or RoundState(np.zeros(2))
         RoundState(state.x, state.number + 1).save(kept)
         end = ends.pop(0)

@@ -20,9 +20,10 @@ from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
 from lftkit import SampledSystem
 from lftkit.support.workers import Workers
 from titop_plant.structures.modal_file import write_modal_data
-from titop_plant.structures.reference import build_payload
+from titop_plant.telescope.bodies import build_payload
 from titop_plant.telescope.guide_camera import STORED_CURVES
-from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 PANEL = """
 format = "los-testbed/modal-data"
@@ -43,7 +44,7 @@ shapes = {}
 
 
 def payload(folder: Path) -> str:
-    write_modal_data(build_payload(load_parameters()), folder / "payload.toml")
+    write_modal_data(build_payload(load_telescope()), folder / "payload.toml")
     return '[payload]\nmodal_data = "payload.toml"\n'
 
 
@@ -72,17 +73,17 @@ def mine(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return file
 
 
-def with_controllers(folder: Path, telescope: Parameters) -> None:
+def with_controllers(folder: Path, telescope: Telescope) -> None:
     """The shipped controllers, as if they were made for a telescope."""
     for name, path in RunParts(RunConfig()).model_files.items():
         law = SampledSystem.from_file(path)
-        made = {**law.design_basis, "parameters_hash": parameters_hash(telescope)}
+        made = {**law.design_basis, "parameters_hash": telescope.parameters_hash}
         replace(law, design_basis=made).to_file(folder / DESIGN_FILES[name])
 
 
 def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, tmp_path: Path) -> None:
     """The same values, noise and sources, when neither the user's file nor the first folder is there any more."""
-    wanted = telescope_digest(load_parameters(mine))
+    wanted = telescope_digest(load_telescope(mine))
     sources = len(RunParts(RunConfig(parameters=str(mine))).sources)
     check_output(tmp_path / "designs", mine)
     check_output(tmp_path / "designs", mine)  # the same telescope goes on
@@ -90,9 +91,9 @@ def test_a_folder_has_the_telescope_with_its_files_and_can_be_moved(mine: Path, 
     moved = (tmp_path / "designs").rename(tmp_path / "moved")
     mine.parent.rename(tmp_path / "gone")
     file = moved / TELESCOPE_FILE
-    assert telescope_digest(load_parameters(file)) == wanted
+    assert telescope_digest(load_telescope(file)) == wanted
     assert len(RunParts(RunConfig(parameters=str(file))).sources) == sources
-    with_controllers(moved, load_parameters(file))
+    with_controllers(moved, load_telescope(file))
     assert telescope_digest(designs_in(moved)[0]) == wanted
 
 
@@ -109,8 +110,8 @@ def test_further_uncertain_factors_go_with_files(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(payload(tmp_path), "utf-8")
     check_output(tmp_path / "designs", mine, ["isolator.stiffness=10%"])
-    found = load_parameters(tmp_path / "designs" / TELESCOPE_FILE)
-    assert dict(found["uncertain"]) == {"isolator.stiffness": 0.1} and Path(found["payload"]["modal_data"]).is_file()
+    found = load_telescope(tmp_path / "designs" / TELESCOPE_FILE)
+    assert found.spreads == {"isolator.stiffness": 0.1} and Path(found.payload.modal_data).is_file()
     with pytest.raises(ValueError, match="--uncertain must be in the table"):
         check_output(tmp_path / "designs", tmp_path / "designs" / TELESCOPE_FILE, ["isolator.stiffness=10%"])
 
@@ -137,10 +138,10 @@ def loops(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return found
 
 
-def proven(parameters: Parameters, folder: Path) -> None:
+def proven(telescope: Telescope, folder: Path) -> None:
     """What `design all --certify` does behind the design."""
     with Workers(1) as workers:
-        redesign._proven(parameters, folder, workers, time.monotonic() + 1.0)
+        redesign._proven(telescope, folder, workers, time.monotonic() + 1.0)
 
 
 def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any]) -> None:
@@ -148,25 +149,25 @@ def test_the_telescope_of_the_design_is_proven(tmp_path: Path, loops: list[Any])
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
     mine.write_text(appendage(tmp_path), "utf-8")
     check_output(folder, mine)
-    with_controllers(folder, load_parameters(mine))
-    proven(load_parameters(mine), folder)
+    with_controllers(folder, load_telescope(mine))
+    proven(load_telescope(mine), folder)
     orders = [loops[0]["fsm"].system.order]
     (tmp_path / "reference").mkdir()
-    with_controllers(tmp_path / "reference", load_parameters())
-    proven(load_parameters(), tmp_path / "reference")
+    with_controllers(tmp_path / "reference", load_telescope())
+    proven(load_telescope(), tmp_path / "reference")
     assert orders[0] == loops[1]["fsm"].system.order + 2  # the mode of the antenna
 
 
 def test_another_telescope_or_controllers_of_another_are_not_proven(tmp_path: Path, loops: list[Any]) -> None:
     mine, folder = tmp_path / "mine.toml", tmp_path / "designs"
     mine.write_text(payload(tmp_path) + "[body]\ndamping = 0.004\n", "utf-8")
-    own = load_parameters(mine)
+    own = load_telescope(mine)
     check_output(folder, mine)
-    with_controllers(folder, load_parameters())
-    with pytest.raises(ValueError, match=f"must be made for the telescope there.*{parameters_hash(own)}"):
+    with_controllers(folder, load_telescope())
+    with pytest.raises(ValueError, match=f"must be made for the telescope there.*{own.parameters_hash}"):
         proven(own, folder)
     with_controllers(folder, own)
     (folder / TELESCOPE_FILE).unlink()
-    with pytest.raises(ValueError, match=f"must be of the telescope {parameters_hash(own)} to be proven"):
+    with pytest.raises(ValueError, match=f"must be of the telescope {own.parameters_hash} to be proven"):
         proven(own, folder)
     assert not loops

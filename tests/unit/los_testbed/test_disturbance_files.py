@@ -16,7 +16,7 @@ from los_testbed.disturbance_kinds import Run
 from los_testbed.factories import RunParts
 from scipy import io
 
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -56,7 +56,7 @@ def parquet(path: Path) -> None:
 @pytest.mark.parametrize(("write", "name"), [(csv, "a.csv"), (mat, "a.mat"), (hdf5, "a.h5"), (parquet, "a.parquet")])
 def test_a_series_is_the_same_from_every_format(tmp_path: Path, write: object, name: str) -> None:
     write(tmp_path / name)  # type: ignore[operator]
-    (found,) = make_sources(entries_of([f"{tmp_path / name}@wheel_2"]), load_parameters(), RUN)
+    (found,) = make_sources(entries_of([f"{tmp_path / name}@wheel_2"]), load_telescope(), RUN)
     assert (found.name, found.kind, found.place) == ("a", "series", "wheel_2")
     signal = found.signal
     assert signal.rate == RATE and np.allclose(signal.values, WRENCH, atol=1e-12)  # type: ignore[attr-defined]
@@ -82,7 +82,7 @@ def test_what_has_no_effect_is_said(tmp_path: Path, header: str, rows: str, rema
     (tmp_path / "a.csv").write_text(f"{header}\n" + rows.replace(";", "\n") + "\n")
     entries = entries_of([f"{tmp_path / 'a.csv'}@wheel_2"])
     for _ in range(2):
-        (found,) = make_sources(entries, load_parameters(), Run(RUN.speeds, 0.001, 1))
+        (found,) = make_sources(entries, load_telescope(), Run(RUN.speeds, 0.001, 1))
         assert tuple(text for text in found.remarks if "columns" in text) == remarks
 
 
@@ -114,7 +114,7 @@ width = 0.05
 
 def test_tables_of_one_file(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TOML)
-    wheel, cooler, thruster = make_sources(entries_of([str(tmp_path / "a.toml")]), load_parameters(), RUN)
+    wheel, cooler, thruster = make_sources(entries_of([str(tmp_path / "a.toml")]), load_telescope(), RUN)
     assert wheel.signal.lines.tolist() == [200.0]
     assert wheel.remarks == ("1 tones above 1000 Hz left out",)
     assert np.abs(wheel.signal.amplitude[0, :2]).tolist() == pytest.approx([1e-6 * 200.0**2] * 2)  # type: ignore[attr-defined]
@@ -124,7 +124,7 @@ def test_tables_of_one_file(tmp_path: Path) -> None:
 
 def of_table(tmp_path: Path, header: str, rows: object) -> Any:
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=header, comments="")
-    (found,) = make_sources(entries_of([f"{tmp_path / 'a.csv'}@wheel_1"]), load_parameters(), RUN)
+    (found,) = make_sources(entries_of([f"{tmp_path / 'a.csv'}@wheel_1"]), load_telescope(), RUN)
     return found.signal
 
 
@@ -183,18 +183,18 @@ def test_an_array_of_six_columns_may_have_both_units(tmp_path: Path) -> None:
     """One unit of all six is that of another quantity for three of them."""
     for unit, factor in (("N, Nm", [1.0, 1.0]), ("mN; mNm", [1e-3, 1e-3])):
         np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit=unit)
-        (found,) = make_sources(entries_of([str(tmp_path / "a.npz")]), load_parameters(), RUN)
+        (found,) = make_sources(entries_of([str(tmp_path / "a.npz")]), load_telescope(), RUN)
         signal: Any = found.signal
         assert np.allclose(signal.values, WRENCH * np.repeat(factor, 3))
     np.savez(tmp_path / "a.npz", t=T, wrench=WRENCH, wrench_unit="N")
     with pytest.raises(ValueError, match=r"unit of wrench\.\w must be Nm or mNm, got 'N'"):
-        make_sources(entries_of([str(tmp_path / "a.npz")]), load_parameters(), RUN)
+        make_sources(entries_of([str(tmp_path / "a.npz")]), load_telescope(), RUN)
 
 
 def test_a_series_may_have_dates(tmp_path: Path) -> None:
     rows = "\n".join(f"2026-01-01T00:00:{t:012.9f},{force}" for t, force in zip(T, WRENCH[:, 0]))
     (tmp_path / "a.csv").write_text(f"time,Fx\n{rows}\n")
-    (found,) = make_sources(entries_of([str(tmp_path / "a.csv")]), load_parameters(), RUN)
+    (found,) = make_sources(entries_of([str(tmp_path / "a.csv")]), load_telescope(), RUN)
     signal: Any = found.signal
     assert signal.rate == RATE and np.allclose(signal.values[:, 0], WRENCH[:, 0])
 
@@ -226,24 +226,24 @@ def test_a_series_may_have_dates(tmp_path: Path) -> None:
 def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.toml").write_text(f"[[disturbance]]\n{text}\n")
     with pytest.raises(ValueError, match=message) as caught:
-        make_sources(entries_of([str(tmp_path / "a.toml")]), load_parameters(), RUN)
+        make_sources(entries_of([str(tmp_path / "a.toml")]), load_telescope(), RUN)
     assert "\n" not in str(caught.value)
 
 
 def test_a_record_that_is_too_short_says_what_to_do(tmp_path: Path) -> None:
     csv(tmp_path / "a.csv")
     with pytest.raises(ValueError, match=r"as long as the run, 60 s, got 3 s \(repeat = true repeats it\)"):
-        make_sources(entries_of([str(tmp_path / "a.csv")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
+        make_sources(entries_of([str(tmp_path / "a.csv")]), load_telescope(), Run(RUN.speeds, 60.0, 1))
     (tmp_path / "b.toml").write_text('[[disturbance]]\nname = "b"\nkind = "series"\nfile = "a.csv"\nrepeat = true\n')
-    (found,) = make_sources(entries_of([str(tmp_path / "b.toml")]), load_parameters(), Run(RUN.speeds, 60.0, 1))
+    (found,) = make_sources(entries_of([str(tmp_path / "b.toml")]), load_telescope(), Run(RUN.speeds, 60.0, 1))
     assert len(found.signal.values) == 6000, "noise fits to itself"  # type: ignore[attr-defined]
     assert found.remarks == ("record repeated every 3 s, as it is",)
 
 
 def test_sources_of_the_telescope_act_in_its_runs_and_change_no_design(tmp_path: Path) -> None:
     (tmp_path / "telescope.toml").write_text(TOML)
-    parameters = load_parameters(tmp_path / "telescope.toml")
-    assert parameters_hash(parameters) == parameters_hash(load_parameters())
+    telescope = load_telescope(tmp_path / "telescope.toml")
+    assert telescope.parameters_hash == load_telescope().parameters_hash
     config = RunConfig(parameters=str(tmp_path / "telescope.toml"), duration=2.0)
     assert [source.name for source in RunParts(config).sources] == ["wheel", "cooler", "thruster"]
     assert not RunParts(config).config.scenario_acts

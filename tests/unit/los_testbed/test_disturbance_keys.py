@@ -12,7 +12,7 @@ from los_testbed.disturbance_files import entries_of, make_sources
 from los_testbed.disturbance_kinds import Run
 
 from titop_plant.simulation.sources.drive import INSTANTS
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 RUN = Run((200.0, -210.0, 220.0, -230.0), 2.0, 1)
 T = np.arange(1000) / 1000.0
@@ -30,7 +30,7 @@ def waterfall(path: Path, *changed: tuple[int, str]) -> None:
 def source(folder: Path, text: str, duration: float = 2.0) -> Any:
     (folder / "a.toml").write_text(f'[[disturbance]]\nname = "a"\n{text}\n')
     run = Run(RUN.speeds, duration, 1)
-    (found,) = make_sources(entries_of([str(folder / "a.toml")]), load_parameters(), run)
+    (found,) = make_sources(entries_of([str(folder / "a.toml")]), load_telescope(), run)
     return found
 
 

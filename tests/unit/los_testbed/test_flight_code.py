@@ -21,7 +21,7 @@ from los_testbed.flight_code.vectors import VERDICTS, gate_ticks, law_ticks
 import fsm_pma_controller
 import los_estimator
 from los_design.verification.bundle import write_bundle
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -188,7 +188,7 @@ def test_the_check_compares_with_what_a_bundle_of_proofs_is_about(
     other = replace(pair[0], C=pair[0].C * (1 + 1e-15)), pair[1]
     for name, controllers in (("same", pair), ("other", other)):
         proofs = {("fsm", "APE"): tmp_path / "proof.npz"}
-        write_bundle(tmp_path / f"{name}.zip", load_parameters(), controllers, proofs)
+        write_bundle(tmp_path / f"{name}.zip", load_telescope(), controllers, proofs)
     code, _, _ = call("export", "c", "--output", str(tmp_path / "code"))
     assert code == 0
     code, out, _ = call("export", "check", str(tmp_path / "code"), "--proof", str(tmp_path / "same.zip"))

@@ -20,8 +20,8 @@ from los_testbed.run.stages import Plan, perform
 from los_testbed.run.star_trade import Trade
 
 from titop_plant.structures.modal_file import write_modal_data
-from titop_plant.structures.reference import build_payload
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.bodies import build_payload
+from titop_plant.telescope.load import load_telescope
 
 COOLER = """
 [[disturbance]]
@@ -55,7 +55,7 @@ def shaken(folder: Path, force: float) -> str:
 def own_payload(folder: Path) -> str:
     """A parameter file with modal data of the payload in a file beside it."""
     file = written(folder / "mine.toml", '[payload]\nmodal_data = "modes.toml"\n')
-    write_modal_data(build_payload(load_parameters()), folder / "modes.toml")
+    write_modal_data(build_payload(load_telescope()), folder / "modes.toml")
     return file
 
 
@@ -70,17 +70,17 @@ def own_payload(folder: Path) -> str:
 )
 def test_what_no_design_depends_on_is_in_the_digest(tmp_path: Path, text: str, values: Any) -> None:
     """The hash of the parameters does not have it."""
-    one, other = (load_parameters(written(tmp_path / f"{i}.toml", text.format(**v))) for i, v in enumerate(values))
-    assert parameters_hash(one) == parameters_hash(other) and telescope_digest(one) != telescope_digest(other)
+    one, other = (load_telescope(written(tmp_path / f"{i}.toml", text.format(**v))) for i, v in enumerate(values))
+    assert one.parameters_hash == other.parameters_hash and telescope_digest(one) != telescope_digest(other)
 
 
 def test_the_content_of_files_counts_and_their_place_does_not(tmp_path: Path) -> None:
     here, there, louder = (shaken(tmp_path / name, force) for name, force in (("a", 0.1), ("b", 0.1), ("c", 30.0)))
-    digests = [telescope_digest(load_parameters(file)) for file in (here, there, louder)]
+    digests = [telescope_digest(load_telescope(file)) for file in (here, there, louder)]
     assert digests[0] == digests[1] != digests[2]
     (tmp_path / "a" / "shake.csv").unlink()
     with pytest.raises(ValueError, match=r"cannot read .*shake\.csv: No such file"):
-        telescope_digest(load_parameters(here))
+        telescope_digest(load_telescope(here))
 
 
 def test_files_of_a_run_are_in_its_digests(tmp_path: Path) -> None:
@@ -160,6 +160,6 @@ def test_a_copy_with_its_files_is_the_same_telescope_anywhere(tmp_path: Path) ->
         (tmp_path / "copy" / name).write_bytes(content)
     copied, original = (RunParts(RunConfig(parameters=str(p))) for p in (tmp_path / "copy" / "telescope.toml", file))
     assert len(copied.sources) == len(original.sources) == 3
-    assert telescope_digest(copied.parameters) == telescope_digest(original.parameters)
+    assert telescope_digest(copied.telescope) == telescope_digest(original.telescope)
     plain = Path(written(tmp_path / "plain.toml", "# mine\n[isolator]\ndamping = 0.02\n"))
     assert with_files_beside(plain) == (plain.read_text("utf-8"), {})

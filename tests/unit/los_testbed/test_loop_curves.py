@@ -18,16 +18,14 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
 from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
-from titop_plant.simulation.build import control_loop_plant, telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.load import load_telescope
 
 
 @pytest.fixture(scope="module")
 def mirror_loop() -> ImplementedLoop:
-    parameters = load_parameters()
-    return ImplementedLoop(
-        OpenLoop(control_loop_plant(telescope(), parameters), parameters), *load_designs("implemented"), "fsm"
-    )
+    telescope = load_telescope()
+    return ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
 
 
 def gain_margin(curve: LoopCurves) -> float:

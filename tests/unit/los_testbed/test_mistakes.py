@@ -279,9 +279,9 @@ def test_a_failed_repair_leaves_nothing(bag: Path, tmp_path: Path, monkeypatch: 
 
 def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_default_in_silence(tmp_path: Path) -> None:
     """One table of a list: those with other names stay; of tables without names the change is told."""
-    from titop_plant.telescope.parameters import differences, load_parameters
+    from titop_plant.telescope.load import differences, load_telescope
 
-    reference = load_parameters()
+    reference = load_telescope()
     lists = [
         (table, key, value)
         for table, content in reference.items()
@@ -293,7 +293,7 @@ def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_defau
     for table, key, value in lists:
         item = "\n".join(f"{name} = {json.dumps(entry)}" for name, entry in value[-1].items())
         own.write_text(f"[[{table}.{key}]]\n{item}\n")
-        found = load_parameters(own)[table][key]
+        found = load_telescope(own).to_mapping()[table][key]
         assert len(value) > 1
         assert found == value or any(f"{table}.{key}" in line for line in differences(own)), (table, key)
         assert found == value or "name" not in value[0]

@@ -18,9 +18,9 @@ from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.star_camera import StarCamera
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.guide_camera import STORED_CURVES, star_camera
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
-REFERENCE = load_parameters()
+REFERENCE = load_telescope()
 STAR = star_camera(REFERENCE, "reference.toml")
 
 
@@ -31,7 +31,7 @@ def user(folder: Path, camera: str = "", optics: str = "") -> Path:
 
 
 def noise_of(file: Path) -> float:
-    return float(load_parameters(file)["sensors"]["camera_noise"])
+    return load_telescope(file).camera_noise
 
 
 @pytest.mark.parametrize("exposure", [0.02, 0.04])
@@ -73,7 +73,7 @@ def test_the_camera_of_the_loop_has_the_measured_noise(tmp_path: Path) -> None:
 @pytest.mark.parametrize("changed", ["magnitude = 17.0", "read_noise = 4.0", 'centroid = "moments"', "exposure = 0.01"])
 def test_without_a_curve_it_is_the_bound(changed: str, tmp_path: Path) -> None:
     file = user(tmp_path, changed)
-    assert noise_of(file) == noise_equivalent_angle(star_camera(load_parameters(file), str(file)))
+    assert noise_of(file) == noise_equivalent_angle(star_camera(load_telescope(file), str(file)))
 
 
 def test_a_command_measures_the_curve_of_another_detector(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,7 +115,7 @@ def test_a_curve_that_cannot_be_used_is_refused_in_one_line(
     if content is not None:
         (tmp_path / "curve.json").write_text(content, "utf-8")
     with pytest.raises(ValueError, match=message) as refused:
-        load_parameters(user(tmp_path, f'noise_curve = "curve.json"\n{camera}'))
+        load_telescope(user(tmp_path, f'noise_curve = "curve.json"\n{camera}'))
     assert "\n" not in str(refused.value)
 
 

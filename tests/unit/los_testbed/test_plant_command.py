@@ -16,10 +16,11 @@ from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
 from los_design.figures import plant_figures
 from titop_plant.physical_settings import PhysicalSettings
-from titop_plant.simulation.build import PlantConfig, parameter_values, telescope
+from titop_plant.simulation.build import PlantConfig, parameter_values
 from titop_plant.simulation.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.structures import write_modal_data
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
 
@@ -58,7 +59,7 @@ def test_the_table_names_parameters_and_bodies(run) -> None:
 
 def test_a_parameter_file_of_ones_own_changes_the_figures(run) -> None:
     """A payload with six of its modes: sixty states fewer."""
-    payload = telescope().bodies[1]
+    payload = assembled_telescope().bodies[1]
     write_modal_data(payload.truncate(6), run.files / "payload.toml")
     mine = run.files / "mine.toml"
     mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
@@ -83,7 +84,7 @@ def test_figures_come_as_png_and_svg_and_are_the_same_each_time(run, monkeypatch
 
 def test_a_column_of_a_picture_keeps_the_peak_inside_it() -> None:
     """A resonance far narrower than a column is as high as in the response."""
-    curve = disturbance_responses().first_channel({}, 0.3, 20.0)
+    curve = disturbance_responses(load_telescope()).first_channel({}, 0.3, 20.0)
     edges = np.geomspace(0.3, 20.0, 11)
     columns = curve.columns(edges)
     assert columns.max() == curve.size.max()
@@ -167,10 +168,10 @@ def test_tau_is_another_name_of_theta() -> None:
 
 
 def test_a_random_member_is_the_one_that_the_uncertain_system_draws() -> None:
-    drawn, expected = random_member(7), telescope().system.sample_values(np.random.default_rng(7))[0]
+    drawn, expected = random_member(7), assembled_telescope().system.sample_values(np.random.default_rng(7))[0]
     chosen = RunConfig.from_mapping(drawn)
     plant = PlantConfig.of(chosen, disturbance=False)
-    found = parameter_values(plant, load_parameters())
+    found = parameter_values(plant, load_telescope())
     assert found == pytest.approx(expected, rel=1e-12)
 
 
@@ -196,19 +197,20 @@ def test_every_named_case_is_a_member_and_can_be_run(run) -> None:
             or name == "nominal"
             or config.tau
         )
-        check_ranges(config, load_parameters(config.parameters))
+        check_ranges(config, load_telescope(config.parameters))
     code, out, _ = run("plant", "cases")
     assert code == 0 and all(name in out for name in cases)
 
 
 def test_the_worst_case_is_worse_than_the_other_ones() -> None:
     """Line of sight against the template of the relative error, isolator alone: named cases and random members."""
-    both, parameters = disturbance_responses(), load_parameters()
+    telescope = load_telescope()
+    both = disturbance_responses(telescope)
 
     def peak(config: RunConfig) -> float:
         plant = PlantConfig.of(config, disturbance=False)
-        curve = both.weighted(both.isolated, parameter_values(plant, parameters), ALL, 1.0, 1e3)
-        return float(np.max(curve.size * rpe_weight(curve.omega, parameters["weights"]["rpe_window"])))
+        curve = both.weighted(both.isolated, parameter_values(plant, telescope), ALL, 1.0, 1e3)
+        return float(np.max(curve.size * rpe_weight(curve.omega, telescope.weights.rpe_window)))
 
     peaks = {name: peak(configure(None, [], {"output": "x"}, case=name)) for name in named_cases(CASES)}
     drawn = [peak(RunConfig.from_mapping(random_member(seed))) for seed in range(8)]

@@ -14,7 +14,6 @@ from los_testbed.factories import RunParts
 from los_testbed.loop.slow_sensor import SlowSensor
 
 from titop_plant.interface import CAMERA_PORT, TICK_NS
-from titop_plant.telescope.sensors import noise_of_samples
 
 PAGE = (Path(__file__).parents[3] / "docs" / "connect_your_rig.md").read_text("utf-8")
 
@@ -67,6 +66,6 @@ def test_its_frames_are_on_the_grid_of_the_camera(rig):
 
 
 def test_the_noise_of_the_page_is_that_of_the_model():
-    accelerometer, angle = noise_of_samples(RunParts(RunConfig()).parameters)[[0, 3]], 1e-8
+    accelerometer, angle = RunParts(RunConfig()).telescope.noise_of_samples[[0, 3]], 1e-8
     assert accelerometer.tolist() == [1.2e-3, 2.3e-3] and "1.2e-3 m/s² and 2.3e-3 rad/s²" in PAGE
-    assert noise_of_samples(RunParts(RunConfig()).parameters)[18:].tolist() == [angle] * 4
+    assert RunParts(RunConfig()).telescope.noise_of_samples[18:].tolist() == [angle] * 4

@@ -18,7 +18,7 @@ from titop_plant.interface import DT
 from titop_plant.simulation.profiles import Profile
 from titop_plant.simulation.sources.mechanisms import mechanism_sources
 from titop_plant.simulation.sources.signals import JointSignal, SampledSignal, Signal
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 SECONDS = 20.0
 SPEED = 200.0
@@ -137,7 +137,7 @@ LAWS = {
 
 
 def source(law: Law, folder: Path, factor: float = 1.0, prefix: str = "") -> Signal:
-    (found,) = make_sources(entries_of([law.write(folder, factor, prefix)]), load_parameters(), RUN)
+    (found,) = make_sources(entries_of([law.write(folder, factor, prefix)]), load_telescope(), RUN)
     return found.signal
 
 
@@ -203,9 +203,9 @@ MECHANISMS = Path(__file__).parents[3] / "examples" / "spacecraft" / "moving_rot
 
 @cache
 def mechanism(name: str) -> Signal:
-    parameters = load_parameters(str(MECHANISMS))
+    telescope = load_telescope(str(MECHANISMS))
     still = Profile(np.zeros(1), np.zeros(1), np.array([RUN.speeds]))
-    found = mechanism_sources(parameters, still, SECONDS, 5)
+    found = mechanism_sources(telescope, still, SECONDS, 5)
     return next(one.signal for one in found if one.name == name)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -22,8 +21,8 @@ from los_design import redesign
 from los_design.redesign import DesignSummary
 from los_design.verification.verification import ImplementedCheck
 from pointing_analysis.files.structured_text import load_toml, read_text
-from titop_plant.telescope.guide_camera import for_frames
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 
 def test_a_parameter_file_keeps_what_the_user_wrote(tmp_path: Path) -> None:
@@ -37,7 +36,7 @@ def test_a_parameter_file_keeps_what_the_user_wrote(tmp_path: Path) -> None:
     }
     file = tmp_path / "star.toml"
     file.write_text(parameter_text(own, tmp_path, 12.5, 0.04), "utf-8")
-    found = load_parameters(file)
+    found = load_telescope(file).to_mapping()
     assert found["sensors"]["washout"] == 0.2 and found["sensors"]["camera"] == "image"
     assert (found["camera"]["magnitude"], found["camera"]["exposure"]) == (12.5, 0.04)
     assert found["camera"]["read_noise"] == 5.0 and found["body"]["damping"] == 0.004
@@ -77,21 +76,25 @@ def test_a_table_counts_frames_that_the_star_did_not_give() -> None:
 SHORT = ["--rates", "50", "--duration", "1", "--scenario", "imbalance"]
 
 
+CAMERA_ROW = 3
+"""Of the camera among the sensors of the loop."""
+
+
 class Designs:
     """In place of a design of minutes: the stored controllers, after so many calls that the time limit ended."""
 
     def __init__(self, ended: int) -> None:
         self.ended, self.calls = ended, list[tuple[Path, float, float]]()
 
-    def __call__(self, parameters: Mapping[str, Any], folder: Path, **options: Any) -> DesignSummary:
-        self.calls.append((folder, options["wall_limit"], parameters["sensors"]["camera_noise"]))
+    def __call__(self, telescope: Telescope, folder: Path, **options: Any) -> DesignSummary:
+        self.calls.append((folder, options["wall_limit"], telescope.camera_noise))
         status = "out_of_time" if len(self.calls) <= self.ended else "converged"
         for name, path in RunParts(RunConfig()).model_files.items():
             system = SampledSystem.from_file(path)
             made = replace(system, provenance={**system.provenance, "status": status})
             made.to_file(folder / DESIGN_FILES[name])
         return DesignSummary(
-            folder, ImplementedCheck({}, {}, {}, 0.0, {}, parameters), ["fsm RPE 1.2000, must be at most 1"]
+            folder, ImplementedCheck({}, {}, {}, 0.0, {}, telescope), ["fsm RPE 1.2000, must be at most 1"]
         )
 
 
@@ -129,13 +132,14 @@ def test_a_slower_frame_rate_is_in_the_design(tmp_path: Path) -> None:
     """Twice the ticks of a frame: 10 ms older on the mean, root 2 of the noise of a tick."""
     file = tmp_path / "slow.toml"
     file.write_text(parameter_text({}, tmp_path, 13.0, 0.04), "utf-8")
-    run = load_parameters(file)
-    assert for_frames(run, 20) is run
-    ours, theirs = run["sensors"], for_frames(run, 40)["sensors"]
-    age = [s["camera_filter"][1] / s["camera_filter"][0] for s in (ours, theirs)]
+    run = load_telescope(file)
+    assert run.for_frames(20) is run
+    slower = run.for_frames(40)
+    ours, theirs = run.sensors[CAMERA_ROW].low_pass, slower.sensors[CAMERA_ROW].low_pass
+    age = [c1 / c0 for c0, c1, _ in (ours, theirs)]
     assert age[1] - age[0] == pytest.approx(0.010, rel=1e-9)
-    assert theirs["camera_noise"] == pytest.approx(math.sqrt(2.0) * ours["camera_noise"])
-    assert for_frames(run, 10)["sensors"]["camera_filter"] == ours["camera_filter"]
+    assert slower.camera_noise == pytest.approx(math.sqrt(2.0) * run.camera_noise)
+    assert run.for_frames(10).sensors[CAMERA_ROW].low_pass == ours
 
 
 @pytest.mark.slow

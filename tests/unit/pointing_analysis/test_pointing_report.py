@@ -24,7 +24,7 @@ from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.text import parse
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 from pointing_analysis.units import RAD_PER_ARCSEC
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
@@ -58,7 +58,7 @@ def make(path: Path, loop: str, scale: float, n: int = 6000, **parameters) -> Pa
         "camera/los": truth[::20],
     }
     given = {"loop": loop, "mode": "inprocess", "scenario": "design", "seed": 1, "tones_rad_s": tones}
-    given |= {"requirements": load_parameters()["requirement"], **parameters}
+    given |= {"requirements": load_telescope().to_mapping()["requirement"], **parameters}
     return write_bag(path, signals, periods={"camera/los": 20}, parameters=given)
 
 

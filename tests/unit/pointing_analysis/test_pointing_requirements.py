@@ -13,10 +13,10 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.requirements.verdict import RequirementError, index_samples, judge, parse
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 MAS = np.pi / 648_000_000
-OF_TELESCOPE = load_parameters()["requirement"]
+OF_TELESCOPE = load_telescope().to_mapping()["requirement"]
 
 
 @pytest.fixture

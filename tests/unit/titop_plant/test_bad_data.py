@@ -21,7 +21,6 @@ from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator
 from titop_plant.blocks.reaction_wheel import ReactionWheel
 from titop_plant.blocks.revolute_joint import on_revolute_joint
-from titop_plant.simulation.build import telescope
 from titop_plant.structures import (
     ChildPort,
     ModalData,
@@ -30,8 +29,8 @@ from titop_plant.structures import (
     read_modal_data,
     write_modal_data,
 )
-from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
+from titop_plant.telescope.load import load_telescope
 
 MASS = from_inertia(5.0, np.eye(3), [0.1, 0.0, 0.0])
 TURNED = np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -134,15 +133,15 @@ OBJECTS: dict[str, tuple[Callable[[], Any], list[str]]] = {
         ["u -> y", "must be invertible"],
     ),
     "port of the telescope": (
-        lambda: telescope().system["los", "wheel_imbalanse"],
+        lambda: assembled_telescope().system["los", "wheel_imbalanse"],
         ["input port must be", "got 'wheel_imbalanse'", "wheel_imbalance"],
     ),
     "value beyond its range": (
-        lambda: telescope().system.at({"wheel_2.speed": 2000.0}),
+        lambda: assembled_telescope().system.at({"wheel_2.speed": 2000.0}),
         ["'wheel_2.speed'", "[-1047.2, 1047.2] rad/s", "2000"],
     ),
     "unknown parameter": (
-        lambda: telescope().system.at({"wheel_5.speed": 1.0}),
+        lambda: assembled_telescope().system.at({"wheel_5.speed": 1.0}),
         ["'wheel_5.speed'", "wheel_1.speed"],
     ),
 }
@@ -239,7 +238,7 @@ def test_errors_of_a_parameter_file_name_line_and_key_or_the_body(tmp_path: Path
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises(ValueError) as caught:
-        build_telescope(load_parameters(path))
+        build_telescope(load_telescope(path))
     one_line(caught.value, words)
     if "line" in words[0]:
         assert "mine.toml" in str(caught.value)

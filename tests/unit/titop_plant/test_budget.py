@@ -21,8 +21,8 @@ from titop_plant.telescope.budget import (
     error_budget,
     largest_tone,
 )
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
-from titop_plant.telescope.requirements import telescope_requirements, window_probability
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.requirements import window_probability
 from titop_plant.telescope.weights import rpe_weight
 
 PROBABILITY = 0.997
@@ -102,19 +102,19 @@ def test_the_bands_divide_the_power_at_their_edge() -> None:
 
 
 def test_the_shares_keep_the_limit_and_the_weights_are_those_of_the_window() -> None:
-    parameters = load_parameters()
-    budget = error_budget(parameters)
+    telescope = load_telescope()
+    budget = error_budget(telescope)
     for tone, omega in ((budget.slow, 0.0), (budget.fast_mirror, 250.0)):
         alone = combined_level(tone, budget.noise, PROBABILITY, turn=0.02 * omega)
-        assert alone <= parameters["weights"]["rpe_limit"]
+        assert alone <= telescope.weights.rpe_limit
     assert combined_level(budget.tone, budget.total_noise, PROBABILITY) == pytest.approx(budget.limit, rel=1e-3)
     assert pytest.approx(largest_tone(TOTAL_NOISE, 1.0, PROBABILITY), abs=1e-4) == TONE
     assert pytest.approx(largest_tone(APE_NOISE, 1.0, PROBABILITY, ABSOLUTE_ON_AXIS), abs=1e-4) == APE_TONE
     absolute = combined_level(budget.ape_tone, budget.ape_noise, PROBABILITY, ABSOLUTE_ON_AXIS)
-    assert absolute == pytest.approx(parameters["weights"]["ape_limit"], rel=1e-3)
+    assert absolute == pytest.approx(telescope.weights.ape_limit, rel=1e-3)
     fast = combined_level(budget.fast, budget.total_noise, PROBABILITY, turn=0.02 * 160.0)
     assert fast <= budget.limit and budget.fast < budget.fast_mirror
-    weight = band_error_weight(parameters, "fast").to_control()
+    weight = band_error_weight(telescope, "fast").to_control()
     assert abs(weight(700j)[0, 0]) == pytest.approx(rpe_weight(700.0, 0.02), rel=1e-5)
 
 
@@ -138,27 +138,24 @@ def test_the_parts_are_those_of_the_requirements(tmp_path: Path) -> None:
         stages = "" if name == "APE" else 'loop = ["fsm+pma"]'
         text = f"prob({quantity}) >= {texts[name]} at 95 % confidence"
         paths[name].write_text(f'[[requirement]]\nname = "{entry}"\ntext = "{text}"\n{stages}\n')
-    reference, finest, ape = load_parameters(), load_parameters(paths["finest"]), load_parameters(paths["APE"])
-    parts = [window_probability(telescope_requirements(p)) for p in (reference, finest, ape)]
+    reference, finest, ape = load_telescope(), load_telescope(paths["finest"]), load_telescope(paths["APE"])
+    parts = [window_probability(p.requirements) for p in (reference, finest, ape)]
     assert parts == [PROBABILITY, 0.95, PROBABILITY]
     own = error_budget(finest)
     assert own.limit == error_budget(reference).limit and own.tone > 1.05 * error_budget(reference).tone
     assert combined_level(own.tone, own.total_noise, 0.95) == pytest.approx(own.limit)
     absolute = error_budget(ape)
     assert absolute.tone == error_budget(reference).tone and absolute.ape_tone > 1.05 * error_budget(reference).ape_tone
-    limit = ape["weights"]["ape_limit"]
+    limit = ape.weights.ape_limit
     assert combined_level(absolute.ape_tone, absolute.ape_noise, 0.9, ABSOLUTE_ON_AXIS) == pytest.approx(limit)
-    assert len({parameters_hash(p) for p in (reference, finest, ape)}) == 3
+    assert len({p.parameters_hash for p in (reference, finest, ape)}) == 3
 
 
 def test_a_share_never_exceeds_the_limit_that_the_mirror_alone_must_keep() -> None:
     """Limits of 100 and 60 mas: 2.2 times the finer one would be above the other."""
-    parameters = load_parameters()
-    own = {
-        **parameters,
-        "weights": {**parameters["weights"], "rpe_limit_fine": 0.6 * parameters["weights"]["rpe_limit"]},
-    }
-    for case in (parameters, own):
+    telescope = load_telescope()
+    own = telescope.changed({"weights": {"rpe_limit_fine": 0.6 * telescope.weights.rpe_limit}})
+    for case in (telescope, own):
         budget = error_budget(case)
-        assert max(budget.slow, budget.fast_mirror) < case["weights"]["rpe_limit"]
-    assert error_budget(own).fast_mirror == pytest.approx(0.97 * parameters["weights"]["rpe_limit"])
+        assert max(budget.slow, budget.fast_mirror) < case.weights.rpe_limit
+    assert error_budget(own).fast_mirror == pytest.approx(0.97 * telescope.weights.rpe_limit)

@@ -7,14 +7,14 @@ from scipy import linalg
 from lftkit import Port
 from lftkit.analysis.frequency_response import frequency_response
 from titop_plant.interface import COMMANDED, DT, HOLD_DELAY, MEASURED
-from titop_plant.simulation.build import telescope
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import (
     DISTURBANCES,
     held_commands,
     sample_hold,
     with_sensors,
 )
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 COLUMNS = {"mirror": slice(22, 24), "actuators": slice(24, 30)}
 ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
@@ -23,7 +23,7 @@ ACCELERATIONS, LOS = slice(2, 20), slice(0, 2)
 @pytest.fixture(scope="module")
 def plant():
     outputs = ("los_controlled", *MEASURED)
-    return with_sensors(telescope().system, load_parameters()).select(
+    return with_sensors(assembled_telescope().system, load_telescope()).select(
         inputs=(*DISTURBANCES, *COMMANDED), outputs=outputs
     )
 

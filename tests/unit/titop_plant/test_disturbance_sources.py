@@ -27,12 +27,11 @@ from titop_plant.simulation.sources.signals import (
     repeated,
 )
 from titop_plant.simulation.sources.waterfall import lines_at
-from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.placed.points import nodes
+from titop_plant.telescope.load import load_telescope
 
 QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
 DT = 1e-3
-PARAMETERS = load_parameters()
+PARAMETERS = load_telescope()
 
 
 @pytest.fixture(scope="module")
@@ -131,14 +130,14 @@ def test_a_slow_record_is_read_between_its_samples() -> None:
     assert np.allclose(one.tick(1234, INSTANTS)[:, 0], np.sin(2 * np.pi * 31.0 * times), atol=1e-6)
 
 
-@pytest.mark.parametrize("place", ["bus", *nodes(PARAMETERS)])
+@pytest.mark.parametrize("place", ["bus", *PARAMETERS.nodes])
 def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.PlantFamily, place: str) -> None:
     """The attitude's answer to a torque about z is the same wherever the torque acts, below all modes."""
     tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
     low = []
     for one in ("bus", place):
-        telescope = drive.loaded_telescope(None, True).system[
-            "attitude", "load_" + nodes(PARAMETERS)[one] if one != "bus" else "external_wrench"
+        telescope = drive.loaded_telescope(load_telescope(), True).system[
+            "attitude", "load_" + PARAMETERS.nodes[one] if one != "bus" else "external_wrench"
         ]
         data = telescope.at({})
         w = 1e-3

@@ -14,8 +14,9 @@ from titop_plant.simulation import build as simulation
 from titop_plant.simulation.disturbances import given_tones
 from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS, DISTURBANCE_SIZE, DrivenPlant, held_disturbance
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
+from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
 FAST = [*range(18), 20, 21]
@@ -62,10 +63,10 @@ def test_it_is_the_simulation_of_the_continuous_plant_in_tenths_of_a_tick() -> N
     commands = rng.standard_normal((ticks, COMMANDS)) * np.r_[[1e-6] * 2, [1e-3] * 6]
     measured, truth = response(driven(rows), commands)
 
-    parameters = load_parameters()
-    whole = with_sensors(simulation.telescope(None, True).system, parameters)
+    telescope = load_telescope()
+    whole = with_sensors(assembled_telescope(telescope, True).system, telescope)
     names = (*COMMANDED, "wheel_imbalance", "sadm_torque", "external_wrench")
-    data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).at(parameter_values(QUIET, parameters))
+    data = whole.select(inputs=names, outputs=(*MEASURED, "los_controlled")).at(parameter_values(QUIET, telescope))
     step = linalg.expm(data.A * DT / 10)
     n = data.A.shape[0]
     x: FloatArray = np.zeros(n)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from titop_plant.telescope.guide_camera import check_exposure, exposure_low_pass, takes_images
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.guide_camera import exposure_low_pass
+from titop_plant.telescope.load import load_telescope
 
-REFERENCE = load_parameters()
+REFERENCE = load_telescope()
 
 
 def user(folder: Path, text: str) -> str:
@@ -33,30 +33,30 @@ def test_the_low_pass_is_the_exposure_up_to_the_second_order(exposure: float, de
 
 def test_the_vector_camera_and_its_designs_are_as_they_were(tmp_path: Path) -> None:
     """The table of the guide camera counts only where low-pass and noise follow from it."""
-    own = load_parameters(user(tmp_path, "[camera]\nmagnitude = 9.0\nexposure = 0.01\n"))
-    assert own["camera"]["magnitude"] == 9.0 and not takes_images(own)
-    assert parameters_hash(own) == parameters_hash(REFERENCE)
-    assert own["sensors"] == REFERENCE["sensors"]
+    own = load_telescope(user(tmp_path, "[camera]\nmagnitude = 9.0\nexposure = 0.01\n"))
+    assert own.camera.magnitude == 9.0 and not own.takes_images
+    assert own.parameters_hash == REFERENCE.parameters_hash
+    assert own.to_mapping()["sensors"] == REFERENCE.to_mapping()["sensors"]
 
 
 def test_a_star_makes_low_pass_and_noise(tmp_path: Path) -> None:
     values = {}
     for magnitude in (10.0, 12.0, 14.0):
         text = f'[sensors]\ncamera = "magnitude"\n[camera]\nmagnitude = {magnitude}\n'
-        values[magnitude] = load_parameters(user(tmp_path, text))
-    sensors = [own["sensors"] for own in values.values()]
+        values[magnitude] = load_telescope(user(tmp_path, text))
+    sensors = [own.to_mapping()["sensors"] for own in values.values()]
     assert all(tuple(s["camera_filter"]) == exposure_low_pass(0.02, 0.002) for s in sensors)
     noise = [s["camera_noise"] for s in sensors]
     # a bright star: the noise of its photons alone, so the root of their number; a faint one has more
     assert noise[1] / noise[0] > 10.0**0.4 and noise[2] / noise[1] > noise[1] / noise[0]
-    hashes = {parameters_hash(own) for own in values.values()} | {parameters_hash(REFERENCE)}
+    hashes = {own.parameters_hash for own in values.values()} | {REFERENCE.parameters_hash}
     assert len(hashes) == 4
 
 
 def test_image_and_magnitude_are_one_model_of_the_loop(tmp_path: Path) -> None:
-    found = [load_parameters(user(tmp_path, f'[sensors]\ncamera = "{kind}"\n')) for kind in ("image", "magnitude")]
-    assert takes_images(found[0]) and not takes_images(found[1])
-    assert parameters_hash(found[0]) == parameters_hash(found[1])
+    found = [load_telescope(user(tmp_path, f'[sensors]\ncamera = "{kind}"\n')) for kind in ("image", "magnitude")]
+    assert found[0].takes_images and not found[1].takes_images
+    assert found[0].parameters_hash == found[1].parameters_hash
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_image_and_magnitude_are_one_model_of_the_loop(tmp_path: Path) -> None:
 )
 def test_a_camera_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message) as refused:
-        load_parameters(user(tmp_path, text))
+        load_telescope(user(tmp_path, text))
     assert "\n" not in str(refused.value)
 
 
 def test_an_exposure_is_no_longer_than_a_frame(tmp_path: Path) -> None:
-    own = load_parameters(user(tmp_path, '[sensors]\ncamera = "magnitude"\n'))
-    check_exposure(own, 20)
+    own = load_telescope(user(tmp_path, '[sensors]\ncamera = "magnitude"\n'))
+    own.check_exposure(20)
     with pytest.raises(ValueError, match=r"camera.exposure must be at most the 0.01 s between frames of the run"):
-        check_exposure(own, 10)
-    check_exposure(REFERENCE, 1)  # that of a vector camera makes no difference
+        own.check_exposure(10)
+    REFERENCE.check_exposure(1)  # that of a vector camera makes no difference

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,9 @@ from titop_plant.simulation.sources.mechanisms import mount_matrix
 from titop_plant.simulation.sources.places import place_matrix, source_ports
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import control_plant
-from titop_plant.telescope.layout import reaction_wheels
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.mechanism_modes import mechanism_modes
-from titop_plant.telescope.parameters import design_basis, load_parameters, parameters_hash
+from titop_plant.telescope.telescope import Telescope
 
 FILE = """
 [reaction_wheel.bearing]
@@ -57,51 +56,51 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def parameters(path: Path) -> dict[str, Any]:
-    return dict(load_parameters(path))
+def telescope(path: Path) -> Telescope:
+    return load_telescope(path)
 
 
-def test_order_and_repetitions(parameters: dict[str, Any]) -> None:
+def test_order_and_repetitions(telescope: Telescope) -> None:
     """Ten states for each of four wheels, two for each of two drives; Delta is that of the reference."""
-    found, reference = build_telescope(parameters).system, build_telescope().system
+    found, reference = build_telescope(telescope).system, build_telescope().system
     assert found.order == reference.order + 4 * 10 + 2 * 2
     assert found.occurrences() == reference.occurrences()
     assert found.inputs == reference.inputs and found.outputs == reference.outputs
     assert linalg.eigvals(found.at({}).A).real.max() < 0.0
-    assert control_plant(found, parameters).order == control_plant(reference, load_parameters()).order + 44
+    assert control_plant(telescope).order == control_plant(load_telescope()).order + 44
 
 
-def test_stiff_mechanisms_are_the_reference(parameters: dict[str, Any]) -> None:
+def test_stiff_mechanisms_are_the_reference(telescope: Telescope) -> None:
     """The difference falls as the stiffness rises: a hundredth for a hundred times the stiffness."""
     values, omega = {"wheel_1.speed": 400.0, "wheel_2.speed": -700.0, "solar_array.tau": 0.4}, [6.0, 15.0, 120.0, 300.0]
-    rigid = _response(load_parameters(), values, omega)
+    rigid = _response(load_telescope(), values, omega)
     errors = []
     for factor in (1e2, 1e4):
-        stiff = copy.deepcopy(parameters)
+        stiff = telescope.to_mapping()
         for name in ("radial", "axial", "rocking"):
             stiff["reaction_wheel"]["bearing"][f"{name}_stiffness"] *= factor
             stiff["reaction_wheel"]["bearing"][f"{name}_damping"] = 0.0
         stiff["sadm"]["stepper"] |= {"rotor_inertia": 1e-9, "holding_torque": 0.4 * factor, "motor_damping": 0.0}
-        errors.append(np.abs(_response(stiff, values, omega) / rigid - 1.0).max())
+        errors.append(np.abs(_response(Telescope(stiff), values, omega) / rigid - 1.0).max())
     assert errors[0] < 0.1 and errors[1] == pytest.approx(1e-2 * errors[0], rel=0.1)
 
 
-def _response(parameters: Any, values: dict[str, float], omega: list[float]) -> np.ndarray:
-    system = build_telescope(parameters).system["los_controlled", ("wheel_imbalance", "sadm_torque")].at(values)
+def _response(telescope: Any, values: dict[str, float], omega: list[float]) -> np.ndarray:
+    system = build_telescope(telescope).system["los_controlled", ("wheel_imbalance", "sadm_torque")].at(values)
     found = accurate_response(system.A, system.B, system.C, system.D, omega)
     return np.sqrt(np.sum(np.abs(found) ** 2, axis=1))
 
 
-def test_energy_is_conserved_without_damping(parameters: dict[str, Any]) -> None:
+def test_energy_is_conserved_without_damping(telescope: Telescope) -> None:
     """The power that a force at G puts in per period is zero at any speed of the wheels: Y + Y* = 0."""
-    content = copy.deepcopy(parameters)
+    content = telescope.to_mapping()
     for name in ("body", "payload", "fsm", "pma", "solar_array"):
         content[name]["damping"] = 0.0
     content["isolator"]["damping"] = [0.0] * 6
     content["sadm"]["gearbox_damping"] = content["sadm"]["stepper"]["motor_damping"] = 0.0
     for name in ("radial", "axial", "rocking"):
         content["reaction_wheel"]["bearing"][f"{name}_damping"] = 0.0
-    system = build_telescope(content, attitude_controlled=False).system["accel_G", "external_wrench"]
+    system = build_telescope(Telescope(content), attitude_controlled=False).system["accel_G", "external_wrench"]
     data = system.at(system.sample_values(np.random.default_rng(8))[0])
     omega, scale = np.array([0.3, 2.0, 15.0, 130.0, 370.0, 1400.0]), np.array([1.0] * 3 + [1.5] * 3)
     for w, response in zip(omega, accurate_response(data.A, data.B, data.C, data.D, omega)):
@@ -109,11 +108,11 @@ def test_energy_is_conserved_without_damping(parameters: dict[str, Any]) -> None
         assert np.abs(mobility + mobility.conj().T).max() < 1e-9 * np.abs(mobility).max(), w
 
 
-def test_modes_of_the_rotors_are_in_the_plant(parameters: dict[str, Any]) -> None:
+def test_modes_of_the_rotors_are_in_the_plant(telescope: Telescope) -> None:
     """Each printed mode is near a pole of the telescope at the default speeds."""
-    speeds = {f"wheel_{i}.speed": w.default_speed for i, w in enumerate(reaction_wheels(parameters), start=1)}
-    poles = linalg.eigvals(build_telescope(parameters).system.at(speeds).A).imag
-    modes = mechanism_modes(parameters)
+    speeds = {f"wheel_{i}.speed": w.default_speed for i, w in enumerate(telescope.wheels, start=1)}
+    poles = linalg.eigvals(build_telescope(telescope).system.at(speeds).A).imag
+    modes = mechanism_modes(telescope)
     assert len(modes) == 4 * 4 + 2
     for mode in modes:
         if "whirl" in mode.name or "rotor" in mode.name:
@@ -121,12 +120,12 @@ def test_modes_of_the_rotors_are_in_the_plant(parameters: dict[str, Any]) -> Non
     assert {mode.at_rest for mode in modes if "whirl" in mode.name} == {np.sqrt(6e3 / 0.045)}
 
 
-def test_a_force_on_the_mount_is_one_on_a_rigid_wheel(parameters: dict[str, Any]) -> None:
+def test_a_force_on_the_mount_is_one_on_a_rigid_wheel(telescope: Telescope) -> None:
     """Broadband noise acts on the mount: as a force on the rotor where the rotor is rigid, else another one."""
-    plain = load_parameters()
-    wheel = reaction_wheels(plain)[1]
+    plain = load_telescope()
+    wheel = plain.wheels[1]
     given, mount = place_matrix("wheel_2", plain), mount_matrix(wheel, plain)
-    for of, alike in ((plain, True), (parameters, False)):
+    for of, alike in ((plain, True), (telescope, False)):
         whole = build_telescope(of, loads=("I_w",)).system
         names = [p.name for p in source_ports(plain) if p.name in {q.name for q in whole.inputs}]
         rows = np.concatenate([np.arange(99)[s] for s in _slices(plain, names)])
@@ -136,32 +135,32 @@ def test_a_force_on_the_mount_is_one_on_a_rigid_wheel(parameters: dict[str, Any]
         assert (np.abs(one - two)[:, :, :5].max() < 1e-6 * np.abs(one).max()) == alike
 
 
-def _slices(parameters: Any, names: list[str]) -> list[slice]:
+def _slices(telescope: Any, names: list[str]) -> list[slice]:
     from lftkit.systems.ports import port_slices
 
-    columns = port_slices(source_ports(parameters))
+    columns = port_slices(source_ports(telescope))
     return [columns[name] for name in names]
 
 
 def test_a_source_has_the_torque_of_each_motor(path: Path) -> None:
-    system = loaded_telescope(str(path), True).system
+    system = loaded_telescope(load_telescope(path), True).system
     assert system.input_port("motor_torque").size == 2
     data = system["sadm_angle", "motor_torque"].at({})
     static = data.D - data.C @ linalg.solve(data.A, data.B)
     np.testing.assert_allclose(static, np.eye(2) / (100.0 * 0.4 * 50.0), atol=1e-9)  # the rotor turns its array along
 
 
-def test_a_drive_with_a_stepper_has_no_fixed_harmonics(parameters: dict[str, Any]) -> None:
-    assert sadm_tones(parameters, np.random.default_rng(0)).frequency.size == 0
-    assert sadm_tones(load_parameters(), np.random.default_rng(0)).frequency.size == 5
+def test_a_drive_with_a_stepper_has_no_fixed_harmonics(telescope: Telescope) -> None:
+    assert sadm_tones(telescope, np.random.default_rng(0)).frequency.size == 0
+    assert sadm_tones(load_telescope(), np.random.default_rng(0)).frequency.size == 5
 
 
 def test_what_is_a_source_does_not_change_the_design(path: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text(FILE.replace("detent_torque = 0.02", "detent_torque = 0.01").replace("1e-6, 1e-6", "2e-6, 1e-6"))
-    assert design_basis(load_parameters(path)) == design_basis(load_parameters(other))
+    assert load_telescope(path).design_basis == load_telescope(other).design_basis
     other.write_text(FILE.replace("rocking_stiffness = 6.0e3", "rocking_stiffness = 7.0e3"))
-    assert parameters_hash(load_parameters(path)) != parameters_hash(load_parameters(other))
+    assert load_telescope(path).parameters_hash != load_telescope(other).parameters_hash
 
 
 def test_wheels_and_arrays_of_a_list_have_their_own(tmp_path: Path) -> None:
@@ -173,7 +172,7 @@ def test_wheels_and_arrays_of_a_list_have_their_own(tmp_path: Path) -> None:
     text = text.replace('name = "b"', f'name = "b"\n{bearing}')
     path = tmp_path / "list.toml"
     path.write_text(text)
-    assert [wheel.bearing is not None for wheel in reaction_wheels(load_parameters(path))] == [False, True, False]
+    assert [wheel.bearing is not None for wheel in load_telescope(path).wheels] == [False, True, False]
 
 
 BEARING, STEPPER = FILE[: FILE.index("\n\n[reaction_wheel.broad")], FILE[FILE.index("[sadm") :]
@@ -206,7 +205,7 @@ def test_mistakes_are_one_line(case: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text.lstrip("\n") if case in ("steps", "whole", "rate", "gears") else text, encoding="utf-8")
     with pytest.raises(ValueError) as error:
-        load_parameters(path)
+        load_telescope(path)
     message = str(error.value)
     assert "\n" not in message
     for word in words:

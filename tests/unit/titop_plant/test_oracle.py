@@ -20,8 +20,9 @@ from oracles import kinematic_elimination as oracle
 from scipy.linalg import eigvals, eigvalsh
 from scipy.optimize import linear_sum_assignment
 
-from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
+from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 Values = dict[str, float]
 TOLERANCE, CANCELLATION_BELOW, MAX_ALLOWANCE = 1e-9, 1e-2, 1e-8
@@ -32,13 +33,14 @@ INTERNAL = ("sadm_torque", "fsm_command", "pma_force")
 class Case:
     """The telescope and the inputs of the oracle."""
 
-    parameters: Any
     telescope: Telescope
+    assembled: AssembledTelescope
     nominal: Values
     inertia: np.ndarray
 
     def second_order(self, values: Values, **options: bool) -> oracle.SecondOrder:
-        return oracle.assemble(self.parameters, *self.telescope.bodies, values, control_inertia=self.inertia, **options)
+        tables = self.telescope.to_mapping()
+        return oracle.assemble(tables, *self.assembled.bodies, values, control_inertia=self.inertia, **options)
 
 
 PAPER = Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml"
@@ -46,11 +48,11 @@ PAPER = Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml"
 
 @pytest.fixture(scope="module", params=[None, PAPER], ids=["reference", "paper"])
 def case(request: pytest.FixtureRequest) -> Case:
-    parameters = load_parameters(request.param)
-    telescope = build_telescope(parameters)
-    nominal = {name: p.nominal for name, p in uncertain_parameters(parameters).items()}
-    inertia = oracle.total_inertia(oracle.assemble(parameters, *telescope.bodies, nominal).M)
-    return Case(parameters, telescope, nominal, inertia)
+    telescope = load_telescope(request.param)
+    assembled = build_telescope(telescope)
+    nominal = {name: p.nominal for name, p in telescope.uncertain.items()}
+    inertia = oracle.total_inertia(oracle.assemble(telescope.to_mapping(), *assembled.bodies, nominal).M)
+    return Case(telescope, assembled, nominal, inertia)
 
 
 def spread(rng: np.random.Generator, count: int, low: float = 1e-3, high: float = 1e4) -> np.ndarray:
@@ -104,20 +106,20 @@ def test_nominal(case: Case) -> None:
     model = case.second_order(case.nominal)
     resonances = np.sort(np.abs(eigvals(model.state_matrix())))[5::20]
     omega = np.sort(np.concatenate([spread(np.random.default_rng(0), 60), resonances]))
-    error, pair = worst(disagreement(case.telescope.system.at({}), model, omega))
+    error, pair = worst(disagreement(case.assembled.system.at({}), model, omega))
     assert error < TOLERANCE, pair
 
 
 def test_twenty_random_parameter_values(case: Case) -> None:
     rng = np.random.default_rng(1)
-    for values in case.telescope.system.sample_values(rng, 20):
-        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 12))
+    for values in case.assembled.system.sample_values(rng, 20):
+        errors = disagreement(case.assembled.system.at(values), case.second_order(values), spread(rng, 12))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
 
 def corners(case: Case) -> list[Values]:
-    limits = {name: (p.lower, p.upper) for name, p in uncertain_parameters(case.parameters).items()}
+    limits = {name: (p.lower, p.upper) for name, p in case.telescope.uncertain.items()}
     return [dict(zip(limits, choice)) for choice in itertools.product(*limits.values())]
 
 
@@ -127,7 +129,7 @@ def test_sixteen_corners(case: Case) -> None:
     chosen = [c for i, c in enumerate(corners(case)) if balanced(i)]
     assert len(chosen) == 16
     for values in chosen:
-        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 8))
+        errors = disagreement(case.assembled.system.at(values), case.second_order(values), spread(rng, 8))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
@@ -143,18 +145,19 @@ def balanced(index: int) -> bool:
 def test_all_corners(case: Case) -> None:
     rng = np.random.default_rng(3)
     for values in corners(case):
-        errors = disagreement(case.telescope.system.at(values), case.second_order(values), spread(rng, 12))
+        errors = disagreement(case.assembled.system.at(values), case.second_order(values), spread(rng, 12))
         error, pair = worst(errors)
         assert error < TOLERANCE, (pair, values)
 
 
 def test_without_isolator(case: Case) -> None:
     rng = np.random.default_rng(4)
-    system = build_telescope(case.parameters, isolated=False).system
+    system = build_telescope(case.telescope, isolated=False).system
     inertia = oracle.total_inertia(case.second_order(case.nominal, isolated=False).M)
-    assert system.order == case.telescope.system.order - 12
+    assert system.order == case.assembled.system.order - 12
     values = system.sample_values(rng)[0]
-    model = oracle.assemble(case.parameters, *case.telescope.bodies, values, isolated=False, control_inertia=inertia)
+    tables = case.telescope.to_mapping()
+    model = oracle.assemble(tables, *case.assembled.bodies, values, isolated=False, control_inertia=inertia)
     error, pair = worst(disagreement(system.at(values), model, spread(rng, 30)))
     assert error < TOLERANCE, pair
 
@@ -162,7 +165,7 @@ def test_without_isolator(case: Case) -> None:
 def test_without_attitude_control(case: Case) -> None:
     """Free attitude: inputs of internal forces above 100 rad/s only (there is no equilibrium to subtract)."""
     rng = np.random.default_rng(6)
-    system = build_telescope(case.parameters, attitude_controlled=False).system
+    system = build_telescope(case.telescope, attitude_controlled=False).system
     values = system.sample_values(rng)[0]
     model = case.second_order(values, controlled=False)
     slow = disagreement(system.at(values), model, spread(rng, 20, high=100.0), internal=False)
@@ -174,8 +177,8 @@ def test_without_attitude_control(case: Case) -> None:
 
 
 def test_natural_frequencies_and_order(case: Case) -> None:
-    for values in (case.nominal, case.telescope.system.sample_values(np.random.default_rng(7))[0]):
-        ours = eigvals(case.telescope.system.at(values).A)
+    for values in (case.nominal, case.assembled.system.sample_values(np.random.default_rng(7))[0]):
+        ours = eigvals(case.assembled.system.at(values).A)
         theirs = eigvals(case.second_order(values).state_matrix())
         assert ours.size == theirs.size == 204
         distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(theirs)
@@ -184,8 +187,8 @@ def test_natural_frequencies_and_order(case: Case) -> None:
 
 
 def test_total_inertia_and_mass(case: Case) -> None:
-    np.testing.assert_allclose(case.telescope.inertia, case.inertia, rtol=0, atol=1e-9 * case.inertia.max())
-    p, (body, payload, array) = case.parameters, case.telescope.bodies
+    np.testing.assert_allclose(case.assembled.inertia, case.inertia, rtol=0, atol=1e-9 * case.inertia.max())
+    p, (body, payload, array) = case.telescope.to_mapping(), case.assembled.bodies
     mass = body.mass + payload.mass + 2 * array.mass + 4 * p["reaction_wheel"]["mass"] + p["isolator"]["mass"]
     mass += 6 * (p["pma"]["casing_mass"] + p["pma"]["moving_mass"]) + p["fsm"]["mass"]
     np.testing.assert_allclose(case.second_order(case.nominal).M[:3, :3], mass * np.eye(3), atol=1e-9 * mass)

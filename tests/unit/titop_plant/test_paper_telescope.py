@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from los_loop.continuous_loop import continuous_open_loop
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbance_responses import DRIVES, WHEELS, disturbance_responses
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.load import load_telescope
 
 FILE = str(Path(__file__).parents[3] / "examples" / "paper" / "telescope.toml")
 ARCSEC = np.pi / 648000.0
@@ -21,7 +21,7 @@ OCCURRENCES = {"solar_array.omega_1": 4, "solar_array.omega_2": 4, "solar_array.
 
 def decades(file: str | None) -> list[float]:
     """Median over each band of the decades by which the wheels exceed the drives, resonances in each hundredth."""
-    both, found = disturbance_responses(file), []
+    both, found = disturbance_responses(load_telescope(file)), []
     for low, high in pairwise(BANDS):
         edges = np.geomspace(low, high, round(100 * np.log10(high / low)) + 1)
         wheels, drives = (both.weighted(both.isolated, {}, of, low, high).columns(edges) for of in (WHEELS, DRIVES))
@@ -31,7 +31,7 @@ def decades(file: str | None) -> list[float]:
 
 def test_order_and_occurrences() -> None:
     """204 and 2, 2, 2, 2, 4, 4, 32."""
-    system = telescope(FILE).system
+    system = assembled_telescope(load_telescope(FILE)).system
     assert system.order == 204
     assert system.occurrences() == {**{f"wheel_{i}.speed": 2 for i in range(1, 5)}, **OCCURRENCES}
 
@@ -46,8 +46,8 @@ def test_wheels_are_up_to_three_decades_above_the_drives_below_100_rad_s() -> No
 
 def test_the_open_loop_needs_more_than_the_mirror_by_what_the_pairs_of_figures_say() -> None:
     """Reach 109.3 arcsec; 10 arcsec times the APE of a nominal and of a robust design more, 0.7115 and 0.9857."""
-    parameters = load_parameters(FILE)
-    loop, rng = continuous_open_loop(telescope(FILE), parameters), np.random.default_rng(0)
+    telescope = load_telescope(FILE)
+    loop, rng = continuous_open_loop(telescope), np.random.default_rng(0)
     points = rng.uniform(size=(2000, len(loop.names)))
     points = np.where(rng.uniform(size=points.shape) < 0.6, np.round(points), points)
     points[0] = loop.point({})
@@ -59,8 +59,8 @@ def test_the_open_loop_needs_more_than_the_mirror_by_what_the_pairs_of_figures_s
         ],
         axis=0,
     )
-    reach = parameters["fsm"]["authority"] * parameters["fsm"]["los_sensitivity"]
-    limit = parameters["weights"]["ape_limit"]
+    reach = telescope.fsm.authority * telescope.fsm.los_sensitivity
+    limit = telescope.weights.ape_limit
     assert size[0] / ARCSEC == pytest.approx(116.4, abs=0.1)
     assert (size[0] - reach) / limit == pytest.approx(0.7115, rel=0.02)
     assert (size.max() - reach) / limit == pytest.approx(0.9857, rel=0.02)

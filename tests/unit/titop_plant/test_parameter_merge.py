@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from titop_plant.telescope.parameters import differences, load_parameters
+from titop_plant.telescope.load import differences, load_telescope
+from titop_plant.telescope.sections import Equipment
 
 
-def equipment(tmp_path: Path, text: str) -> dict[str, dict]:
+def equipment(tmp_path: Path, text: str) -> dict[str, Equipment]:
     file = tmp_path / "own.toml"
     file.write_text(text, "utf-8")
-    return {item["name"]: item for item in load_parameters(file)["payload"]["equipment"]}
+    return {item.name: item for item in load_telescope(file).payload.equipment}
 
 
 def test_a_table_changes_that_of_its_name_and_leaves_the_others(tmp_path: Path) -> None:
-    reference = {item["name"]: item for item in load_parameters()["payload"]["equipment"]}
+    reference = {item.name: item for item in load_telescope().payload.equipment}
     found = equipment(tmp_path, '[[payload.equipment]]\nname = "front-end electronics"\nmass = 48.5\n')
     assert list(found) == list(reference)
     changed = found.pop("front-end electronics")
-    assert changed == {**reference.pop("front-end electronics"), "mass": 48.5}
+    assert changed == replace(reference.pop("front-end electronics"), mass=48.5)
     assert found == reference
 
 
 def test_a_new_name_is_added(tmp_path: Path) -> None:
     text = '[[payload.equipment]]\nname = "star tracker"\nmass = 2.0\nsize = [0.1, 0.1, 0.2]\nnode = "bench"\n'
     found = equipment(tmp_path, text)
-    assert list(found)[-1] == "star tracker" and len(found) == len(load_parameters()["payload"]["equipment"]) + 1
+    assert list(found)[-1] == "star tracker" and len(found) == len(load_telescope().payload.equipment) + 1
 
 
 def test_the_whole_list_is_replaced_only_when_asked(tmp_path: Path) -> None:
@@ -37,7 +39,8 @@ def test_the_whole_list_is_replaced_only_when_asked(tmp_path: Path) -> None:
 
 def test_a_place_by_node_takes_the_place_of_a_position(tmp_path: Path) -> None:
     found = equipment(tmp_path, '[[payload.equipment]]\nname = "calibration unit"\nnode = "bench"\n')
-    assert "position" not in found["calibration unit"] and found["calibration unit"]["mass"] == 4.1
+    unit = found["calibration unit"]
+    assert unit.position is None and unit.mass == 4.1
 
 
 @pytest.mark.parametrize(

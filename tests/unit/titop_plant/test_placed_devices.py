@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
-from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.parameters import Parameters, load_parameters, parameters_hash
-from titop_plant.telescope.placed.devices import ANGULAR, PlacedSensor
+from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
+from titop_plant.telescope.devices import ANGULAR, PlacedSensor
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.readings import PlantWithReadings
+from titop_plant.telescope.telescope import Telescope
 
 ARM = [0.3, -0.2, 0.5]
 SLANTED = [0.6, 0.0, 0.8]
@@ -61,22 +62,22 @@ axes = [{SLANTED}]
 OMEGA = np.array([0.3, 2.0, 5.3, 40.0, 170.0, 430.0, 900.0, 3000.0])
 
 
-def read(folder: Path, text: str) -> Parameters:
+def read(folder: Path, text: str) -> Telescope:
     """Parameters of a file with this text."""
     path = folder / "own.toml"
     path.write_text(text)
-    return load_parameters(path)
+    return load_telescope(path)
 
 
 @pytest.fixture(scope="module")
-def sensed(tmp_path_factory: pytest.TempPathFactory) -> Telescope:
+def sensed(tmp_path_factory: pytest.TempPathFactory) -> AssembledTelescope:
     return build_telescope(read(tmp_path_factory.mktemp("sensed"), SENSORS))
 
 
 @pytest.fixture(scope="module")
-def actuated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Parameters, Telescope]:
-    parameters = read(tmp_path_factory.mktemp("actuated"), ACTUATORS)
-    return parameters, build_telescope(parameters, attitude_controlled=False, motors=True)
+def actuated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Telescope, AssembledTelescope]:
+    telescope = read(tmp_path_factory.mktemp("actuated"), ACTUATORS)
+    return telescope, build_telescope(telescope, attitude_controlled=False, motors=True)
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12))
@@ -91,7 +92,7 @@ def test_an_accelerometer_measures_the_motion_of_its_point(values: list[float]) 
     assert angular.rows @ twist == pytest.approx(axes @ alpha, abs=1e-12)
 
 
-def test_sensors_measure_the_twists_of_the_telescope(sensed: Telescope) -> None:
+def test_sensors_measure_the_twists_of_the_telescope(sensed: AssembledTelescope) -> None:
     chosen = sensed.system.select(outputs=["placed_sensors", "accel_G", "accel_M1"]).at({})
     for omega in OMEGA:
         found = chosen(1j * omega)
@@ -101,16 +102,16 @@ def test_sensors_measure_the_twists_of_the_telescope(sensed: Telescope) -> None:
         assert np.abs(read_off - expected).max() <= 1e-10 * np.abs(expected).max()
 
 
-def test_sensors_change_nothing_else(sensed: Telescope, tmp_path: Path) -> None:
+def test_sensors_change_nothing_else(sensed: AssembledTelescope, tmp_path: Path) -> None:
     reference = build_telescope()
     assert sensed.system.order == reference.system.order == 204
-    assert parameters_hash(read(tmp_path, SENSORS)) == parameters_hash(load_parameters())
+    assert read(tmp_path, SENSORS).parameters_hash == load_telescope().parameters_hash
     names = [port.name for port in reference.system.outputs]
     for one, other in zip(sensed.system.select(outputs=names).at({}).matrices, reference.system.at({}).matrices):
         assert np.abs(one - other).max() <= 1e-10 * np.abs(other).max()
 
 
-def test_two_equal_actuators_are_reciprocal(actuated: tuple[Parameters, Telescope]) -> None:
+def test_two_equal_actuators_are_reciprocal(actuated: tuple[Telescope, AssembledTelescope]) -> None:
     """A force at one moves the other as much as one at the other moves the first."""
     pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
     for omega in OMEGA:
@@ -118,10 +119,10 @@ def test_two_equal_actuators_are_reciprocal(actuated: tuple[Parameters, Telescop
         assert abs(found[0, 1] - found[1, 0]) <= 1e-8 * np.abs(found).max()
 
 
-def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Parameters, Telescope]) -> None:
+def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Telescope, AssembledTelescope]) -> None:
     """The relative velocity of structure and mass by the force between them has a non-negative real part."""
-    table = actuated[0]["pma"]
-    m, k, d = table["moving_mass"], table["stiffness"], table["damping"]
+    table = actuated[0].pma
+    m, k, d = table.moving_mass, table.stiffness, table.damping
     pair = actuated[1].system["placed_sensors", "actuator_force"].at({})
     for omega in np.geomspace(0.1, 3000.0, 200):
         s = 1j * omega
@@ -130,22 +131,22 @@ def test_a_motor_between_mass_and_structure_is_passive(actuated: tuple[Parameter
         assert least >= -1e-9 * np.abs(relative).max()
 
 
-def test_mass_and_states_are_added(actuated: tuple[Parameters, Telescope]) -> None:
-    parameters, telescope = actuated
+def test_mass_and_states_are_added(actuated: tuple[Telescope, AssembledTelescope]) -> None:
+    telescope, assembled = actuated
     bare = build_telescope(attitude_controlled=False)
-    assert telescope.system.order == bare.system.order + 4
-    slow = [np.linalg.inv(t.system["accel_G", "external_wrench"].at({})(1e-3j))[:3, :3] for t in (telescope, bare)]
-    added = 2 * (parameters["pma"]["moving_mass"] + parameters["pma"]["casing_mass"])
+    assert assembled.system.order == bare.system.order + 4
+    slow = [np.linalg.inv(t.system["accel_G", "external_wrench"].at({})(1e-3j))[:3, :3] for t in (assembled, bare)]
+    added = 2 * (telescope.pma.moving_mass + telescope.pma.casing_mass)
     assert (slow[0] - slow[1]).real == pytest.approx(added * np.eye(3), abs=2e-3)
 
 
-def test_a_source_drives_an_actuator(actuated: tuple[Parameters, Telescope]) -> None:
-    parameters = actuated[0]
-    assert all_places(parameters)[-2:] == ("one", "two")
-    matrix = place_matrix("two", parameters)
-    assert np.argwhere(matrix).tolist() == [[sum(p.size for p in source_ports(parameters)) - 1, 2]]
+def test_a_source_drives_an_actuator(actuated: tuple[Telescope, AssembledTelescope]) -> None:
+    telescope = actuated[0]
+    assert all_places(telescope)[-2:] == ("one", "two")
+    matrix = place_matrix("two", telescope)
+    assert np.argwhere(matrix).tolist() == [[sum(p.size for p in source_ports(telescope)) - 1, 2]]
     with pytest.raises(ValueError, match="frame and offset must be absent at one, which has a force along its axis"):
-        place_matrix("one", parameters, offset=np.ones(3))
+        place_matrix("one", telescope, offset=np.ones(3))
 
 
 PLACE = '[[sensor]]\nname = "a"\nplace = "bus"\n'

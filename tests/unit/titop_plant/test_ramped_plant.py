@@ -19,7 +19,7 @@ from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
 CROSSING = PlantConfig(
@@ -67,10 +67,10 @@ def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> No
     crossing = replace(CROSSING, wheel_speed=(398.0, *CROSSING.wheel_speed[1:]), ramp_duration=0.5)
     family, plant = PlantFamily.of(crossing), build_plant(crossing)
     assert isinstance(plant, RampedPlant)
-    profile, tones = motion(crossing, family.parameters), plant._moving
+    profile, tones = motion(crossing, family.telescope), plant._moving
 
     def system(time: float) -> tuple[System, np.ndarray]:
-        data = family.control_loop.at(values_along(crossing, profile, time, family.parameters))
+        data = family.control_loop.at(values_along(crossing, profile, time, family.telescope))
         return data, (tones.unit.amplitude @ tones.phasors(time)).imag
 
     def slope(time: float, state: np.ndarray) -> np.ndarray:
@@ -129,8 +129,8 @@ def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float)
 
 def test_phases_are_the_integrals_of_the_speeds() -> None:
     """Through zero, where the sense of rotation changes: against quadrature, and a constant speed against its tones."""
-    parameters = load_parameters()
-    unit = imbalance_tones(parameters, np.ones(4), np.random.default_rng(0))
+    telescope = load_telescope()
+    unit = imbalance_tones(telescope, np.ones(4), np.random.default_rng(0))
     profile = linear_profile(0.0, 0.0, [60.0, -60.0, 60.0, -60.0], [-40.0, 40.0, -40.0, 40.0], 3.0)
     tones = MovingTones(profile, unit)
     time = np.linspace(0.0, 3.5, 350001)
@@ -140,7 +140,7 @@ def test_phases_are_the_integrals_of_the_speeds() -> None:
         expected = float(profile.speeds(time[k])[0]) ** 2 * np.exp(1j * unit.harmonic[3] * turned[k] * 1e-5)
         assert phasor == pytest.approx(expected, rel=1e-6)
     still = MovingTones(Profile(np.zeros(1), np.zeros(1), np.array([[-70.0, 80.0, -90.0, 100.0]])), unit).start()
-    same = imbalance_tones(parameters, np.array([70.0, 80.0, 90.0, 100.0]), np.random.default_rng(0))
+    same = imbalance_tones(telescope, np.array([70.0, 80.0, 90.0, 100.0]), np.random.default_rng(0))
     np.testing.assert_allclose(still.frequency, same.frequency, rtol=1e-12)
     np.testing.assert_allclose(np.abs(still.amplitude), np.abs(same.amplitude), rtol=1e-12)
     backwards, forwards = still.amplitude[:5, 0], same.amplitude[:5, 0]
@@ -151,7 +151,7 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     ramp = replace(CROSSING, wheel_acceleration=(1e-9, 0.0, 0.0, 0.0), ramp_duration=0.2)
     family = PlantFamily.of(ramp)
     plant = family.build(ramp)
-    tones = MovingTones(motion(ramp, family.parameters), plant._moving.unit).start()
+    tones = MovingTones(motion(ramp, family.telescope), plant._moving.unit).start()
     data = family.control_loop.at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
     constant = SampledPlant(
         plant_step(data, tones), plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
@@ -177,7 +177,7 @@ def test_a_file_moves_the_plant(tmp_path: Path) -> None:
         "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4\n0,0.1,1,2,3,4\n2,0.3,5,2,3,4\n"
     )
     config = PlantConfig(scenario="ramp", profile=str(path))
-    assert config.ramps and motion(config, load_parameters()).speeds(1.0).tolist() == [3.0, 2.0, 3.0, 4.0]
+    assert config.ramps and motion(config, load_telescope()).speeds(1.0).tolist() == [3.0, 2.0, 3.0, 4.0]
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_a_ramp_without_a_ramp_is_refused() -> None:
     with pytest.raises(ValueError, match="must be given in the scenario ramp, got no ramp"):
         PlantConfig(scenario="ramp")
     with pytest.raises(ValueError, match=r"profile must be one of linear, trapezoidal or a CSV file, got no\.csv"):
-        motion(PlantConfig(scenario="ramp", profile="no.csv"), load_parameters())
+        motion(PlantConfig(scenario="ramp", profile="no.csv"), load_telescope())
 
 
 def test_modes_of_the_report_are_those_of_the_telescope() -> None:
@@ -209,7 +209,7 @@ def test_modes_of_the_report_are_those_of_the_telescope() -> None:
     plant = build_plant(ramp)
     assert isinstance(plant, RampedPlant)
     family = PlantFamily.of(ramp)
-    poles = linalg.eigvals(family.control_loop.at(parameter_values(ramp, family.parameters)).A)
+    poles = linalg.eigvals(family.control_loop.at(parameter_values(ramp, family.telescope)).A)
     near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
     assert near_400 and all(np.abs(poles.imag - w).min() < 0.1 for w in near_400)
     assert plant.motion["knots"][0][2] == 395.0 and 1.0 in plant.motion["harmonics"]
@@ -223,7 +223,7 @@ def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
     plant, family = build_plant(ramp), PlantFamily.of(ramp)
     assert isinstance(plant, RampedPlant)
     for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
-        values = values_along(ramp, motion(ramp, family.parameters), row[0], family.parameters)
+        values = values_along(ramp, motion(ramp, family.telescope), row[0], family.telescope)
         poles = linalg.eigvals(family.control_loop.at(values).A)
         light = np.sort(poles.imag[(poles.imag > 0.0) & (-poles.real < 0.1 * np.abs(poles)) & (poles.imag < 2500.0)])
         found = np.array([w for w in row[1:] if w < 2500.0])

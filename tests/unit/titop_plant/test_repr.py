@@ -6,12 +6,12 @@ import pytest
 
 from lftkit import SampledSystem, System
 from los_design.synthesis.store import load_designs
-from titop_plant.simulation.build import telescope
+from titop_plant.telescope.assembly import assembled_telescope
 
 
 @pytest.fixture(scope="module")
 def whole() -> System:
-    return telescope().system
+    return assembled_telescope().system
 
 
 def test_line_of_each_type(whole: System) -> None:
@@ -37,4 +37,4 @@ def test_the_telescope_is_summarised_in_one_line(whole: System) -> None:
 def test_none_is_longer_than_some_lines_of_a_terminal(whole: System) -> None:
     shown = [whole, whole.at({}), *load_designs("implemented")]
     assert max(len(repr(system)) for system in shown) < 5 * 80
-    assert len(repr(telescope())) < 15 * 80
+    assert len(repr(assembled_telescope())) < 15 * 80

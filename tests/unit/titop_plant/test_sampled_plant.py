@@ -14,13 +14,13 @@ from titop_plant.simulation.build import (
     PlantConfig,
     build_plant,
     parameter_values,
-    telescope,
     with_sensors,
 )
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
 from titop_plant.simulation.plant_step import step_matrix
-from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 QUIET = PlantConfig(noise=False, disturbance=False)
 
@@ -34,10 +34,10 @@ def run(config: PlantConfig, commands: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def plant_data(config: PlantConfig):
-    parameters = load_parameters()
-    whole = with_sensors(telescope().system, parameters)
+    telescope = load_telescope()
+    whole = with_sensors(assembled_telescope(telescope).system, telescope)
     part = whole.select(inputs=(*COMMANDED, *DISTURBANCES), outputs=(*MEASURED, "los_controlled"))
-    return part.at(parameter_values(config, parameters))
+    return part.at(parameter_values(config, telescope))
 
 
 def test_commands_are_held_step_equals_dlsim() -> None:
@@ -55,14 +55,14 @@ def test_tones_are_integrated_exactly() -> None:
     """From rest in steady state the line of sight is the frequency response times the tone, above Nyquist too."""
     config = replace(QUIET, disturbance=True, scenario="imbalance", seed=3)
     _, truth = run(config, np.zeros((400, 8)))
-    data, parameters = plant_data(config), load_parameters()
+    data, telescope = plant_data(config), load_telescope()
     plant = build_plant(config)
     assert plant.tones.max() > np.pi / DT  # beyond half the sampling rate
-    speeds = np.array(parameters["reaction_wheel"]["default_speed"])
+    speeds = np.array(telescope.default_speeds)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(99,)))
     t = DT * np.arange(400)
     expected = np.zeros((400, 2))
-    for tones in (imbalance_tones(parameters, speeds, rng), sadm_tones(parameters, rng)):
+    for tones in (imbalance_tones(telescope, speeds, rng), sadm_tones(telescope, rng)):
         for k, w in enumerate(tones.frequency):
             H = data.C[22:] @ np.linalg.solve(1j * w * np.eye(len(data.A)) - data.A, data.B[:, 8:])
             expected += np.imag(np.outer(np.exp(1j * w * t), H @ tones.amplitude[:, k]))
@@ -88,7 +88,7 @@ def test_same_seed_same_bits_and_other_seed_other_bits() -> None:
 
 def test_noise_has_the_standard_deviation_of_the_table() -> None:
     measured, _ = run(PlantConfig(disturbance=False, camera_rate=1000.0, seed=0), np.zeros((20000, 8)))
-    table = load_parameters()["sensors"]
+    table = load_telescope().to_mapping()["sensors"]
     sigma = np.r_[np.tile(table["accelerometer_noise"], 3), [1e-8] * 4]
     np.testing.assert_allclose(measured.std(axis=0), sigma, rtol=0.03)
     bias = np.tile(table["accelerometer_bias"], 3)
@@ -111,32 +111,32 @@ def test_commands_are_clipped_at_the_authority() -> None:
 
 
 def test_imbalance_grows_with_the_square_of_the_speed() -> None:
-    parameters = load_parameters()
-    slow, fast = (imbalance_tones(parameters, np.array([s, 0, 0, 0]), np.random.default_rng(1)) for s in (100.0, 300.0))
+    telescope = load_telescope()
+    slow, fast = (imbalance_tones(telescope, np.array([s, 0, 0, 0]), np.random.default_rng(1)) for s in (100.0, 300.0))
     np.testing.assert_allclose(fast.amplitude, 9.0 * slow.amplitude, rtol=1e-12)
     np.testing.assert_allclose(fast.frequency, 3.0 * slow.frequency)
-    top = imbalance_tones(parameters, np.full(4, 1047.2), np.random.default_rng(1))
+    top = imbalance_tones(telescope, np.full(4, 1047.2), np.random.default_rng(1))
     one = top.amplitude[:5, np.flatnonzero((top.wheel == 0) & (top.harmonic == 1.0))]
     np.testing.assert_allclose(np.abs(one).sum(axis=1), [0.4, 0.4, 0.35, 0.3, 0.3], rtol=5e-3)
 
 
 def test_drive_torque_stays_within_its_bound() -> None:
-    parameters = load_parameters()
-    tones = sadm_tones(parameters, np.random.default_rng(0))
-    assert np.all(np.abs(tones.amplitude[20:]).sum(axis=1) <= parameters["sadm"]["torque_bound"] * (1 + 1e-12))
+    telescope = load_telescope()
+    tones = sadm_tones(telescope, np.random.default_rng(0))
+    assert np.all(np.abs(tones.amplitude[20:]).sum(axis=1) <= telescope.sadm.torque_bound * (1 + 1e-12))
     assert np.all(tones.amplitude[:20] == 0)
 
 
 def test_design_tones_have_unit_norm_within_the_band() -> None:
-    parameters = load_parameters()
+    telescope = load_telescope()
     from titop_plant.simulation.build import _tones
 
     config = PlantConfig(scenario="design", seed=0)
-    tones = _tones(config, parameters, parameter_values(config, parameters))
-    low, high = parameters["design_scenario"]["band"]
+    tones = _tones(config, telescope, parameter_values(config, telescope))
+    low, high = telescope.design_scenario.band
     assert np.all((tones.frequency >= low) & (tones.frequency <= high))
     for k, w in enumerate(tones.frequency):
-        normalised = tones.amplitude[:, k] / weight_amplitudes(parameters, w)[0]
+        normalised = tones.amplitude[:, k] / weight_amplitudes(telescope, w)[0]
         assert np.linalg.norm(normalised) == pytest.approx(1.0, rel=1e-12)
         assert (not normalised[:20].any()) or (not normalised[20:].any())
 
@@ -144,17 +144,17 @@ def test_design_tones_have_unit_norm_within_the_band() -> None:
 @pytest.mark.parametrize("seed", [0, 1, 7])
 def test_unit_norm_shares_a_norm_of_one_among_the_design_tones(seed: int) -> None:
     """Frequencies, directions and phases of the scenario design; other shares with each seed."""
-    parameters = load_parameters()
+    telescope = load_telescope()
     from titop_plant.simulation.build import _tones
 
     config = PlantConfig(scenario="unit_norm", seed=seed)
-    values = parameter_values(config, parameters)
-    shared, single = _tones(config, parameters, values), _tones(replace(config, scenario="design"), parameters, values)
+    values = parameter_values(config, telescope)
+    shared, single = _tones(config, telescope, values), _tones(replace(config, scenario="design"), telescope, values)
     np.testing.assert_array_equal(shared.frequency, single.frequency)
     shares = np.linalg.norm(shared.amplitude, axis=0) / np.linalg.norm(single.amplitude, axis=0)
     np.testing.assert_allclose(shared.amplitude, single.amplitude * shares, rtol=1e-14)
     assert np.ptp(shares) > 0.1
-    normalised = shared.amplitude / weight_amplitudes(parameters, shared.frequency).T
+    normalised = shared.amplitude / weight_amplitudes(telescope, shared.frequency).T
     assert np.linalg.norm(normalised, axis=0).sum() == pytest.approx(1.0, rel=1e-12)
 
 
@@ -162,19 +162,19 @@ def test_design_tones_are_kept_for_the_same_telescope_table_and_seed_alone() -> 
     """Those that are kept cannot be changed; another seed turns each tone as a whole."""
     from titop_plant.simulation.build import _tones
 
-    parameters, config = load_parameters(), PlantConfig(scenario="design", seed=0)
-    values = parameter_values(config, parameters)
-    first = _tones(config, parameters, values)
-    assert _tones(replace(config), load_parameters(), dict(values)) is first
+    telescope, config = load_telescope(), PlantConfig(scenario="design", seed=0)
+    values = parameter_values(config, telescope)
+    first = _tones(config, telescope, values)
+    assert _tones(replace(config), load_telescope(), dict(values)) is first
     with pytest.raises(ValueError, match="read-only"):
         first.amplitude[0, 0] = 0.0
-    turned = _tones(replace(config, seed=config.seed + 1), parameters, values)
+    turned = _tones(replace(config, seed=config.seed + 1), telescope, values)
     ratio = np.sum(turned.amplitude * first.amplitude.conj(), axis=0) / np.sum(np.abs(first.amplitude) ** 2, axis=0)
     np.testing.assert_allclose(turned.amplitude, ratio * first.amplitude, atol=1e-12 * np.abs(first.amplitude).max())
     assert np.abs(np.abs(ratio) - 1.0).max() < 1e-12 < np.abs(ratio - 1.0).min()
-    fewer = {**parameters, "design_scenario": {**parameters["design_scenario"], "tones": 2}}
+    fewer = telescope.changed({"design_scenario": {"tones": 2}})
     assert _tones(config, fewer, values).frequency.size == 3 < first.frequency.size
-    assert _tones(config, parameters, {**values, "solar_array.tau": 0.5}).frequency.tolist() != first.frequency.tolist()
+    assert _tones(config, telescope, {**values, "solar_array.tau": 0.5}).frequency.tolist() != first.frequency.tolist()
 
 
 def test_a_ramp_moves_the_tones_and_ends_at_the_new_speed() -> None:
@@ -184,12 +184,12 @@ def test_a_ramp_moves_the_tones_and_ends_at_the_new_speed() -> None:
     _, still = run(base, np.zeros((800, 8)))
     assert np.abs(moved[:10] - still[:10]).max() < 1e-3 * np.abs(still).max()
     assert np.abs(moved[600:] - still[600:]).max() > 1e-3 * np.abs(still).max()
-    assert parameter_values(ramp, load_parameters(), 9.0)["wheel_1.speed"] == pytest.approx(170.0)
+    assert parameter_values(ramp, load_telescope(), 9.0)["wheel_1.speed"] == pytest.approx(170.0)
 
 
 def test_energy_of_the_undamped_telescope_is_conserved() -> None:
     """Without damping and attitude law the sampled motion keeps the energy of the second-order model."""
-    parameters = {k: dict(v) if isinstance(v, dict) else v for k, v in load_parameters().items()}
+    tables = load_telescope().to_mapping()
     for name, key in (
         ("body", "damping"),
         ("payload", "damping"),
@@ -198,10 +198,9 @@ def test_energy_of_the_undamped_telescope_is_conserved() -> None:
         ("fsm", "damping"),
         ("pma", "damping"),
     ):
-        parameters[name][key] = 0.0
-    parameters["isolator"]["damping"] = [0.0] * 6
-    parameters["solar_array"]["further_modes"] = list(parameters["solar_array"]["further_modes"])
-    free = build_telescope(parameters, attitude_controlled=False).system
+        tables[name][key] = 0.0
+    tables["isolator"]["damping"] = [0.0] * 6
+    free = build_telescope(Telescope(tables), attitude_controlled=False).system
     data = free.select(inputs=(*COMMANDED, *DISTURBANCES)).at({})
     poles = linalg.eigvals(data.A)
     moving = np.abs(poles) > 0.1

@@ -10,8 +10,8 @@ import pytest
 from lftkit import Port
 from titop_plant.interface import ACCELEROMETERS, COLUMNS, HELD, HELD_PARTS, MEASURED, period_ticks, sample_ticks
 from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
-from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.sensors import constant_error, noise_of_samples, noise_of_ticks, sensors
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 TABLE: dict[str, Any] = {
     "accelerometer_noise": [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3],
@@ -23,15 +23,14 @@ TABLE: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def parameters():
-    reference = load_parameters()
-    return {**reference, "sensors": {**reference["sensors"], **TABLE}}
+def telescope():
+    return load_telescope().changed({"sensors": TABLE})
 
 
-def test_each_port_has_its_own_values_in_the_order_of_the_measurement(parameters) -> None:
-    found = sensors(parameters)
+def test_each_port_has_its_own_values_in_the_order_of_the_measurement(telescope) -> None:
+    found = telescope.sensors
     assert tuple(sensor.port.name for sensor in found) == MEASURED
-    noise, bias = noise_of_samples(parameters), constant_error(parameters)
+    noise, bias = telescope.noise_of_samples, telescope.constant_error
     for sensor in found:
         part, name = COLUMNS[sensor.port.name], sensor.port.name
         accelerometer = name in ACCELEROMETERS
@@ -41,9 +40,9 @@ def test_each_port_has_its_own_values_in_the_order_of_the_measurement(parameters
         assert np.array_equal(bias[part], TABLE["accelerometer_bias"] if accelerometer else np.zeros(2))
 
 
-def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(parameters) -> None:
+def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(telescope) -> None:
     """The mean of the samples of a frame's ticks has the frame's noise."""
-    ratio = noise_of_ticks(parameters, 25) / noise_of_samples(parameters)
+    ratio = telescope.noise_of_ticks(25) / telescope.noise_of_samples
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2
 
@@ -71,7 +70,8 @@ def test_an_entry_that_no_loop_can_have_is_refused(port: Port, rate: float, mess
         SensorEntry(port, "a", "a", "a", "a_noise", "camera_step", rate)
 
 
-def test_a_key_that_the_parameter_file_lacks_is_named(parameters) -> None:
-    table = {name: value for name, value in parameters["sensors"].items() if name != "camera_noise"}
+def test_a_key_that_the_parameter_file_lacks_is_named(telescope) -> None:
+    tables = telescope.to_mapping()
+    del tables["sensors"]["camera_noise"]
     with pytest.raises(ValueError, match=r"sensors.camera_noise of camera_los must be in the parameter file"):
-        sensors({**parameters, "sensors": table})
+        _ = Telescope(tables).sensors

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from pathlib import Path
@@ -16,8 +15,9 @@ from oracles.accurate_response import accurate_response
 from oracles.kinematic_elimination import about_point, carry, index_slices, turn
 from scipy import linalg
 
-from titop_plant.telescope.assembly import Telescope, build_telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
+from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 WING = {
     "mass": 46.0,
@@ -114,8 +114,8 @@ def write(folder: Path, layout: dict[str, Any]) -> Path:
 @pytest.fixture(scope="module", params=list(LAYOUTS))
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     layout = LAYOUTS[request.param]
-    parameters = load_parameters(write(tmp_path_factory.mktemp("craft"), layout))
-    return SimpleNamespace(layout=layout, parameters=parameters, telescope=build_telescope(parameters))
+    telescope = load_telescope(write(tmp_path_factory.mktemp("craft"), layout))
+    return SimpleNamespace(layout=layout, telescope=telescope, assembled=build_telescope(telescope))
 
 
 def wheels_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.Wheel]:
@@ -172,16 +172,16 @@ def mounted_of(layout: dict[str, Any], values: dict[str, float]) -> list[oracle.
 
 
 def independent(case: Any, values: dict[str, float], inertia: np.ndarray | None = None) -> Any:
-    body, payload = case.telescope.bodies[:2]
+    body, payload = case.assembled.bodies[:2]
     wheels, mounted = wheels_of(case.layout, values), mounted_of(case.layout, values)
-    return oracle.assemble_any(case.parameters, body, payload, wheels, mounted, inertia)
+    return oracle.assemble_any(case.telescope.to_mapping(), body, payload, wheels, mounted, inertia)
 
 
 def test_every_pair_of_ports_by_equations_of_motion(case: Any) -> None:
     """Nominal and random values, 0.05 to 5000 rad/s: 1e-8 of the block of a pair."""
-    system = case.telescope.system
+    system = case.assembled.system
     inertia = oracle.total_inertia(independent(case, {})[0].M)
-    np.testing.assert_allclose(case.telescope.inertia, inertia, rtol=0, atol=1e-9 * inertia.max())
+    np.testing.assert_allclose(case.assembled.inertia, inertia, rtol=0, atol=1e-9 * inertia.max())
     rng = np.random.default_rng(3)
     for values in ({}, *system.sample_values(rng, 2)):
         (model, inputs, outputs), data = independent(case, values, inertia), system.at(values)
@@ -201,22 +201,22 @@ def test_every_pair_of_ports_by_equations_of_motion(case: Any) -> None:
 
 def test_order_and_occurrences(case: Any) -> None:
     """Two states for each mode, each gearbox, each mirror axis, each actuator; twice each frequency, 16 times tau."""
-    system, layout = case.telescope.system, case.layout
+    system, layout = case.assembled.system, case.layout
     tables = [*layout.get("solar_array", ()), *layout.get("appendage", ())]
-    modes = sum(body.n_modes for body in case.telescope.bodies[:2]) + sum(len(t["frequencies"]) for t in tables)
+    modes = sum(body.n_modes for body in case.assembled.bodies[:2]) + sum(len(t["frequencies"]) for t in tables)
     drives = sum(table.get("driven", True) for table in layout["solar_array"])
     actuators = 0 if "pma" in layout else 6
     rotors = 5 * 3 if layout is BEARINGS else 0
     assert system.order == 2 * (modes + drives + 6 + 2 + actuators + 3 + rotors)
     found = system.occurrences()
-    assert list(found) == list(uncertain_parameters(case.parameters))
+    assert list(found) == list(case.telescope.uncertain)
     kinds = {"speed": 2, "omega_1": 2, "omega_2": 2, "tau": 16}
     assert all(count == kinds[name.rpartition(".")[2]] for name, count in found.items())
 
 
 def test_mass_and_inertia_are_the_sum_with_parallel_axes(case: Any) -> None:
     """Rigid motion of the free spacecraft at 1e-4 rad/s, the rotors free about their axes."""
-    p, (body, payload) = case.parameters, case.telescope.bodies[:2]
+    p, (body, payload) = case.telescope.to_mapping(), case.assembled.bodies[:2]
     at = {child.name: child.position - body.parent_position for child in body.children}
     parts = [body.mass_matrix]
     for wheel in wheels_of(case.layout, {}):
@@ -239,7 +239,7 @@ def test_mass_and_inertia_are_the_sum_with_parallel_axes(case: Any) -> None:
             actuator = linalg.block_diag(each * np.eye(3), frame.T @ casing @ frame)
             platform = platform + moved(actuator, p["pma"]["mounting_radius"] * radial)
     total = sum(parts) + moved(platform, at["I_p"])
-    free = build_telescope(p, attitude_controlled=False).system["accel_G", "external_wrench"].at({})
+    free = build_telescope(case.telescope, attitude_controlled=False).system["accel_G", "external_wrench"].at({})
     gain = accurate_response(free.A, free.B, free.C, free.D, [1e-4])[0].real
     scale = np.sqrt(np.diag(total))
     difference = (linalg.inv(gain) - total) / np.outer(scale, scale)
@@ -253,9 +253,9 @@ def moved(mass: np.ndarray, lever: Any) -> np.ndarray:
     return arm.T @ mass @ arm
 
 
-def undamped(parameters: Any) -> dict[str, Any]:
-    """The parameters with all dampers and modal damping at zero."""
-    content = copy.deepcopy(dict(parameters))
+def undamped(telescope: Telescope) -> Telescope:
+    """The telescope with all dampers and modal damping at zero."""
+    content = telescope.to_mapping()
     for name in ("body", "payload", "fsm", "pma"):
         content[name]["damping"] = 0.0
     content["isolator"]["damping"] = [0.0] * 6
@@ -266,13 +266,13 @@ def undamped(parameters: Any) -> dict[str, Any]:
         )
     for table in (*content["solar_array"], *content.get("appendage", ())):
         table["damping"] = 0.0
-    return content
+    return Telescope(content)
 
 
 def test_energy_is_conserved_without_damping(case: Any) -> None:
     """The power that a force at G puts in per period is zero, whatever the speeds of the wheels: Y + Y* = 0."""
-    parameters = undamped(case.parameters)
-    system = build_telescope(parameters, attitude_controlled=False).system["accel_G", "external_wrench"]
+    telescope = undamped(case.telescope)
+    system = build_telescope(telescope, attitude_controlled=False).system["accel_G", "external_wrench"]
     data = system.at(system.sample_values(np.random.default_rng(8))[0])
     omega = np.array([0.3, 2.0, 15.0, 77.0, 130.0, 900.0])
     scale = np.array([1.0] * 3 + [1.5] * 3)
@@ -287,14 +287,14 @@ def test_a_list_of_the_reference_arrays_is_the_reference(tmp_path: Path) -> None
     text += '[[solar_array]]\nname = "array_2"\nlike = "reference"\npoint = "A2"\nparameters = "solar_array"\n'
     path = tmp_path / "same.toml"
     path.write_text(text, encoding="utf-8")
-    one, two = build_telescope(load_parameters(path)).system, build_telescope().system
+    one, two = build_telescope(load_telescope(path)).system, build_telescope().system
     assert one.parameters == two.parameters and one.inputs == two.inputs
     for name in "ABCD":
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_what_is_on_board_is_in_the_hash(case: Any) -> None:
-    assert parameters_hash(case.parameters) != parameters_hash(load_parameters())
+    assert case.telescope.parameters_hash != load_telescope().parameters_hash
 
 
 ARRAY = '[[solar_array]]\nname = "one"\nlike = "reference"\npoint = "A1"\n'
@@ -340,7 +340,7 @@ def test_a_mistake_is_one_line(name: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError) as found:
-        load_parameters(path)
+        load_telescope(path)
     message = str(found.value)
     assert "\n" not in message and message.startswith(str(path))
     for word in words:
@@ -351,6 +351,6 @@ def test_examples_are_read() -> None:
     folder = Path(__file__).parents[3] / "examples" / "spacecraft"
     expected = {"earth_observer": (190, 9), "small_telescope": (172, 4)}
     for name, (order, parameters) in expected.items():
-        telescope: Telescope = build_telescope(load_parameters(folder / f"{name}.toml"))
-        assert (telescope.system.order, len(telescope.system.parameters)) == (order, parameters)
-        assert linalg.eigvals(telescope.system.at({}).A).real.max() < 0.0
+        assembled: AssembledTelescope = build_telescope(load_telescope(folder / f"{name}.toml"))
+        assert (assembled.system.order, len(assembled.system.parameters)) == (order, parameters)
+        assert linalg.eigvals(assembled.system.at({}).A).real.max() < 0.0

@@ -24,7 +24,8 @@ from titop_plant.simulation.sources.mechanisms import (
     drive_harmonics,
     mechanism_sources,
 )
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 INERTIA, GEARBOX, DAMPING = 26.0, 2.0e4, 15.0
 ROTOR = DriveRotor(1.2e-5, 100.0, 20.0, 1e-3)
@@ -189,11 +190,10 @@ STEPPER = {
 NOISE = {"frequency": [1.0, 400.0], "radial_force": [1e-6, 1e-6], "axial_torque": [4e-8, 4e-8]}
 
 
-def with_mechanisms(**stepper: Any) -> dict[str, Any]:
-    reference = dict(load_parameters())
-    reference["sadm"] = {**reference["sadm"], "stepper": {**STEPPER, **stepper}}
-    reference["reaction_wheel"] = {**reference["reaction_wheel"], "broadband": NOISE}
-    return reference
+def with_mechanisms(**stepper: Any) -> Telescope:
+    return load_telescope().changed(
+        {"sadm": {"stepper": {**STEPPER, **stepper}}, "reaction_wheel": {"broadband": NOISE}}
+    )
 
 
 def test_sources_of_the_telescope_have_a_row_each_and_their_density() -> None:
@@ -224,6 +224,6 @@ def test_the_drive_follows_a_profile_that_turns_the_array() -> None:
 
 
 def test_torques_and_noise_are_in_no_design() -> None:
-    plain, noisy, other = dict(load_parameters()), with_mechanisms(), with_mechanisms(detent_torque=0.01, rate=2e-3)
-    assert parameters_hash(noisy) == parameters_hash(other) != parameters_hash(plain)
-    assert parameters_hash({**noisy, "sadm": plain["sadm"]}) == parameters_hash(plain)
+    plain, noisy, other = load_telescope(), with_mechanisms(), with_mechanisms(detent_torque=0.01, rate=2e-3)
+    assert noisy.parameters_hash == other.parameters_hash != plain.parameters_hash
+    assert noisy.without_steppers().parameters_hash == plain.parameters_hash

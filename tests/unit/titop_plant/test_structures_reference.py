@@ -13,15 +13,15 @@ import pytest
 
 from titop_plant.structures import (
     ModalData,
-    build_body,
-    build_payload,
     check_residual_mass,
     port_visibility,
     smallest_residual_fraction,
     write_modal_data,
 )
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash
+from titop_plant.telescope.bodies import build_body, build_payload
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -32,18 +32,18 @@ HERTZ = 2 * np.pi
 
 
 @pytest.fixture(scope="module")
-def parameters() -> dict[str, Any]:
-    return tomllib.loads(files("titop_plant.telescope").joinpath("reference.toml").read_text("utf-8"))
+def telescope() -> Telescope:
+    return Telescope(tomllib.loads(files("titop_plant.telescope").joinpath("reference.toml").read_text("utf-8")))
 
 
 @pytest.fixture(scope="module")
-def body(parameters: dict[str, Any]) -> ModalData:
-    return build_body(parameters)
+def body(telescope: Telescope) -> ModalData:
+    return build_body(telescope)
 
 
 @pytest.fixture(scope="module")
-def payload(parameters: dict[str, Any]) -> ModalData:
-    return build_payload(parameters)
+def payload(telescope: Telescope) -> ModalData:
+    return build_payload(telescope)
 
 
 def test_mass_and_first_modes_are_in_the_ranges_of_the_design(body: ModalData, payload: ModalData) -> None:
@@ -73,19 +73,19 @@ def test_every_mode_is_visible_at_a_port_and_distinct(body: ModalData, payload: 
 
 
 def test_positions_of_the_ports_agree_with_the_optics(
-    parameters: dict[str, Any], body: ModalData, payload: ModalData
+    telescope: Telescope, body: ModalData, payload: ModalData
 ) -> None:
-    optics = parameters["optics"]
+    optics = telescope.optics
     m1, m2, detector = (payload.child(name).position for name in ("M1", "M2", "DET"))
-    np.testing.assert_allclose(m2 - m1, [0, 0, optics["mirror_distance"]], atol=1e-12)
-    assert m1[2] - detector[2] == pytest.approx(optics["back_focal_distance"])
-    assert optics["mirror_distance"] < optics["primary_focal_length"]
+    np.testing.assert_allclose(m2 - m1, [0, 0, optics.mirror_distance], atol=1e-12)
+    assert m1[2] - detector[2] == pytest.approx(optics.back_focal_distance)
+    assert optics.mirror_distance < optics.primary_focal_length
     assert body.child("A1").position[1] > 0 > body.child("A2").position[1]
     np.testing.assert_array_equal(payload.parent_position, 0.0)
 
 
-def test_same_parameters_same_numbers(parameters: dict[str, Any], payload: ModalData) -> None:
-    again = build_payload(parameters)
+def test_same_parameters_same_numbers(telescope: Telescope, payload: ModalData) -> None:
+    again = build_payload(telescope)
     np.testing.assert_array_equal(again.participation, payload.participation)
 
 
@@ -93,18 +93,16 @@ def test_same_parameters_same_numbers(parameters: dict[str, Any], payload: Modal
     ("key", "value", "word"),
     [("shape", "star", "shape must be one of"), ("material", "oak", "material must be one of")],
 )
-def test_unknown_section_is_refused(parameters: dict[str, Any], key: str, value: str, word: str) -> None:
-    sections = {**parameters["payload"]["sections"]}
-    sections["vane"] = {**sections["vane"], key: value}
+def test_unknown_section_is_refused(telescope: Telescope, key: str, value: str, word: str) -> None:
     with pytest.raises(ValueError, match=f"{word}.*{value}"):
-        build_payload({**parameters, "payload": {**parameters["payload"], "sections": sections}})
+        build_payload(telescope.changed({"payload": {"sections": {"vane": {key: value}}}}))
 
 
-def test_a_modal_data_file_replaces_the_frame(parameters: dict[str, Any], payload: ModalData, tmp_path: Path) -> None:
+def test_a_modal_data_file_replaces_the_frame(telescope: Telescope, payload: ModalData, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     mine = dataclasses.replace(payload.truncate(4), name="my payload")
     write_modal_data(mine, path)
-    changed = {**parameters, "payload": {**parameters["payload"], "modal_data": str(path)}}
+    changed = telescope.changed({"payload": {"modal_data": str(path)}})
     found = build_payload(changed)
     assert (found.name, found.n_modes) == ("my payload", 4)
     np.testing.assert_array_equal(found.participation, mine.participation)
@@ -118,12 +116,12 @@ def test_a_modal_data_file_replaces_the_frame(parameters: dict[str, Any], payloa
     ],
 )
 def test_a_modal_data_file_with_other_points_is_an_error(
-    parameters: dict[str, Any], payload: ModalData, tmp_path: Path, change: Any, word: str
+    telescope: Telescope, payload: ModalData, tmp_path: Path, change: Any, word: str
 ) -> None:
     path = tmp_path / "mine.toml"
     write_modal_data(change(payload), path)
     with pytest.raises(ValueError, match=f"mine.toml: payload: {word}"):
-        build_payload({**parameters, "payload": {**parameters["payload"], "modal_data": str(path)}})
+        build_payload(telescope.changed({"payload": {"modal_data": str(path)}}))
 
 
 def test_modal_files_of_both_bodies_reproduce_the_telescope(
@@ -134,7 +132,7 @@ def test_modal_files_of_both_bodies_reproduce_the_telescope(
         write_modal_data(data, tmp_path / f"{data.name}.toml")
     mine = tmp_path / "mine.toml"
     mine.write_text('[body]\nmodal_data = "body.toml"\n[payload]\nmodal_data = "payload.toml"\n')
-    again, reference = build_telescope(load_parameters(mine)).system, build_telescope().system
+    again, reference = build_telescope(load_telescope(mine)).system, build_telescope().system
     assert again.occurrences() == reference.occurrences()
     for key in "ABCD":
         np.testing.assert_array_equal(getattr(again, key), getattr(reference, key))
@@ -147,10 +145,10 @@ def test_the_hash_of_the_parameters_follows_the_content_of_a_modal_file(payload:
         write_modal_data(payload.truncate(modes), tmp_path / folder / "payload.toml")
         mine = tmp_path / folder / "mine.toml"
         mine.write_text('[payload]\nmodal_data = "payload.toml"\n')
-        hashes.append(parameters_hash(load_parameters(mine)))
+        hashes.append(load_telescope(mine).parameters_hash)
     assert hashes[0] == hashes[1] != hashes[2]
     (tmp_path / "c" / "payload.toml").unlink()
     with pytest.raises(
         ValueError, match=r"payload.modal_data must be a readable file, got .*payload.toml: No such file"
     ):
-        build_payload(load_parameters(tmp_path / "c" / "mine.toml"))
+        build_payload(load_telescope(tmp_path / "c" / "mine.toml"))

@@ -14,19 +14,12 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.minimal import minimal_realisation
-from titop_plant.simulation.build import telescope
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.structures import smallest_residual_fraction
-from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.components import body_modes, optics_component
-from titop_plant.telescope.layout import solar_arrays
+from titop_plant.telescope.load import REFERENCE, load_telescope
 from titop_plant.telescope.optics import TwoMirrorTelescope
-from titop_plant.telescope.parameters import (
-    REFERENCE,
-    load_parameters,
-    parameters_hash,
-    uncertain_parameters,
-)
 from titop_plant.telescope.weights import rpe_weight
 
 OCCURRENCES = {
@@ -43,12 +36,12 @@ ARCSEC = np.pi / 648000.0
 
 @pytest.fixture(scope="module")
 def system():
-    return telescope().system
+    return assembled_telescope().system
 
 
-def corners(parameters) -> list[dict[str, float]]:
+def corners(telescope) -> list[dict[str, float]]:
     """Wheels 1, 3 and wheels 2, 4 at either limit of their speed, angle and frequencies at either limit."""
-    table = uncertain_parameters(parameters)
+    table = telescope.uncertain
     result = []
     for a, b, w1, w2, tau in itertools.product(*[(0, 1)] * 5):
         ends = {name: (p.lower, p.upper) for name, p in table.items()}
@@ -72,20 +65,18 @@ def test_the_realisation_is_minimal(system) -> None:
     assert result.removed_occurrences == dict.fromkeys(OCCURRENCES, 0)
 
 
-def test_stable_and_no_slow_pole_at_any_parameter_value(system, parameters) -> None:
+def test_stable_and_no_slow_pole_at_any_parameter_value(system, telescope) -> None:
     draws = system.sample_values(np.random.default_rng(0), 20)
-    for values in [{}, *corners(parameters), *draws]:
+    for values in [{}, *corners(telescope), *draws]:
         poles = linalg.eigvals(system.at(values).A)
         assert poles.real.max() < 0.0, values
         assert np.abs(poles).min() > 1e-3, values
 
 
-def test_lft_sampled_equals_the_telescope_rebuilt(system, parameters) -> None:
+def test_lft_sampled_equals_the_telescope_rebuilt(system, telescope) -> None:
     """New nominal values in the parameter file give the same model as Delta at these values."""
-    array = dict(parameters["solar_array"])
     w1, w2 = 0.743 * 1.03, 2.65 * 0.96
-    array.update(frequencies=[w1, w2])
-    rebuilt = build_telescope({**parameters, "solar_array": array}).system
+    rebuilt = build_telescope(telescope.changed({"solar_array": {"frequencies": [w1, w2]}})).system
     # the attitude law uses the inertia of the nominal telescope, which does not depend on the frequencies
     values = {"wheel_2.speed": 700.0, "solar_array.tau": 0.6}
     omega = np.geomspace(1e-2, 3e3, 25)
@@ -97,12 +88,12 @@ def test_lft_sampled_equals_the_telescope_rebuilt(system, parameters) -> None:
 
 
 def test_hard_mounted_telescope_has_no_isolator_states() -> None:
-    assert telescope(None, False).system.order == 204 - 12
+    assert assembled_telescope(None, False).system.order == 204 - 12
 
 
-def test_line_of_sight_identities(parameters) -> None:
+def test_line_of_sight_identities(telescope) -> None:
     """Rigid translation of all elements gives 0, rigid rotation about any point gives 1."""
-    optics = optics_component(parameters)
+    optics = optics_component(telescope)
     d, b = optics.mirror_distance, optics.back_focal_distance
     assert d + b == pytest.approx(optics.magnification * (optics.primary_focal_length - d))
     heights = {"M1": 0.0, "M2": d, "DET": -b}
@@ -128,20 +119,20 @@ def test_a_commanded_mirror_moves_the_line_of_sight_by_a_tenth(system) -> None:
     np.testing.assert_allclose(slow, 0.1 * np.eye(2), atol=1e-6)
 
 
-def test_no_body_has_a_negative_residual_mass(parameters) -> None:
-    for body in telescope().bodies:
+def test_no_body_has_a_negative_residual_mass(telescope) -> None:
+    for body in assembled_telescope().bodies:
         assert smallest_residual_fraction(body) > -1e-9, body.name
 
 
-def test_the_repair_of_the_printed_array_is_within_rounding(parameters) -> None:
-    printed = np.array(parameters["solar_array"]["participation"])
-    used = body_modes(solar_arrays(parameters)[0]).participation[:2]
+def test_the_repair_of_the_printed_array_is_within_rounding(telescope) -> None:
+    printed = np.array(telescope.solar_arrays[0].modes.participation)
+    used = body_modes(telescope.solar_arrays[0]).participation[:2]
     np.testing.assert_allclose(used, printed, rtol=2e-4, atol=1e-6)
 
 
-def weighted(system, parameters, values, omega, inputs=("wheel_imbalance", "sadm_torque")):
+def weighted(system, telescope, values, omega, inputs=("wheel_imbalance", "sadm_torque")):
     """Normalised disturbances to the line of sight [arcsec]: singular values."""
-    amplitudes = weight_amplitudes(parameters, omega)
+    amplitudes = weight_amplitudes(telescope, omega)
     columns = {"wheel_imbalance": slice(0, 20), "sadm_torque": slice(20, 22)}
     size = np.hstack([amplitudes[:, columns[name]] for name in inputs])
     response = frequency_response(system[("los_controlled",), tuple(inputs)].at(values), omega)
@@ -152,25 +143,25 @@ def grid(system, values, low: float, high: float) -> np.ndarray:
     return frequency_grid(linalg.eigvals(system.at(values).A), low, high)
 
 
-def test_calibration_1_isolator_alone_nearly_uses_the_mirrors_authority(system, parameters) -> None:
+def test_calibration_1_isolator_alone_nearly_uses_the_mirrors_authority(system, telescope) -> None:
     """Worst case over the parameters: 0.90 to 0.99 of 5.3 mrad x 0.1, near the attitude bandwidth."""
     worst, where = 0.0, 0.0
-    for values in [{}, *corners(parameters), *system.sample_values(np.random.default_rng(1), 10)]:
+    for values in [{}, *corners(telescope), *system.sample_values(np.random.default_rng(1), 10)]:
         omega = grid(system, values, 1e-3, 1e3)
-        los = weighted(system, parameters, values, omega)
+        los = weighted(system, telescope, values, omega)
         if los.max() > worst:
             worst, where = float(los.max()), float(omega[los.argmax()])
-    authority = parameters["fsm"]["authority"] * parameters["fsm"]["los_sensitivity"] / ARCSEC
+    authority = telescope.fsm.authority * telescope.fsm.los_sensitivity / ARCSEC
     assert 0.90 < worst / authority < 0.99
     assert 0.03 < where < 0.12
 
 
-def test_calibration_2_the_isolator_cuts_high_frequencies(system, parameters) -> None:
-    hard = telescope(None, False).system
+def test_calibration_2_the_isolator_cuts_high_frequencies(system, telescope) -> None:
+    hard = assembled_telescope(None, False).system
     both = {}
     for name, model in (("hard", hard), ("soft", system)):
         omega = grid(model, {}, 50.0, 1e4)
-        both[name] = omega, weighted(model, parameters, {}, omega)
+        both[name] = omega, weighted(model, telescope, {}, omega)
 
     def peak(name: str, low: float, high: float) -> float:
         omega, los = both[name]
@@ -181,10 +172,10 @@ def test_calibration_2_the_isolator_cuts_high_frequencies(system, parameters) ->
     assert peak("soft", 100.0, 200.0) > 2.0 * peak("hard", 100.0, 200.0)  # its own modes
 
 
-def test_calibration_3_wheels_against_array_drives(system, parameters) -> None:
+def test_calibration_3_wheels_against_array_drives(system, telescope) -> None:
     omega = grid(system, {}, 1.0, 2e3)
-    wheels = weighted(system, parameters, {}, omega, ("wheel_imbalance",))
-    drives = weighted(system, parameters, {}, omega, ("sadm_torque",))
+    wheels = weighted(system, telescope, {}, omega, ("wheel_imbalance",))
+    drives = weighted(system, telescope, {}, omega, ("sadm_torque",))
     low, high = omega < 100.0, omega >= 100.0
     ratio = wheels / drives
     assert ratio[low].max() > 10**2.5
@@ -193,7 +184,7 @@ def test_calibration_3_wheels_against_array_drives(system, parameters) -> None:
     assert 0.1 < peaks[0] / peaks[1] < 10.0
 
 
-def test_calibration_5_arrays_and_wheels_move_modes(system, parameters) -> None:
+def test_calibration_5_arrays_and_wheels_move_modes(system, telescope) -> None:
     def resonance(values, low, high):
         omega = np.linspace(low, high, 600)
         response = frequency_response(system["los", "wheel_imbalance"].at(values), omega)
@@ -230,9 +221,9 @@ def test_every_number_of_the_file_has_a_source() -> None:
 def test_a_users_file_contains_only_the_changed_values(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("[pma]\nstiffness = 90.0\n")
-    mine, reference = load_parameters(path), load_parameters()
-    assert mine["pma"]["stiffness"] == 90.0 and mine["pma"]["damping"] == reference["pma"]["damping"]
-    assert parameters_hash(mine) != parameters_hash(reference)
+    mine, reference = load_telescope(path), load_telescope()
+    assert mine.pma.stiffness == 90.0 and mine.pma.damping == reference.pma.damping
+    assert mine.parameters_hash != reference.parameters_hash
 
 
 @pytest.mark.parametrize(
@@ -248,6 +239,6 @@ def test_bad_parameter_files(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        load_parameters(path)
+        load_telescope(path)
     with pytest.raises(ValueError, match="cannot read the parameter file"):
-        load_parameters(tmp_path / "none.toml")
+        load_telescope(tmp_path / "none.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,30 +10,31 @@ import pytest
 
 from pointing_analysis.requirements.text import IMAGE_INDICES, INDICES, Requirement, entries, from_entries, parse
 from pointing_analysis.units import ANGLES
-from titop_plant.telescope.parameters import Parameters, design_basis, differences, load_parameters, parameters_hash
-from titop_plant.telescope.requirements import design_limits, telescope_requirements
+from titop_plant.telescope.load import differences, load_telescope
+from titop_plant.telescope.requirements import design_limits
+from titop_plant.telescope.telescope import Telescope
 
 MAS, ARCSEC = ANGLES["mas"], ANGLES["arcsec"]
 SHIPPED_HASH = "0bfe1a8c8a62"
 """Of the telescope that the shipped designs are made for."""
 
 
-def own(tmp_path: Path, text: str) -> Parameters:
+def own(tmp_path: Path, text: str) -> Telescope:
     file = tmp_path / "mine.toml"
     file.write_text(text, "utf-8")
-    return load_parameters(file)
+    return load_telescope(file)
 
 
-def limits(parameters: Parameters) -> dict[str, float]:
-    return {r.name: r.limit for r in telescope_requirements(parameters)}
+def limits(telescope: Telescope) -> dict[str, float]:
+    return {r.name: r.limit for r in telescope.requirements}
 
 
 def test_the_reference_is_what_the_designs_are_made_for() -> None:
-    reference = load_parameters()
-    assert design_basis(reference).parameters_hash == parameters_hash(reference) == SHIPPED_HASH
-    weights = reference["weights"]
-    assert weights["ape_limit"] == 10 * ARCSEC and weights["rpe_window"] == 0.02
-    assert (weights["rpe_limit"], weights["rpe_limit_fine"]) == (100 * MAS, 40 * MAS)
+    reference = load_telescope()
+    assert reference.design_basis.parameters_hash == reference.parameters_hash == SHIPPED_HASH
+    weights = reference.weights
+    assert weights.ape_limit == 10 * ARCSEC and weights.rpe_window == 0.02
+    assert (weights.rpe_limit, weights.rpe_limit_fine) == (100 * MAS, 40 * MAS)
 
 
 def test_a_requirement_of_the_file_is_the_limit_of_the_design(tmp_path: Path) -> None:
@@ -40,23 +42,23 @@ def test_a_requirement_of_the_file_is_the_limit_of_the_design(tmp_path: Path) ->
         tmp_path,
         '[[requirement]]\nname = "RPE, finest"\ntext = "prob(rms RPE(20 ms) < 10 mas) >= 0.997 at 95 % confidence"\n',
     )
-    assert found["weights"] == {**load_parameters()["weights"], "rpe_limit_fine": 10 * MAS}
-    assert limits(found) == {**limits(load_parameters()), "RPE, finest": 10 * MAS}
-    assert telescope_requirements(found)[2].loops == ("fsm+pma",)  # the stage stays that of the reference
-    assert parameters_hash(found) != SHIPPED_HASH
+    assert found.weights == replace(load_telescope().weights, rpe_limit_fine=10 * MAS)
+    assert limits(found) == {**limits(load_telescope()), "RPE, finest": 10 * MAS}
+    assert found.requirements[2].loops == ("fsm+pma",)  # the stage stays that of the reference
+    assert found.parameters_hash != SHIPPED_HASH
 
 
 def test_an_older_file_gives_the_limits_as_weights(tmp_path: Path) -> None:
     found = own(tmp_path, "[weights]\nrpe_limit_fine = 4.848e-8\nape_limit = 4.848e-6\n")
     assert limits(found) == {"APE": 4.848e-6, "RPE, fine": 100 * MAS, "RPE, finest": 4.848e-8}
-    assert (found["weights"]["rpe_limit_fine"], found["weights"]["ape_limit"]) == (4.848e-8, 4.848e-6)
-    assert parameters_hash(found) == "366c1ee6ac0f"  # as before requirements stood in the file
+    assert (found.weights.rpe_limit_fine, found.weights.ape_limit) == (4.848e-8, 4.848e-6)
+    assert found.parameters_hash == "366c1ee6ac0f"  # as before requirements stood in the file
     assert any("RPE, finest" in line for line in differences(tmp_path / "mine.toml"))
     window = own(tmp_path, "[weights]\nrpe_window = 0.05\n")
-    assert [r.times for r in telescope_requirements(window)] == [(), (0.05,), (0.05,)]
+    assert [r.times for r in window.requirements] == [(), (0.05,), (0.05,)]
     mirror = own(tmp_path, "[weights]\nrpe_limit = 9.696e-8\n")  # below the limit of the last stage
-    assert limits(mirror)["RPE, fine"] == mirror["weights"]["rpe_limit"] == 9.696e-8
-    assert mirror["weights"]["rpe_limit_fine"] == 40 * MAS
+    assert limits(mirror)["RPE, fine"] == mirror.weights.rpe_limit == 9.696e-8
+    assert mirror.weights.rpe_limit_fine == 40 * MAS
 
 
 def test_both_forms_must_agree(tmp_path: Path) -> None:
@@ -64,7 +66,7 @@ def test_both_forms_must_agree(tmp_path: Path) -> None:
         '[[requirement]]\nname = "APE"\ntext = "prob(|APE| < {} arcsec) >= 0.997 at 95 % confidence"\n'
         "[weights]\nape_limit = 9.69627362219072e-06\n"
     )
-    assert own(tmp_path, text.format(2))["weights"]["ape_limit"] == 9.69627362219072e-06
+    assert own(tmp_path, text.format(2)).weights.ape_limit == 9.69627362219072e-06
     with pytest.raises(
         ValueError, match=r"line 5: 'weights.ape_limit' must agree with the requirement 'APE'.*3 arcsec"
     ):
@@ -102,7 +104,7 @@ def test_a_requirement_beside_the_design_changes_no_basis(tmp_path: Path) -> Non
     """A drift is judged and not designed for: the shipped controllers stay those of this telescope."""
     text = '[[requirement]]\nname = "drift"\ntext = "prob(|PDE(1 s, 10 s)| < 1 arcsec) >= 0.9 at 90 % confidence"\n'
     found = own(tmp_path, text)
-    assert parameters_hash(found) == SHIPPED_HASH and [r.name for r in telescope_requirements(found)][-1] == "drift"
+    assert found.parameters_hash == SHIPPED_HASH and [r.name for r in found.requirements][-1] == "drift"
 
 
 def test_the_whole_list_is_replaced_where_asked(tmp_path: Path) -> None:
@@ -113,7 +115,7 @@ def test_the_whole_list_is_replaced_where_asked(tmp_path: Path) -> None:
     )
     found = own(tmp_path, text)
     assert list(limits(found)) == ["A", "B"]
-    assert found["weights"]["rpe_window"] == 0.05 and found["weights"]["rpe_limit"] == 30 * MAS
+    assert found.weights.rpe_window == 0.05 and found.weights.rpe_limit == 30 * MAS
     again = text + '[[requirement]]\nname = "B"\ntext = "prob(|APE| < 3 arcsec) >= 0.9 at 90 % confidence"\n'
     with pytest.raises(ValueError, match="must have each name once, got 'B' twice"):
         own(tmp_path, again)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,44 +11,46 @@ import pytest
 from oracles.accurate_response import accurate_response
 
 from lftkit import System
-from titop_plant.interface import COLUMNS
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.interface import COLUMNS, COMMANDED, MEASURED
 from titop_plant.telescope import assembly
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.parameters import load_parameters, parameters_hash, uncertain_parameters
-from titop_plant.telescope.tables.uncertain import ENTRIES, spread_of, with_uncertain
+from titop_plant.telescope.control_plant import disturbances_of, with_sensors
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.tables.uncertain import ENTRIES, spread_of
+from titop_plant.telescope.telescope import Telescope
 
 SPREADS = ("isolator.stiffness=10%", "isolator.damping=0.3", "fsm_command.gain=5%", "camera_los.gain=3%")
 AT = {"isolator.stiffness": 1.1, "isolator.damping": 0.7, "fsm_command.gain": 0.95, "camera_los.gain": 1.03}
 OMEGA = (0.3, 8.0, 90.0, 400.0)
 
 
-def plant(parameters: Mapping[str, Any]) -> System:
-    return control_loop_plant(build_telescope(parameters), parameters)
+def plant(telescope: Telescope) -> System:
+    whole = build_telescope(telescope).system
+    outputs = (*MEASURED, "los_controlled")
+    return with_sensors(whole, telescope).select(inputs=(*COMMANDED, *disturbances_of(whole)), outputs=outputs)
 
 
 @pytest.fixture(scope="module")
 def uncertain() -> System:
-    return plant(with_uncertain(load_parameters(), SPREADS))
+    return plant(load_telescope().with_uncertain(SPREADS))
 
 
 def test_they_stand_behind_the_others_in_the_order_of_delta(uncertain: System) -> None:
-    reference = load_parameters()
-    before, names = list(uncertain_parameters(reference)), [p.name for p in uncertain.parameters]
+    reference = load_telescope()
+    before, names = list(reference.uncertain), [p.name for p in uncertain.parameters]
     assert names == [*before, *AT]
-    assert names == list(uncertain_parameters(with_uncertain(reference, SPREADS)))
+    assert names == list(reference.with_uncertain(SPREADS).uncertain)
     assert [uncertain.channels.count(name) for name in AT] == [6, 6, 2, 2]
 
 
 def test_a_member_is_the_telescope_with_these_values(uncertain: System) -> None:
-    reference = load_parameters()
-    table = reference["isolator"]
+    reference = load_telescope()
+    table = reference.isolator
     isolator = {
-        **table,
-        "stiffness": [1.1 * value for value in table["stiffness"]],
-        "damping": [0.7 * value for value in table["damping"]],
+        "stiffness": [1.1 * value for value in table.stiffness],
+        "damping": [0.7 * value for value in table.damping],
     }
-    member, other = uncertain.at(AT), plant({**reference, "isolator": isolator}).at({})
+    member, other = uncertain.at(AT), plant(reference.changed({"isolator": isolator})).at({})
     scale_in, scale_out = np.ones(member.D.shape[1]), np.ones(member.D.shape[0])
     scale_in[COLUMNS["fsm_command"]], scale_out[COLUMNS["camera_los"]] = 0.95, 1.03
     for omega in OMEGA:
@@ -64,7 +65,7 @@ MODAL = ("body.frequency_2=8%", "body.damping=60%", "payload.frequency_1=5%", "p
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """At random values: assembled of bodies with other frequencies and damping ratios."""
-    system = plant(with_uncertain(load_parameters(), MODAL))
+    system = plant(load_telescope().with_uncertain(MODAL))
     factors = system.parameters[-len(MODAL) :]
     assert [p.name for p in factors] == ["body.damping", *(text.split("=")[0] for text in (MODAL[0], *MODAL[:1:-1]))]
     assert [system.channels.count(p.name) for p in factors] == [35, 2, 1, 2]
@@ -85,7 +86,7 @@ def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monk
 
     monkeypatch.setattr(assembly, "build_body", changed(body, "body", 1, slice(None)))
     monkeypatch.setattr(assembly, "build_payload", changed(payload, "payload", 0, 0))
-    member, other = system.at({**values, **speeds}), plant(load_parameters()).at(speeds)
+    member, other = system.at({**values, **speeds}), plant(load_telescope()).at(speeds)
     omega = np.array([0.3, 8.0, 140.0, 340.0, 900.0])
     found, expected = (accurate_response(s.A, s.B, s.C, s.D, omega) for s in (member, other))
     size = np.abs(expected).max(axis=2, keepdims=True) + 1e-300
@@ -93,17 +94,17 @@ def test_a_member_has_the_modes_of_a_telescope_with_these_values(seed: int, monk
 
 
 def test_without_the_table_nothing_changes() -> None:
-    reference = load_parameters()
-    assert with_uncertain(reference, ()) is reference
-    assert parameters_hash(with_uncertain(reference, SPREADS)) != parameters_hash(reference)
+    reference = load_telescope()
+    assert reference.with_uncertain(()) is reference
+    assert reference.with_uncertain(SPREADS).parameters_hash != reference.parameters_hash
 
 
 def test_a_file_says_the_same_as_the_option(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('[uncertain]\nisolator.stiffness = 0.1\n"camera_los.gain" = 0.03\n')
-    option = with_uncertain(load_parameters(), ["camera_los.gain=3%", "isolator.stiffness=10 %"])
-    assert uncertain_parameters(load_parameters(file)) == uncertain_parameters(option)
-    assert parameters_hash(load_parameters(file)) == parameters_hash(option)
+    option = load_telescope().with_uncertain(["camera_los.gain=3%", "isolator.stiffness=10 %"])
+    assert load_telescope(file).uncertain == option.uncertain
+    assert load_telescope(file).parameters_hash == option.parameters_hash
 
 
 @pytest.mark.parametrize(
@@ -134,15 +135,15 @@ def test_other_entries_are_refused(text: str, message: str, tmp_path: Path) -> N
 )
 def test_modes_that_are_none_or_counted_twice_are_refused(texts: list[str], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
-        with_uncertain(load_parameters(), texts)
+        load_telescope().with_uncertain(texts)
     file = tmp_path / "mine.toml"
     file.write_text("[uncertain]\n" + "".join(text.replace("%", "e-2\n") for text in texts))
     with pytest.raises(ValueError, match=rf"mine\.toml.*{message}"):
-        load_parameters(file)
+        load_telescope(file)
 
 
 def test_a_file_with_another_entry_is_named(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("[uncertain]\nisolator.mass = 0.1\n")
     with pytest.raises(ValueError, match=r"mine\.toml.*must name one of"):
-        load_parameters(file)
+        load_telescope(file)

@@ -21,10 +21,9 @@ from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sources.places import source_ports
 from titop_plant.simulation.sources.signals import Signal
-from titop_plant.telescope.assembly import Telescope, build_telescope
+from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
 from titop_plant.telescope.control_plant import with_sensors
-from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.placed.points import loaded_nodes
+from titop_plant.telescope.telescope import Telescope
 
 NODES = 6
 GAUSS: FloatArray = 0.5 * (np.polynomial.legendre.leggauss(NODES)[0] + 1.0)
@@ -61,10 +60,9 @@ class PlacedSource:
 
 
 @lru_cache(maxsize=2)
-def loaded_telescope(path: str | None, isolated: bool) -> Telescope:
+def loaded_telescope(telescope: Telescope, isolated: bool) -> AssembledTelescope:
     """The telescope with a wrench at each place and the forces of its further actuators as inputs."""
-    parameters = load_parameters(path)
-    return build_telescope(parameters, isolated=isolated, loads=loaded_nodes(parameters), motors=True)
+    return build_telescope(telescope, isolated=isolated, loads=telescope.loaded_nodes, motors=True)
 
 
 def source_matrix(
@@ -87,11 +85,11 @@ def source_matrix(
         More rows where the family is that with the further sensors.
         Columns: place of a source, s in all, then instant, then axis.
     """
-    whole = with_sensors(loaded_telescope(family.path, family.isolated).system, family.parameters)
+    whole = with_sensors(loaded_telescope(family.telescope, family.isolated).system, family.telescope)
     chosen = whole.select(
-        inputs=[p.name for p in source_ports(family.parameters)], outputs=[p.name for p in family.control_loop.outputs]
+        inputs=[p.name for p in source_ports(family.telescope)], outputs=[p.name for p in family.control_loop.outputs]
     )
-    data = chosen.at(parameter_values(config, family.parameters))
+    data = chosen.at(parameter_values(config, family.telescope))
     B, D = (M @ np.hstack([one.matrix for one in sources]) for M in (data.B, data.D))
     pushes = _integrals(data.A, B, dt)
     n, m = B.shape

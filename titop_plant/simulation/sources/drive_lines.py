@@ -18,9 +18,7 @@ from titop_plant.simulation.sources.places import source_ports
 from titop_plant.simulation.sources.signals import JointSignal
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import disturbances_of
-from titop_plant.telescope.layout import default_speeds, without_steppers
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.placed.points import loaded_nodes
+from titop_plant.telescope.telescope import Telescope
 
 LOS = "los_controlled"
 
@@ -41,21 +39,21 @@ class DriveLines:
     size: FloatArray
 
 
-def stepper_lines(parameters: Parameters, seed: int = 0) -> DriveLines:
+def stepper_lines(telescope: Telescope, seed: int = 0) -> DriveLines:
     """Lines of all stepper drives at the constant rate of their tables, the telescope at its nominal values.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of a telescope with a stepper.
     seed : int
         Of the phases between the drives.
     """
-    ports = source_ports(parameters)
-    whole = build_telescope(parameters, loads=loaded_nodes(parameters), motors=True).system
+    ports = source_ports(telescope)
+    whole = build_telescope(telescope, loads=telescope.loaded_nodes, motors=True).system
     plant = whole.select(inputs=[port.name for port in ports], outputs=[LOS]).at({})
-    still = Profile(np.zeros(1), np.zeros(1), np.array([default_speeds(parameters)], dtype=float))
-    found = mechanism_sources(parameters, still, 1.0, seed, DT)
+    still = Profile(np.zeros(1), np.zeros(1), np.array([telescope.default_speeds], dtype=float))
+    found = mechanism_sources(telescope, still, 1.0, seed, DT)
     source = next(one for one in found if one.name == ARRAY_DRIVE)
     assert isinstance(source.signal, JointSignal)
     rows: dict[float, ComplexArray] = {}
@@ -68,9 +66,9 @@ def stepper_lines(parameters: Parameters, seed: int = 0) -> DriveLines:
     return _lines(plant, list(rows), np.array(list(rows.values())))
 
 
-def fixed_lines(parameters: Parameters, seed: int = 0) -> DriveLines:
+def fixed_lines(telescope: Telescope, seed: int = 0) -> DriveLines:
     """Lines of the same drives with the five fixed harmonics of the table ``[sadm]`` in place of steppers."""
-    plain = without_steppers(parameters)
+    plain = telescope.without_steppers()
     whole = build_telescope(plain).system
     plant = whole.select(inputs=disturbances_of(whole), outputs=[LOS]).at({})
     tones = sadm_tones(plain, np.random.default_rng(seed))

@@ -28,9 +28,8 @@ from titop_plant.simulation.sources.drive import PlacedSource
 from titop_plant.simulation.sources.places import place_matrix, source_ports
 from titop_plant.simulation.sources.signals import NO_LINES, JointSignal, Signal, noise_of_density
 from titop_plant.telescope.assembly import MOTOR_TORQUE
-from titop_plant.telescope.layout import DENSITIES, SADM_TORQUE, WheelOnBoard, driven_arrays, motors, reaction_wheels
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.tables.mechanisms import made_stepper
+from titop_plant.telescope.layout import DENSITIES, SADM_TORQUE, WheelOnBoard
+from titop_plant.telescope.telescope import Telescope
 
 WHEEL_BROADBAND, ARRAY_DRIVE = "wheel broadband", "array drive"
 """Names of the sources."""
@@ -81,13 +80,13 @@ class AngleSignal:
 
 
 def mechanism_sources(
-    parameters: Parameters, profile: Profile, duration: float, seed: int, dt: float = DT
+    telescope: Telescope, profile: Profile, duration: float, seed: int, dt: float = DT
 ) -> tuple[PlacedSource, ...]:
     """Sources of the telescope's own tables, those that it has.
 
     Parameters
     ----------
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
     profile : Profile
         Motion of the run.
@@ -98,22 +97,22 @@ def mechanism_sources(
     dt : float
         Tick [s].
     """
-    noisy = [(i, wheel) for i, wheel in enumerate(reaction_wheels(parameters)) if wheel.broadband is not None]
+    noisy = [(i, wheel) for i, wheel in enumerate(telescope.wheels) if wheel.broadband is not None]
     found = []
     if noisy:
         parts = [_broadband(wheel, duration, dt, _rng(seed, 1, i)) for i, wheel in noisy]
-        matrices = [mount_matrix(wheel, parameters) for _, wheel in noisy]
+        matrices = [mount_matrix(wheel, telescope) for _, wheel in noisy]
         found.append(_joined(WHEEL_BROADBAND, "psd", "wheels", matrices, parts))
-    if names := [array.name for array in motors(parameters)]:
-        drives = [_drive(parameters, i, profile, dt, _rng(seed, 2, i)) for i in range(len(names))]
+    if names := [array.name for array in telescope.motors]:
+        drives = [_drive(telescope, i, profile, dt, _rng(seed, 2, i)) for i in range(len(names))]
         found.append(_joined(ARRAY_DRIVE, "stepper", ", ".join(names), *zip(*drives)))
     return tuple(found)
 
 
-def mount_matrix(wheel: WheelOnBoard, parameters: Parameters) -> FloatArray:
+def mount_matrix(wheel: WheelOnBoard, telescope: Telescope) -> FloatArray:
     """Forces and torques on the mount of a wheel, in the wheel's frame, to the inputs of the structure."""
     frame = spin_frame(wheel.axis)
-    return place_matrix("wheels", parameters, frame.T, frame @ wheel.position)
+    return place_matrix("wheels", telescope, frame.T, frame @ wheel.position)
 
 
 def _rng(seed: int, kind: int, index: int) -> np.random.Generator:
@@ -125,23 +124,26 @@ def _joined(name: str, kind: str, place: str, matrices: Sequence[FloatArray], pa
 
 
 def _broadband(wheel: WheelOnBoard, duration: float, dt: float, rng: np.random.Generator) -> Signal:
-    table = wheel.broadband or {}
-    frequency = np.array(table["frequency"], dtype=float)
-    given = np.array([table.get(name, np.zeros(frequency.size)) for name in DENSITIES], dtype=float)
+    table = wheel.broadband
+    assert table is not None
+    frequency = np.array(table.frequency, dtype=float)
+    given = np.array([table.density(name) for name in DENSITIES])
     return noise_of_density(frequency, given[list(AXES_OF_DENSITIES)].T, duration, dt, rng)
 
 
 def _drive(
-    parameters: Parameters, index: int, profile: Profile, dt: float, rng: np.random.Generator
+    telescope: Telescope, index: int, profile: Profile, dt: float, rng: np.random.Generator
 ) -> tuple[FloatArray, Signal]:
     """Where the torques of a stepper act, and the torques."""
-    array, ports = motors(parameters)[index], source_ports(parameters)
-    columns, drive = port_slices(ports), [one.name for one in driven_arrays(parameters)].index(array.name)
+    array, ports = telescope.motors[index], source_ports(telescope)
+    columns, drive = port_slices(ports), [one.name for one in telescope.driven_arrays].index(array.name)
     matrix = np.zeros((total_size(ports), 6))
     matrix[columns[MOTOR_TORQUE].start + index, ON_ROTOR] = 1.0
     matrix[columns[SADM_TORQUE].start + drive, ON_ARRAY] = 1.0
-    motor, turns = made_stepper(array.stepper or {}), bool(np.ptp(profile.theta))
-    cycles, amplitude = drive_harmonics(motor, array.table["gearbox_stiffness"], rng)
+    of_array, turns = array.drive, bool(np.ptp(profile.theta))
+    assert of_array is not None and of_array.stepper is not None
+    motor = of_array.stepper
+    cycles, amplitude = drive_harmonics(motor, of_array.gearbox_stiffness, rng)
     fastest = profile.steepest()[0] if turns else abs(motor.rate)
     heard = cycles * fastest < 2.0 * math.pi / dt
     kept = cycles[heard], amplitude[heard]

@@ -28,53 +28,44 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, load_port, motor_ports
-from titop_plant.telescope.layout import (
-    SADM_TORQUE,
-    WHEEL_IMBALANCE,
-    WHEEL_TORQUE,
-    disturbance_ports,
-    driven_arrays,
-    reaction_wheels,
-    wheel_axes,
-    wheel_count,
-)
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.placed.devices import ACTUATOR_FORCE, placed_actuators
-from titop_plant.telescope.placed.points import REFERENCE_POINT, loaded_nodes, nodes
+from titop_plant.telescope.devices import ACTUATOR_FORCE
+from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, WHEEL_TORQUE
+from titop_plant.telescope.places import REFERENCE_POINT
+from titop_plant.telescope.telescope import Telescope
 
 
-def wheel_places(parameters: Parameters) -> dict[str, int]:
+def wheel_places(telescope: Telescope) -> dict[str, int]:
     """Number of the wheel at each place of a wheel, from 0."""
-    wheels = reaction_wheels(parameters)
+    wheels = telescope.wheels
     return {f"wheel_{i + 1}": i for i in range(len(wheels))} | {one.name: i for i, one in enumerate(wheels)}
 
 
-def drive_places(parameters: Parameters) -> tuple[str, ...]:
+def drive_places(telescope: Telescope) -> tuple[str, ...]:
     """Places of the array drives, in the order of their torques."""
-    return tuple(f"drive_{i}" for i in range(1, len(driven_arrays(parameters)) + 1))
+    return tuple(f"drive_{i}" for i in range(1, len(telescope.driven_arrays) + 1))
 
 
-def actuator_places(parameters: Parameters) -> tuple[str, ...]:
+def actuator_places(telescope: Telescope) -> tuple[str, ...]:
     """Names of the further actuators, in the order of their forces."""
-    return tuple(one.name for one in placed_actuators(parameters))
+    return tuple(one.name for one in telescope.placed_actuators)
 
 
-def all_places(parameters: Parameters) -> tuple[str, ...]:
+def all_places(telescope: Telescope) -> tuple[str, ...]:
     """Names of all places."""
-    driven = (*drive_places(parameters), *actuator_places(parameters))
-    return (REFERENCE_POINT, *nodes(parameters), *wheel_places(parameters), *driven)
+    driven = (*drive_places(telescope), *actuator_places(telescope))
+    return (REFERENCE_POINT, *telescope.nodes, *wheel_places(telescope), *driven)
 
 
-def source_ports(parameters: Parameters) -> tuple[Port, ...]:
+def source_ports(telescope: Telescope) -> tuple[Port, ...]:
     """Inputs of the structure that sources drive."""
-    imbalance, *torques = disturbance_ports(parameters)
-    wheels = Port(WHEEL_TORQUE, wheel_count(parameters), "Nm")
-    loads = map(load_port, loaded_nodes(parameters))
-    return (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(parameters))
+    imbalance, *torques = telescope.disturbance_ports
+    wheels = Port(WHEEL_TORQUE, len(telescope.wheels), "Nm")
+    loads = map(load_port, telescope.loaded_nodes)
+    return (imbalance, wheels, *torques, EXTERNAL_WRENCH, *loads, *motor_ports(telescope))
 
 
 def place_matrix(
-    place: str, parameters: Parameters, frame: FloatArray | None = None, offset: FloatArray | None = None
+    place: str, telescope: Telescope, frame: FloatArray | None = None, offset: FloatArray | None = None
 ) -> FloatArray:
     """Forces and torques (6) of a source to the inputs of :func:`source_ports`, shape (size, 6).
 
@@ -82,7 +73,7 @@ def place_matrix(
     ----------
     place : str
         One of :func:`all_places`.
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
     frame : ndarray, shape (3, 3), optional
         Columns: axes of the source in the body's frame. Default: the place's own axes.
@@ -94,13 +85,13 @@ def place_matrix(
     ValueError
         No such place, a frame that is no rotation, an offset at an array drive or an actuator.
     """
-    places, ports = all_places(parameters), source_ports(parameters)
+    places, ports = all_places(telescope), source_ports(telescope)
     if place not in places:
         raise ValueError(f"place must be one of {', '.join(places)}, got {place!r}")
-    columns, drives, wheels = port_slices(ports), drive_places(parameters), wheel_places(parameters)
+    columns, drives, wheels = port_slices(ports), drive_places(telescope), wheel_places(telescope)
     whole = np.zeros((total_size(ports), 6))
     turn = np.eye(3) if frame is None else _rotation(frame)
-    actuators = actuator_places(parameters)
+    actuators = actuator_places(telescope)
     if place in drives or place in actuators:
         one, port, axis = ("torque about", SADM_TORQUE, 5) if place in drives else ("force along", ACTUATOR_FORCE, 2)
         if offset is not None or frame is not None:
@@ -115,12 +106,12 @@ def place_matrix(
     if place in wheels:
         i = wheels[place]
         if frame is not None:
-            wrench = np.kron(np.eye(2), spin_frame(wheel_axes(parameters)[:, i])) @ wrench
+            wrench = np.kron(np.eye(2), spin_frame(telescope.wheel_axes[:, i])) @ wrench
         first = columns[WHEEL_IMBALANCE].start + 5 * i
         whole[first : first + 5] = wrench[:5]
         whole[columns[WHEEL_TORQUE].start + i] = wrench[5]
         return whole
-    loaded = EXTERNAL_WRENCH.name if place == REFERENCE_POINT else load_port(nodes(parameters)[place]).name
+    loaded = EXTERNAL_WRENCH.name if place == REFERENCE_POINT else load_port(telescope.nodes[place]).name
     whole[columns[loaded]] = wrench
     return whole
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from titop_plant.telescope.placed.devices import PlacedSensor
+from titop_plant.telescope.devices import PlacedSensor
 
 SEED_KEY = 19
 """Of their random numbers among those of a run: the noise of the loop stays as it is."""

@@ -21,7 +21,16 @@ from typing import Any
 
 from titop_plant.blocks.stepper import Stepper
 from titop_plant.blocks.wheel_bearing import WheelBearing
-from titop_plant.telescope.layout import ARRAYS, BEARING, BROADBAND, DENSITIES, STEPPER, WHEELS
+from titop_plant.telescope.layout import (
+    ARRAYS,
+    BEARING,
+    BROADBAND,
+    DENSITIES,
+    GEAR_ERRORS,
+    STEPPER,
+    WHEELS,
+    read_stepper,
+)
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 Table = dict[str, Any]
@@ -31,7 +40,6 @@ OF_TABLES: Mapping[str, tuple[str, ...]] = {WHEELS: (BEARING, BROADBAND), DRIVES
 """Tables inside of those of the reference file."""
 
 WHOLE = ("full_steps", "micro_steps")
-GEAR_ERRORS = "gear_errors"
 
 
 def take_mechanisms(own: Table) -> dict[str, Table]:
@@ -107,17 +115,11 @@ def _stepper(where: str, stepper: Table, drive: Mapping[str, Any], file: Paramet
         if key in WHOLE and not isinstance(value, int):
             raise file.error(f"{where}.{key}", f"must be a whole number, got {value!r}")
     try:
-        made_stepper(stepper)
+        read_stepper(stepper)
     except ValueError as error:
         raise file.error(where, f"is no stepper: {error}") from None
     if not drive.get("gearbox_stiffness", 1.0) > 0.0:
         raise file.error(where, "needs a gearbox_stiffness above zero, got 0")
-
-
-def made_stepper(table: Mapping[str, Any]) -> Stepper:
-    """The stepper of a table."""
-    rows = tuple((float(cycles), float(angle)) for cycles, angle in table.get(GEAR_ERRORS, ()))
-    return Stepper(**{**table, GEAR_ERRORS: rows})
 
 
 def _broadband(where: str, table: Table, wheel: Mapping[str, Any], file: ParameterFile) -> None:

@@ -12,17 +12,8 @@ from scipy import linalg
 
 from titop_plant.structures.kinematics import check_rotation
 from titop_plant.structures.modal_file import read_modal_data
-from titop_plant.telescope.layout import (
-    APPENDAGES,
-    ARRAYS,
-    DRIVE,
-    WHEELS,
-    appendages,
-    reaction_wheels,
-    solar_arrays,
-    wheel_axes,
-)
-from titop_plant.telescope.placed.devices import ACTUATOR, SENSOR
+from titop_plant.telescope.devices import ACTUATOR, SENSOR
+from titop_plant.telescope.layout import APPENDAGES, ARRAYS, DRIVE, WHEELS, read_appendages, read_arrays, read_wheels
 from titop_plant.telescope.tables.mechanisms import OF_LISTS, check_mechanisms
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 from titop_plant.telescope.tables.placed_devices import DEVICE_KEYS, DEVICES, check_devices
@@ -276,7 +267,7 @@ def _check_points(whole: Mapping[str, Any], file: ParameterFile) -> None:
     if whole["body"]["modal_data"]:
         return
     known = list(whole["body"]["ports"])
-    for kind, found in ((ARRAYS, solar_arrays), (APPENDAGES, appendages)):
+    for kind, found in ((ARRAYS, read_arrays), (APPENDAGES, read_appendages)):
         for i, one in enumerate(found(whole)):
             if one.point not in known:
                 key = f"{kind}[{i}].point" if isinstance(whole[kind], list) else kind
@@ -286,37 +277,40 @@ def _check_points(whole: Mapping[str, Any], file: ParameterFile) -> None:
 def _check_shared(whole: Mapping[str, Any], file: ParameterFile) -> None:
     """Bodies with the same parameters have the same values of them."""
     alike = ("modal_data", "frequencies", "relative_uncertainty", "uncertain_modes")
-    turning = [(i, array) for i, array in enumerate(solar_arrays(whole)) if array.turns]
+    turning = [(i, array) for i, array in enumerate(read_arrays(whole)) if array.turns]
     for i, one in turning:
         other = turning[0][1]
-        if one.table["theta_range"] != other.table["theta_range"]:
+        if one.theta_range != other.theta_range:
             raise file.error(
                 f"{ARRAYS}[{i}].theta_range", f"must be that of {other.name!r}: arrays that turn have one angle"
             )
-    first: dict[str, Any] = {}
-    for kind, found in ((ARRAYS, solar_arrays), (APPENDAGES, appendages)):
-        for i, one in enumerate(found(whole) if isinstance(whole.get(kind), list) else ()):
-            if one.parameters.partition("_")[0] == "wheel" or not _NAME.fullmatch(one.parameters):
-                raise file.error(f"{kind}[{i}].parameters", f"must be another name, got {one.parameters!r}")
-            other = first.setdefault(one.parameters, one)
+    first: dict[str, Table] = {}
+    for kind in (ARRAYS, APPENDAGES):
+        for i, table in enumerate(whole[kind] if isinstance(whole.get(kind), list) else ()):
+            shared = str(table.get("parameters", table["name"]))
+            if shared.partition("_")[0] == "wheel" or not _NAME.fullmatch(shared):
+                raise file.error(f"{kind}[{i}].parameters", f"must be another name, got {shared!r}")
+            like = first.setdefault(shared, table)
             for key in alike:
-                if one.table.get(key) != other.table.get(key):
+                if table.get(key) != like.get(key):
                     raise file.error(
                         f"{kind}[{i}].{key}",
-                        f"must be that of {other.name!r}, whose parameters it shares, got {one.table.get(key)!r}",
+                        f"must be that of {like['name']!r}, whose parameters it shares, got {table.get(key)!r}",
                     )
 
 
 def _check_wheels(whole: Mapping[str, Any], file: ParameterFile) -> None:
     table = whole[WHEELS]
     if isinstance(table, Mapping) and len(table["azimuths_deg"]) != len(table["default_speed"]):
-        wheels, speeds = len(table["azimuths_deg"]), len(table["default_speed"])
-        raise file.error(f"{WHEELS}.default_speed", f"must hold a speed for each of {wheels} wheels, got {speeds}")
-    count = len(reaction_wheels(whole))
-    rank = 3 - linalg.null_space(wheel_axes(whole).T, rcond=1e-6).shape[1] if count else 0
+        count, speeds = len(table["azimuths_deg"]), len(table["default_speed"])
+        raise file.error(f"{WHEELS}.default_speed", f"must hold a speed for each of {count} wheels, got {speeds}")
+    wheels = read_wheels(whole)
+    axes = np.array([wheel.axis for wheel in wheels])
+    rank = 3 - linalg.null_space(axes, rcond=1e-6).shape[1] if wheels else 0
     if rank < 3:
-        raise file.error(WHEELS, f"must have axes that span the space, got {count} wheels with axes of rank {rank}")
-    for i, wheel in enumerate(reaction_wheels(whole)):
+        got = f"{len(wheels)} wheels with axes of rank {rank}"
+        raise file.error(WHEELS, f"must have axes that span the space, got {got}")
+    for i, wheel in enumerate(wheels):
         if abs(wheel.default_speed) > wheel.maximum_speed:
             key = f"{WHEELS}.default_speed" if isinstance(table, Mapping) else f"{WHEELS}[{i}].default_speed"
             limit = f"{-wheel.maximum_speed:g} and {wheel.maximum_speed:g} rad/s"

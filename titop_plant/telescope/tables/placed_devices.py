@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from titop_plant.interface import COLUMNS
-from titop_plant.telescope.placed.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
-from titop_plant.telescope.placed.points import REFERENCE_POINT, points
+from titop_plant.telescope.devices import ACCELEROMETER, ACTUATOR, MECHANICS, SENSOR, SENSOR_UNITS
+from titop_plant.telescope.layout import device_nodes, read_nodes
+from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 
 DEVICES = (SENSOR, ACTUATOR)
@@ -53,7 +54,7 @@ def check_devices(whole: Mapping[str, Any], file: ParameterFile) -> None:
 def _check_place(name: str, kind: str, table: Mapping[str, Any], whole: Mapping[str, Any], file: ParameterFile) -> None:
     if not table.get("place"):
         raise file.error(name, "has no 'place'")
-    places = (*([REFERENCE_POINT] if kind == SENSOR else []), *points(whole))
+    places = (*([REFERENCE_POINT] if kind == SENSOR else []), *device_nodes(read_nodes(whole)))
     if table["place"] not in places:
         raise file.error(f"{name}.place", f"must be one of {', '.join(places)}, got {table['place']!r}")
 

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 from lftkit.uncertainty.parameters import RealParameter
@@ -86,8 +85,8 @@ def checked(name: str, spread: Any) -> str:
     return name
 
 
-def checked_spreads(table: Any, file: ParameterFile, parameters: Mapping[str, Any]) -> dict[str, float]:
-    """Half-widths by entry, of a table of a file that describes a telescope with these parameters.
+def checked_spreads(table: Any, file: ParameterFile, tables: Mapping[str, Any]) -> dict[str, float]:
+    """Half-widths by entry, of a table of a file with these other tables.
 
     Raises
     ------
@@ -99,26 +98,13 @@ def checked_spreads(table: Any, file: ParameterFile, parameters: Mapping[str, An
     nested = ((key, value if isinstance(value, dict) else {"": value}) for key, value in table.items())
     flat = {f"{key}.{inner}" if inner else key: spread for key, values in nested for inner, spread in values.items()}
     try:
-        require_modes(flat, parameters)
+        require_modes(flat, tables)
         return {checked(name, spread): float(spread) for name, spread in flat.items()}
     except ValueError as error:
         raise file.error(UNCERTAIN, f"is not valid: {error}") from None
 
 
-def with_uncertain(parameters: Mapping[str, Any], spreads: Iterable[str]) -> Mapping[str, Any]:
-    """Parameters of a telescope with further uncertain entries, each as for :func:`spread_of`; a later one wins.
-
-    Raises
-    ------
-    ValueError
-        As of :func:`spread_of` and :func:`require_modes`.
-    """
-    table = {**parameters.get(UNCERTAIN, {}), **dict(map(spread_of, spreads))}
-    require_modes(table, parameters)
-    return MappingProxyType({**parameters, UNCERTAIN: table}) if table else parameters
-
-
-def require_modes(spreads: Iterable[str], parameters: Mapping[str, Any]) -> None:
+def require_modes(spreads: Iterable[str], tables: Mapping[str, Any]) -> None:
     """Refuse entries of modes that a frame does not have, and the damping of all modes beside that of one.
 
     Modes of a file of modal data are counted where it is read.
@@ -130,14 +116,13 @@ def require_modes(spreads: Iterable[str], parameters: Mapping[str, Any]) -> None
             continue
         if kind.startswith(DAMPING_OF) and f"{body}.{DAMPING_OF}" in names:
             raise ValueError(f"uncertain {body}.{DAMPING_OF} has all modes: it must stand without {name}, got both")
-        modes = parameters[body]["modes"]
-        if int(number) > modes and not parameters[body].get("modal_data"):
+        modes = tables[body]["modes"]
+        if int(number) > modes and not tables[body].get("modal_data"):
             raise ValueError(f"uncertain {name} must be of one of the {modes} modes, got mode {number}")
 
 
-def factors(parameters: Mapping[str, Any]) -> dict[str, RealParameter]:
-    """The uncertain factors of a telescope by entry, in the order of Delta."""
-    spreads = parameters.get(UNCERTAIN, {})
+def factors(spreads: Mapping[str, float]) -> dict[str, RealParameter]:
+    """The uncertain factors by entry, in the order of Delta, of half-widths by entry."""
     modal = [name for name in spreads if name not in ENTRIES]
     modal.sort(key=lambda name: (name.rstrip("0123456789"), len(name), name))
     return {
@@ -147,9 +132,9 @@ def factors(parameters: Mapping[str, Any]) -> dict[str, RealParameter]:
     }
 
 
-def factors_of_modes(parameters: Mapping[str, Any], body: str, modes: int) -> Mapping[str, Any]:
+def factors_of_modes(given: Mapping[str, RealParameter], body: str, modes: int) -> Mapping[str, Any]:
     """Arguments of :func:`titop_plant.blocks.flexible_body.flexible_body` for a body with so many modes."""
-    known = {name: factor for name, factor in factors(parameters).items() if name.startswith(f"{body}.")}
+    known = {name: factor for name, factor in given.items() if name.startswith(f"{body}.")}
     whole = known.get(f"{body}.{DAMPING_OF}")
     all_modes = {} if whole is None else dict.fromkeys(range(modes), whole)
     found: dict[str, dict[int, RealParameter]] = {FREQUENCY_OF: {}, DAMPING_OF: all_modes}

@@ -35,11 +35,11 @@ from los_testbed.disturbance_kinds import KINDS, Entry, Run
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
-from titop_plant.telescope.parameters import FOLDER
+from titop_plant.telescope.load import FOLDER
 
 if TYPE_CHECKING:
     from titop_plant.simulation.sources.drive import PlacedSource
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
 
@@ -67,11 +67,11 @@ def entries_of(items: Sequence[str]) -> list[Entry]:
     return found
 
 
-def sources_of(config: RunConfig, parameters: Parameters) -> list[Entry]:
+def sources_of(config: RunConfig, telescope: Telescope) -> list[Entry]:
     """Tables of all sources of a run: those of its files, then those of its telescope; none without disturbance."""
     if not config.disturbance or config.other_plant:
         return []
-    own = [Entry(table, Path(table[FOLDER]), str(config.parameters)) for table in parameters.get("disturbance", ())]
+    own = [Entry(table, Path(table[FOLDER]), str(config.parameters)) for table in telescope.sources]
     own = [replace(one, table={k: v for k, v in one.table.items() if k != FOLDER}) for one in own]
     return entries_of(config.files_of_disturbance) + own
 
@@ -110,7 +110,7 @@ def digest(entries: Sequence[Entry], mechanisms: Sequence[tuple[str, Mapping[str
     return total.hexdigest()
 
 
-def make_sources(entries: Sequence[Entry], parameters: Parameters, run: Run) -> tuple[PlacedSource, ...]:
+def make_sources(entries: Sequence[Entry], telescope: Telescope, run: Run) -> tuple[PlacedSource, ...]:
     """Sources of a run.
 
     Raises
@@ -121,17 +121,16 @@ def make_sources(entries: Sequence[Entry], parameters: Parameters, run: Run) -> 
     names = [str(entry.table.get("name", "")) for entry in entries]
     if len(set(names)) < len(names):
         raise ValueError(f"disturbances must have different names, got {', '.join(names)}")
-    found = tuple(_source(entry, parameters, run) for entry in entries)
+    found = tuple(_source(entry, telescope, run) for entry in entries)
     driven = [one.place for one in found if one.limit < math.inf]
     for place in sorted({place for place in driven if driven.count(place) > 1}):
         raise ValueError(f"actuator {place} must have one source, got {driven.count(place)}")
     return found
 
 
-def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
+def _source(entry: Entry, telescope: Telescope, run: Run) -> PlacedSource:
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.simulation.sources.places import place_matrix
-    from titop_plant.telescope.placed.devices import placed_actuators
 
     table = entry.table
     name, kind, place = table.get("name"), table.get("kind"), table.get("place", "bus")
@@ -145,11 +144,11 @@ def _source(entry: Entry, parameters: Parameters, run: Run) -> PlacedSource:
         raise entry.error(f"keys must be of {', '.join(sorted(COMMON | keys))}, got {', '.join(unknown)}")
     offset = entry.vector("offset") if "offset" in table else None
     try:
-        matrix = place_matrix(place, parameters, _frame(table.get("frame", "own")), offset)
+        matrix = place_matrix(place, telescope, _frame(table.get("frame", "own")), offset)
     except ValueError as error:
         raise entry.error(str(error)) from None
     signal, remarks = make(entry, run)
-    limits = {one.name: one.authority for one in placed_actuators(parameters)}
+    limits = {one.name: one.authority for one in telescope.placed_actuators}
     scale = entry.number("scale", 1.0)
     limit = limits[place] / max(abs(scale), 1e-300) if place in limits else math.inf
     return PlacedSource(name, kind, place, scale * matrix, signal, (*entry.ignored(), *remarks), limit)

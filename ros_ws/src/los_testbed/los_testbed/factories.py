@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
     from los_testbed.disturbance_kinds import Entry
-    from los_testbed.image_camera import Telescope
+    from los_testbed.image_camera import CameraPlant
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from titop_plant.simulation.driven_plant import DrivenPlant, PlantWithActuators
     from titop_plant.simulation.sampled_plant import SampledPlant
     from titop_plant.simulation.sources.drive import PlacedSource
-    from titop_plant.telescope.parameters import Parameters
-    from titop_plant.telescope.placed.devices import PlacedActuator
+    from titop_plant.telescope.devices import PlacedActuator
     from titop_plant.telescope.placed.readings import PlantWithReadings
+    from titop_plant.telescope.telescope import Telescope
 
 
 SWITCHED_ON = "no model of {} is known (a method system() gives one): the controllers are switched on at the start"
@@ -73,51 +73,45 @@ class RunParts:
 
     def __post_init__(self) -> None:
         if self.config.scenario is None:
-            known = None if self.known_family is None else self.known_family.parameters
+            known = None if self.known_family is None else self.known_family.telescope
             object.__setattr__(self, "config", with_scenario(self.config, known))
 
     @cached_property
-    def parameters(self) -> Parameters:
+    def telescope(self) -> Telescope:
         """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
-        from titop_plant.telescope.guide_camera import check_exposure
-        from titop_plant.telescope.parameters import load_parameters
+        from titop_plant.telescope.load import load_telescope
 
         known = self.known_family
-        found = load_parameters(self.config.parameters) if known is None else known.parameters
-        check_exposure(found, self.config.frame_ticks)
+        found = load_telescope(self.config.parameters) if known is None else known.telescope
+        found.check_exposure(self.config.frame_ticks)
         return found
 
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
         """Pointing requirements of the telescope, those of all stages."""
-        from titop_plant.telescope.requirements import telescope_requirements
-
-        return telescope_requirements(self.parameters)
+        return self.telescope.requirements
 
     @cached_property
     def pupil_file(self) -> bytes:
         """Content of the file of the pupil, empty where there is none; OpticsError: it cannot be read."""
         from pointing_analysis.image.optics import read_pupil_file
 
-        name = self.parameters["optics"]["pupil"]
+        name = self.telescope.image_optics.pupil
         return read_pupil_file(Path(name)) if name else b""
 
     @cached_property
     def optics(self) -> Optics:
         """Optics of the images of the telescope; OpticsError: they make none."""
         from pointing_analysis.image.optics import from_mapping
-        from titop_plant.telescope.guide_camera import IMAGE_OPTICS
 
-        table = {key: self.parameters["optics"][key] for key in IMAGE_OPTICS}
+        table = asdict(self.telescope.image_optics)
         return from_mapping(table, self.config.parameters or "reference.toml", self.pupil_file)
 
     @cached_property
     def basis(self) -> DesignBasis:
         """What the controllers must have been made for: the telescope's values, with the limits of the run."""
-        from titop_plant.telescope.parameters import design_basis
-
         limits = {name: getattr(self.config, name) for name in ("fsm_authority", "pma_authority")}
-        return replace(design_basis(self.parameters), **{k: v for k, v in limits.items() if v is not None})
+        return replace(self.telescope.design_basis, **{k: v for k, v in limits.items() if v is not None})
 
     @cached_property
     def code(self) -> dict[str, str]:
@@ -202,7 +196,7 @@ class RunParts:
         from titop_plant.simulation.build import PlantConfig
 
         config = self.config
-        check_ranges(config, self.parameters)
+        check_ranges(config, self.telescope)
         told = config.scenario_acts and config.scenario != "worst_case"
         return PlantConfig.of(config, isolated=config.loop != "none", disturbance=told)
 
@@ -357,7 +351,7 @@ class RunParts:
             return self._with_images(whole)
         from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
 
-        return self._with_images(NonlinearPlant(whole, DeviceLimits(), self.parameters["pma"]))
+        return self._with_images(NonlinearPlant(whole, DeviceLimits(), asdict(self.telescope.pma)))
 
     @cached_property
     def sensed_family(self) -> PlantFamily:
@@ -369,7 +363,7 @@ class RunParts:
         """Further sensors and actuators of the telescope; none of another plant."""
         if self.config.other_plant or not self.config.parameters:
             return NO_DEVICES
-        return placed_devices(self.parameters)
+        return placed_devices(self.telescope)
 
     def _used(self, name: str) -> Devices:
         """Further devices that a controller uses."""
@@ -404,7 +398,7 @@ class RunParts:
 
         return PlantWithReadings(whole, sensors, self.config.seed, self.config.noise)
 
-    def _with_images(self, plant: Telescope) -> Plant:
+    def _with_images(self, plant: CameraPlant) -> Plant:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
         if self.star_camera is None:
             return plant
@@ -415,11 +409,12 @@ class RunParts:
     @cached_property
     def star_camera(self) -> StarCamera | None:
         """Camera that takes images; None where it takes none."""
-        from titop_plant.telescope.guide_camera import star_camera, takes_images
+        from titop_plant.telescope.guide_camera import star_camera
 
-        if self.config.other_plant or not takes_images(self.parameters):
+        if self.config.other_plant or not self.telescope.takes_images:
             return None
-        return star_camera(self.parameters, self.config.parameters or "reference.toml")
+        table = self.telescope
+        return star_camera(table.image_optics, table.camera, self.config.parameters or "reference.toml")
 
     @property
     def topics(self) -> tuple[TopicDefinition, ...]:
@@ -433,7 +428,7 @@ class RunParts:
         """Disturbance of the user; ValueError: it cannot be made, or breaks the contract."""
         from titop_plant.simulation.driven_plant import driven_ports
 
-        return make_disturbance(self.config, driven_ports(self.parameters))
+        return make_disturbance(self.config, driven_ports(self.telescope))
 
     def _driven(self, plant: SampledPlant, source: str) -> DrivenPlant:
         """The telescope under the disturbance of the user."""
@@ -466,14 +461,13 @@ class RunParts:
         from los_testbed.disturbance_kinds import Run
         from titop_plant.simulation.plant_config import motion
         from titop_plant.simulation.sources.mechanisms import mechanism_sources
-        from titop_plant.telescope.layout import reaction_wheels
 
-        profile = motion(self.settings, self.parameters)
-        names = tuple(wheel.name for wheel in reaction_wheels(self.parameters))
+        profile = motion(self.settings, self.telescope)
+        names = tuple(wheel.name for wheel in self.telescope.wheels)
         run = Run(tuple(map(float, profile.speeds(0.0))), self.config.duration, self.config.seed, names)
-        found = make_sources(self._entries, self.parameters, run)
+        found = make_sources(self._entries, self.telescope, run)
         if self._mechanisms:
-            found += mechanism_sources(self.parameters, profile, self.config.duration, self.config.seed)
+            found += mechanism_sources(self.telescope, profile, self.config.duration, self.config.seed)
         return found
 
     @property
@@ -490,9 +484,8 @@ class RunParts:
         """Tables of the telescope's wheels and drives that make disturbances; none without disturbance."""
         if not self.config.disturbance or self.config.plant or not self.config.parameters:
             return []
-        from titop_plant.telescope.layout import source_tables
 
-        return source_tables(self.parameters)
+        return self.telescope.source_tables
 
     @cached_property
     def _entries(self) -> list[Entry]:
@@ -500,7 +493,7 @@ class RunParts:
             return []
         from los_testbed.disturbance_files import sources_of
 
-        return sources_of(self.config, self.parameters)
+        return sources_of(self.config, self.telescope)
 
     def tone_model(self, delays: Delays | None = None) -> ToneModel:
         """Model of the loop that runs, with its tones, for comparisons with a record; `delays` are those of a rig.

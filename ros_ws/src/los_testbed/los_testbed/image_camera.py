@@ -34,7 +34,7 @@ SEED_KEY = 17
 """Of the camera's random numbers among those of a run: the other noise of the loop stays as it is."""
 
 
-class Telescope(Protocol):
+class CameraPlant(Protocol):
     """What the camera needs of the telescope under it."""
 
     dt: float
@@ -82,7 +82,7 @@ class ImagePlant:
         Whether frames have noise and cosmic hits.
     """
 
-    def __init__(self, plant: Telescope, camera: StarCamera, seed: int, noise: bool) -> None:
+    def __init__(self, plant: CameraPlant, camera: StarCamera, seed: int, noise: bool) -> None:
         from pointing_analysis.image.centroid import centroid  # scipy, which a vector camera does without
 
         self.plant, self.camera, self._find = plant, camera, centroid

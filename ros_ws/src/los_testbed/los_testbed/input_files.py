@@ -1,6 +1,6 @@
 """Files that a telescope and a run are read from, beside the controllers: which they are, and a digest of them all.
 
-:func:`titop_plant.telescope.parameters.parameters_hash` names a telescope for its designs: it leaves out what no design
+:func:`titop_plant.telescope.load.parameters_hash` names a telescope for its designs: it leaves out what no design
 depends on. The rows of a campaign, the runs of `stages` and those of a trade depend on all of it.
 """
 
@@ -18,7 +18,8 @@ from lftkit.support.input_limits import PICTURE
 from los_testbed.config import RunConfig
 from los_testbed.plugins import source_hashes
 from pointing_analysis.files.structured_text import load_toml, read_text
-from titop_plant.telescope.parameters import FOLDER, Parameters, load_parameters
+from titop_plant.telescope.load import FOLDER, load_telescope
+from titop_plant.telescope.telescope import Telescope
 
 FILE_KEYS = frozenset({"modal_data", "pupil", "noise_curve", "file"})
 """Keys of a parameter file whose values are names of files: of bodies, optics, camera and disturbances."""
@@ -36,7 +37,7 @@ def map_files(value: Any, change: Callable[[Path], Any], folder: Path = Path()) 
     Parameters
     ----------
     value : mapping, list or value
-        Of a user's file, or of the whole telescope (:func:`titop_plant.telescope.parameters.load_parameters`).
+        Of a user's file, or of the whole telescope (:func:`titop_plant.telescope.load.load_telescope`).
     change : callable
         Gives the other value for the path of a file.
     folder : Path
@@ -95,7 +96,7 @@ def _content(path: Path) -> bytes:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
 
 
-def telescope_digest(parameters: Parameters) -> str:
+def telescope_digest(telescope: Telescope) -> str:
     """SHA-256 of all values of a telescope and of the content of the files that it names, wherever they are.
 
     Raises
@@ -103,7 +104,7 @@ def telescope_digest(parameters: Parameters) -> str:
     ValueError
         A file that cannot be read.
     """
-    content = map_files(parameters, content_digest)
+    content = map_files(telescope.to_mapping(), content_digest)
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()
 
 
@@ -127,7 +128,7 @@ def input_digests(config: RunConfig) -> dict[str, str]:
 
     found = {}
     if config.parameters:
-        found["telescope"] = telescope_digest(load_parameters(config.parameters))
+        found["telescope"] = telescope_digest(load_telescope(config.parameters))
     if config.files_of_disturbance:
         from los_testbed.disturbance_files import digest, entries_of
 

@@ -7,7 +7,7 @@ observer reads only; the proof-mass law reads and commands.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,8 @@ from lftkit.arrays import IntArray
 from lftkit.systems.ports import Port
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.placed.devices import PlacedActuator, PlacedSensor
+    from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
+    from titop_plant.telescope.telescope import Telescope
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,9 @@ class Devices:
         return bool(self.sensors or self.actuators)
 
 
-def placed_devices(parameters: Mapping[str, object]) -> Devices:
+def placed_devices(telescope: Telescope) -> Devices:
     """Further sensors and actuators of a telescope."""
-    from titop_plant.telescope.placed.devices import placed_actuators, placed_sensors
-
-    return Devices(placed_sensors(parameters), placed_actuators(parameters))
+    return Devices(telescope.placed_sensors, telescope.placed_actuators)
 
 
 @dataclass(frozen=True)

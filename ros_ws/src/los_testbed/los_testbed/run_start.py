@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
     from titop_plant.simulation.build import PlantConfig, PlantFamily
-    from titop_plant.telescope.placed.devices import PlacedActuator
+    from titop_plant.telescope.devices import PlacedActuator
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
@@ -237,10 +237,8 @@ def _computed(
 
 def _bias(family: PlantFamily, settings: PlantConfig, model: ToneModel) -> FloatArray:
     """Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)."""
-    from titop_plant.telescope.placed.devices import placed_sensors
-
     known = family.bias(settings)
-    placed = [float(settings.noise) * one.bias for one in placed_sensors(family.parameters) for _ in one.axes]
+    placed = [float(settings.noise) * one.bias for one in family.telescope.placed_sensors for _ in one.axes]
     size = model.loop.noise_frame.shape[1]
     return np.concatenate([known, placed])[:size]
 
@@ -254,7 +252,7 @@ def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel
         of = model(loop=loop)
         try:
             found = worst_tone(
-                of.loop, of.plant, family.parameters, index=config.worst_of, stage=config.loop, closed=loop != open_loop
+                of.loop, of.plant, family.telescope, index=config.worst_of, stage=config.loop, closed=loop != open_loop
             )
         except ValueError as error:
             notes.append(f"{error}: the tone is the worst one of the stage {open_loop}")

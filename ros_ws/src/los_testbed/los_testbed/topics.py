@@ -16,7 +16,7 @@ from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.placed.devices import PlacedActuator, PlacedSensor
+    from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""

@@ -22,7 +22,7 @@ from titop_plant.simulation.profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
     from lftkit import RealParameter
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 CASES = Path(__file__).with_name("plant_cases.yaml")
 """Named cases of the reference telescope."""
@@ -48,18 +48,18 @@ def family(parameters: str | None = None) -> dict[str, RealParameter]:
     ValueError
         The file cannot be read or is no parameter file.
     """
-    from titop_plant.telescope.parameters import load_parameters, uncertain_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    return uncertain_parameters(load_parameters(parameters))
+    return dict(load_telescope(parameters).uncertain)
 
 
-def check_ranges(config: RunConfig, parameters: Parameters) -> None:
+def check_ranges(config: RunConfig, telescope: Telescope) -> None:
     """Refuse a configuration whose plant is not in the family, at its start or at the end of its ramps.
 
     Parameters
     ----------
     config : RunConfig
-    parameters : mapping
+    telescope : Telescope
         Of the telescope.
 
     Raises
@@ -69,24 +69,23 @@ def check_ranges(config: RunConfig, parameters: Parameters) -> None:
 
     Examples
     --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> check_ranges(RunConfig(omega_1=2.0), load_parameters())
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> check_ranges(RunConfig(omega_1=2.0), load_telescope())
     Traceback (most recent call last):
         ...
     ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
     """
     from titop_plant.simulation.plant_config import check_wheels, frequencies
-    from titop_plant.telescope.layout import ANGLE, control_stages, default_speeds
-    from titop_plant.telescope.parameters import uncertain_parameters
+    from titop_plant.telescope.layout import ANGLE
 
-    table = uncertain_parameters(parameters)
-    if config.loop not in (stages := control_stages(parameters)):
+    table = telescope.uncertain
+    if config.loop not in (stages := telescope.stages):
         raise ValueError(f"loop must be one of {', '.join(stages)} without proof-mass actuators, got {config.loop}")
-    for name, omega in frequencies(config, parameters).items():
+    for name, omega in frequencies(config, telescope).items():
         _within(_setting_of(name, config), table[name], omega)
-    check_wheels(config, parameters)
+    check_wheels(config, telescope)
     if config.profile not in PROFILES:
-        _check_profile(config, parameters, table)
+        _check_profile(config, telescope, table)
         return
     turn = config.theta_rate * config.ramp_duration
     if ANGLE in table:
@@ -97,16 +96,16 @@ def check_ranges(config: RunConfig, parameters: Parameters) -> None:
     for i, speed in enumerate(config.wheel_speed or (), start=1):
         _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
     if config.wheel_acceleration and config.ramp_duration:
-        speeds = config.wheel_speed or default_speeds(parameters)
+        speeds = config.wheel_speed or telescope.default_speeds
         for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
             end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
             _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
 
 
-def _check_profile(config: RunConfig, parameters: Parameters, table: Mapping[str, RealParameter]) -> None:
-    from titop_plant.telescope.layout import ANGLE, wheel_count
+def _check_profile(config: RunConfig, telescope: Telescope, table: Mapping[str, RealParameter]) -> None:
+    from titop_plant.telescope.layout import ANGLE
 
-    for time, theta, *speeds in read_profile(Path(config.profile), wheel_count(parameters)).table():
+    for time, theta, *speeds in read_profile(Path(config.profile), len(telescope.wheels)).table():
         when = f" at {time:g} s of {config.profile}"
         if ANGLE in table:
             _within_angle(table[ANGLE], theta, when)
@@ -219,13 +218,13 @@ def worst_member(loop: str, worst_of: str, parameters: str | None = None, design
         A file of another form.
     """
     from los_design.search import worst_points
-    from titop_plant.telescope.parameters import load_parameters, parameters_hash
+    from titop_plant.telescope.load import load_telescope
 
     folder = Path(designs) if designs else Path(worst_points.__file__).parent
     path = folder / WORST_POINTS
     if not path.exists():
         return {}
-    used = parameters_hash(load_parameters(parameters))
+    used = load_telescope(parameters).parameters_hash
     try:
         content = load_json(read_text(path), path)
         if content["parameters_hash"] != used:
@@ -279,7 +278,7 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     return found
 
 
-def with_scenario(config: RunConfig, parameters: Parameters | None = None, usual: str = SCENARIOS[0]) -> RunConfig:
+def with_scenario(config: RunConfig, telescope: Telescope | None = None, usual: str = SCENARIOS[0]) -> RunConfig:
     """The configuration with the scenario that acts where it says none: the usual one, or none beside other sources.
 
     Parameters
@@ -296,21 +295,20 @@ def with_scenario(config: RunConfig, parameters: Parameters | None = None, usual
     """
     if config.scenario is not None:
         return config
-    alone = config.disturbance and not config.other_plant and _has_sources(config, parameters)
+    alone = config.disturbance and not config.other_plant and _has_sources(config, telescope)
     return replace(config, scenario=NO_SCENARIO if alone else usual)
 
 
-def _has_sources(config: RunConfig, parameters: Parameters | None) -> bool:
+def _has_sources(config: RunConfig, telescope: Telescope | None) -> bool:
     """Whether files, code or the telescope's tables make disturbances."""
     if config.disturbance_source or config.files_of_disturbance:
         return True
     if not config.parameters:
         return False
-    from titop_plant.telescope.layout import source_tables
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    known = load_parameters(config.parameters) if parameters is None else parameters
-    return bool(known.get("disturbance")) or bool(source_tables(known))
+    known = load_telescope(config.parameters) if telescope is None else telescope
+    return bool(known.sources) or bool(known.source_tables)
 
 
 def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:

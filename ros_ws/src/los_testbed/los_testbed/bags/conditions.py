@@ -40,14 +40,13 @@ def acting(parts: RunParts, start: RunStart) -> list[dict[str, str]]:
 def member(parts: RunParts) -> str:
     """Angle of the arrays, speeds of the wheels and uncertain frequencies, at the start of the run."""
     from titop_plant.simulation.plant_config import frequencies
-    from titop_plant.telescope.layout import arrays_turn, default_speeds
 
     config = parts.config
     if config.profile not in ("linear", "trapezoidal"):
         return f"arrays and wheels as {Path(config.profile).name} says"
-    speeds = ", ".join(f"{speed:.6g}" for speed in config.wheel_speed or default_speeds(parts.parameters))
-    texts = [f"arrays at {config.array_angle:.6g} rad"] if arrays_turn(parts.parameters) else []
+    speeds = ", ".join(f"{speed:.6g}" for speed in config.wheel_speed or parts.telescope.default_speeds)
+    texts = [f"arrays at {config.array_angle:.6g} rad"] if parts.telescope.arrays_turn else []
     texts += [f"wheels at {speeds} rad/s"] if speeds else []
-    given = frequencies(config, parts.parameters)
+    given = frequencies(config, parts.telescope)
     texts += [f"{name} {value:.6g} rad/s" for name, value in given.items()] or ["frequencies nominal"]
     return ", ".join(texts)

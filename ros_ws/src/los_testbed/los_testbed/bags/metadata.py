@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -29,9 +30,9 @@ from pointing_analysis.requirements.conditions import MEASURED, START_UP
 from pointing_analysis.requirements.text import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
-from titop_plant.telescope.guide_camera import IMAGE_OPTICS, NOISE_CURVE, TABLE
-from titop_plant.telescope.parameters import Parameters, differences
-from titop_plant.telescope.sensors import noise_of_samples
+from titop_plant.telescope.guide_camera import NOISE_CURVE, TABLE
+from titop_plant.telescope.load import differences
+from titop_plant.telescope.telescope import Telescope
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
@@ -102,7 +103,7 @@ def optics_of(parts: RunParts) -> dict[str, str]:
         Optics that make no image.
     """
     _ = parts.optics  # refuses those that make no image
-    named = {key: parts.parameters["optics"][key] for key in IMAGE_OPTICS}
+    named = asdict(parts.telescope.image_optics)
     return {OPTICS: json.dumps({**named, "pupil": Path(named["pupil"]).name})}
 
 
@@ -110,7 +111,7 @@ def _camera(parts: RunParts) -> dict[str, str]:
     """Table of a camera that takes images, under ``camera``; nothing of others."""
     if parts.star_camera is None:
         return {}
-    table = parts.parameters[TABLE]
+    table = asdict(parts.telescope.camera)
     return {TABLE: json.dumps({**table, NOISE_CURVE: Path(table[NOISE_CURVE]).name})}
 
 
@@ -125,18 +126,18 @@ def _sources(parts: RunParts) -> dict[str, str]:
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run; without noise where it has none."""
     config = parts.config
-    noise = noise_of_samples(parts.parameters) * float(config.noise)
+    noise = parts.telescope.noise_of_samples * float(config.noise)
     return tuple(
         RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
         for t in SENSORS
     )
 
 
-def _budget(parameters: Parameters, loop: str) -> dict[str, float]:
+def _budget(telescope: Telescope, loop: str) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
     from titop_plant.telescope.budget import BAND_EDGE, error_budget
 
-    budget = error_budget(parameters)
+    budget = error_budget(telescope)
     shares = {}
     if loop in MIRROR_STAGES:
         shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
@@ -152,7 +153,7 @@ def final_metadata(
 
     The budget is what the stage allows to noise and tones (:mod:`pointing_analysis.spectra.tone_budget`).
     """
-    budget = _budget(parts.parameters, parts.config.loop)
+    budget = _budget(parts.telescope, parts.config.loop)
     record = run_metadata(parts, start)
     record |= {key: "" for key in PROOF_KEYS if key in record}  # a key that is left out stays as at the start
     record |= {**proof_of(parts, statistics), BUDGET: json.dumps(budget)}

@@ -19,7 +19,6 @@ from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.units import ANGLES
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.telescope.parameters import design_basis, parameters_digest
 
 if TYPE_CHECKING:
     from los_design.verification.statements import Statement
@@ -87,8 +86,8 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
         return {"proof": f"no proof of this run: {'; '.join([*late, *against])}"}
     folders = {path.parent for path in parts.files.values()}
     folder = folders.pop() if len(folders) == 1 else None
-    subject = Subject.of(**parts.models, telescope=parameters_digest(parts.parameters))
-    found = statement_of(subject, config.loop, folder, parts.parameters)
+    subject = Subject.of(**parts.models, telescope=parts.telescope.digest)
+    found = statement_of(subject, config.loop, folder, parts.telescope)
     if found is None:
         return {"proof": NO_PROOF}
     bounds = _bounds(parts, found, missed)
@@ -97,7 +96,7 @@ def proof_of(parts: RunParts, statistics: Mapping[str, Mapping[str, str]] | None
     said = bounds | {"proof": found.text} | ({guarantee.NOISE: found.noise_text} if found.noise_text else {})
     if found.relative is None:
         return said
-    window = float(parts.parameters["weights"]["rpe_window"])
+    window = parts.telescope.weights.rpe_window
     return {**said, PROOF_RPE: json.dumps({"rms_rad": found.relative, "exposure_s": window})}
 
 
@@ -115,7 +114,7 @@ def _bounds(parts: RunParts, found: Statement, missed: int) -> dict[str, str]:
         "both": guarantee.BOTH,
     }
     content = {kinds[WITH_NOISE[row.name]]: (row.value * ANGLES[row.unit], row.probability) for row in found.sums}
-    window = float(parts.parameters["weights"]["rpe_window"])
+    window = parts.telescope.weights.rpe_window
     return {PROOF_BOUNDS: json.dumps({**content, "window_s": window, "condition": _ticks(missed, "missed ")})}
 
 
@@ -139,7 +138,7 @@ def reasons_against(parts: RunParts) -> list[str]:
         found.append(f"{name} {'is code' if is_code(text) else 'has ports of further devices'}: {text}")
     if config.other_plant:
         return found  # nothing more is known of it
-    own = design_basis(parts.parameters)
+    own = parts.telescope.design_basis
     found += [
         f"{name} is {limit:g}, proofs have the telescope's {proven:g}"
         for name in ("fsm_authority", "pma_authority")

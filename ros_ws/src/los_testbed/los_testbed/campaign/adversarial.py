@@ -48,7 +48,7 @@ def _searched(
     controllers = parts.models
     with one_thread():
         options = SearchOptions(ascents=ascents, seed=seed)
-        open_loop = OpenLoop(parts.family.control_loop, parts.parameters)
+        open_loop = OpenLoop(parts.family.control_loop, parts.telescope)
         loop = ImplementedLoop(open_loop, controllers["k_fsm"], controllers["k_pma"], base.loop)
         found = Search(loop, options).run(METRICS, workers=workers)
     points = [point for band in found.values() for point in band]

@@ -61,18 +61,17 @@ def identity(base: RunConfig) -> dict[str, str]:
         A file that cannot be read.
     """
     from pointing_analysis.requirements.text import entries
-    from titop_plant.telescope.parameters import load_parameters, parameters_hash
-    from titop_plant.telescope.requirements import telescope_requirements
+    from titop_plant.telescope.load import load_telescope
 
     parts = RunParts(base)
     required = json.dumps(entries(parts.requirements))
-    reference = json.dumps(entries(telescope_requirements(load_parameters())))
+    reference = json.dumps(entries(load_telescope().requirements))
     controllers = {name: _digest(path) for name, path in parts.model_files.items()}
     return {
         "version": __version__,
         "numpy": np.__version__,
         "scipy": scipy.__version__,
-        "parameters": parameters_hash(parts.parameters),
+        "parameters": parts.telescope.parameters_hash,
         **controllers,
         **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
         **_image_optics(parts),

@@ -247,9 +247,7 @@ class MemberEvaluator:
             controller.start_at(start.states.k_pma)
         estimator.reset()
         controller.reset()
-        record = _Record(
-            mapped_arrays.empty((config.ticks, 4)), float(self.family.parameters["fsm"]["los_sensitivity"])
-        )
+        record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
         simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
         return record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
@@ -266,7 +264,7 @@ class MemberEvaluator:
     def _model(self) -> ModelDepth:
         """What the members share at depth model: a few seconds, once for a process."""
         k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
-        return ModelDepth.of(self.family.control_loop, self.family.parameters, k_fsm, k_pma, self.base.loop)
+        return ModelDepth.of(self.family.control_loop, self.family.telescope, k_fsm, k_pma, self.base.loop)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:

@@ -29,9 +29,8 @@ from los_testbed.campaign.model_loop import ModelLoop
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import combined_level
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.requirements import telescope_requirements, window_probability
-from titop_plant.telescope.sensors import noise_of_ticks
+from titop_plant.telescope.requirements import window_probability
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 IndexArray = IntArray
@@ -80,7 +79,7 @@ class ModelDepth:
     ----------
     model : ModelLoop
     system : System
-    parameters : mapping
+    telescope : Telescope
     controllers : (SampledSystem, SampledSystem)
     stage : {"none", "isolator", "fsm", "fsm+pma"}
     seen : ndarray, shape (F,)
@@ -95,7 +94,7 @@ class ModelDepth:
 
     model: ModelLoop
     system: System
-    parameters: Parameters
+    telescope: Telescope
     controllers: tuple[SampledSystem, SampledSystem]
     stage: str
     seen: FloatArray
@@ -105,17 +104,17 @@ class ModelDepth:
 
     @classmethod
     def of(
-        cls, system: System, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+        cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelDepth:
         """Prepare what the members of a family share."""
-        model = ModelLoop.of(system, parameters, k_fsm, k_pma, stage)
-        sigma = noise_of_ticks(parameters)
-        seen = rpe_weight(model.omega, parameters["weights"]["rpe_window"])
-        noise = _exact_noise(system, parameters, (k_fsm, k_pma), stage, {})
+        model = ModelLoop.of(system, telescope, k_fsm, k_pma, stage)
+        sigma = telescope.noise_of_ticks()
+        seen = rpe_weight(model.omega, telescope.weights.rpe_window)
+        noise = _exact_noise(system, telescope, (k_fsm, k_pma), stage, {})
         everywhere = np.arange(model.omega.size)
         responses = model.at(model.W({}), everywhere)
         density = _noise_density(responses, model.K, sigma)
-        return cls(model, system, parameters, (k_fsm, k_pma), stage, seen, sigma, density, noise)
+        return cls(model, system, telescope, (k_fsm, k_pma), stage, seen, sigma, density, noise)
 
     def metrics(self, values: Mapping[str, float]) -> dict[str, float]:
         """Metrics by the names of :func:`model_metrics`; infinite where the loop is unstable.
@@ -144,7 +143,7 @@ class ModelDepth:
             total = self.level(peak / RAD_PER_MAS, noise, omega, total)
         found = {
             **{gain_column(row): self._shown(row, peaks[row.name][0]) for row in rows},
-            "rpe_fine_gain": worst / figure("RPE").limit(self.parameters, STAGES[-1]),
+            "rpe_fine_gain": worst / figure("RPE").limit(self.telescope, STAGES[-1]),
             "noise_ape_arcsec_rms": plain / RAD_PER_ARCSEC,
             "noise_rpe_mas_rms": noise,
             "total_mas": total,
@@ -156,7 +155,7 @@ class ModelDepth:
         """A gain as its column has it; a sensitivity of a loop that is not closed is zero."""
         if row.is_sensitivity:
             return peak if self.stage in row.stages else 0.0
-        return peak / (RAD_PER_MAS if row.is_error and row.relative else row.limit(self.parameters, self.stage))
+        return peak / (RAD_PER_MAS if row.is_error and row.relative else row.limit(self.telescope, self.stage))
 
     def _gains(self, T: ComplexArray, index: IndexArray) -> dict[str, FloatArray]:
         """Gain of each figure at points of the grid, zero outside of its band."""
@@ -188,8 +187,8 @@ class ModelDepth:
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
         """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s], at least `least`."""
-        probability = window_probability(telescope_requirements(self.parameters))
-        turn = omega * float(self.parameters["weights"]["rpe_window"])
+        probability = window_probability(self.telescope.requirements)
+        turn = omega * self.telescope.weights.rpe_window
         return combined_level(tone, noise, probability, turn=turn, least=least)
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
@@ -202,7 +201,7 @@ class ModelDepth:
 
     def _noise(self, T: ComplexArray, index: IndexArray, values: Mapping[str, float]) -> tuple[float, float]:
         if not np.isfinite(self.noise).all():  # the nominal loop is unstable
-            return _exact_noise(self.system, self.parameters, self.controllers, self.stage, values)
+            return _exact_noise(self.system, self.telescope, self.controllers, self.stage, values)
         change = _noise_density(T, self.model.K[index], self.sigma) - self.nominal[index]
         omega = self.model.omega[index]
         width = np.diff(omega)
@@ -217,12 +216,12 @@ class ModelDepth:
 
 def _exact_noise(
     system: System,
-    parameters: Parameters,
+    telescope: Telescope,
     controllers: tuple[SampledSystem, SampledSystem],
     stage: str,
     values: Mapping[str, float],
 ) -> tuple[float, float]:
-    return noise_rms(noise_covariances(system.at(values), *controllers, parameters, loop=stage))
+    return noise_rms(noise_covariances(system.at(values), *controllers, telescope, loop=stage))
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:

@@ -26,7 +26,7 @@ from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.telescope.parameters import Parameters, parameter_corners
+from titop_plant.telescope.telescope import Telescope
 
 IndexArray = IntArray
 
@@ -157,13 +157,13 @@ class ModelLoop:
 
     @classmethod
     def of(
-        cls, system: System, parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
+        cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> ModelLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
-        loop = ImplementedLoop(OpenLoop(system, parameters, real=True), k_fsm, k_pma, stage)
+        loop = ImplementedLoop(OpenLoop(system, telescope, real=True), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
         rng = np.random.default_rng(0)
-        members = [*parameter_corners(parameters), *system.sample_values(rng, DRAWS)]
+        members = [*telescope.corners(), *system.sample_values(rng, DRAWS)]
         chosen = [_reduced(loop, U, V, values) for values in members]
         q = len(system.channels)
         modes = MovingModes.of(system.A, system.B[:, :q] @ V, U.T @ system.C[:q], chosen)

@@ -30,7 +30,7 @@ from los_testbed.cli.options.options import (
     Json,
     NewFolder,
     ObserverFile,
-    Telescope,
+    TelescopeFile,
     option,
     with_files,
 )
@@ -83,7 +83,7 @@ def campaign(
     k_fsm: ObserverFile = None,
     k_pma: ForceLawFile = None,
     designs: Designs = None,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     scheduler: SchedulerOption = "",
     tls_ca_file: TlsCaFile = None,
     tls_cert: TlsCertificate = None,

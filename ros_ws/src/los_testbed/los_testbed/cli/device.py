@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from los_testbed.cli.options.options import Json, Telescope, option
+from los_testbed.cli.options.options import Json, TelescopeFile, option
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config import RunConfig
 from los_testbed.exit_codes import ExitCode
@@ -51,7 +51,7 @@ def check(
     device_address: Annotated[str, option("device_address")] = RunConfig.SETTINGS["device_address"].default,
     device_key: Annotated[str | None, option("device_key")] = None,
     scale: Annotated[float, typer.Option(help="Of the motions, 0.01 to 10.")] = 1.0,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     json_: Json = False,
 ) -> None:
     """See CHECK_EXAMPLES."""

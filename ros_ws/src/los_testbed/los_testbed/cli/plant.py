@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from los_testbed.cli.options.options import Json, Telescope
+from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
 from los_testbed.run.summary.screen import Screen, numbers
 from los_testbed.variants import CASES, check_ranges, named_cases
@@ -61,11 +61,12 @@ def plant(
         context.obj = parameters
         return
     from lftkit.support.threads import one_thread
-    from titop_plant.simulation.build import telescope
+    from titop_plant.telescope.assembly import assembled_telescope
+    from titop_plant.telescope.load import load_telescope
     from titop_plant.telescope.summary import summarise
 
     with one_thread():
-        found = summarise(telescope(parameters or None))
+        found = summarise(assembled_telescope(load_telescope(parameters)))
     if json_:
         print_json(found.to_mapping())
     else:
@@ -76,7 +77,7 @@ def plant(
 def figures(
     context: typer.Context,
     output: Annotated[Path, typer.Option(help="Folder for the figures.")] = Path("figures"),
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
 ) -> None:
     """See FIGURES_EXAMPLES."""
     from los_design.figures.plant_figures import draw_figures
@@ -99,13 +100,13 @@ def cases(
 ) -> None:
     """See CASES_EXAMPLES."""
     from los_testbed.config import RunConfig
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
     table = Table("case", "telescope", title_justify="left")
     for name, settings in named_cases(file).items():
         given = {key: value for key, value in settings.items() if key != "description"}
         member = RunConfig.from_mapping(given)
-        check_ranges(member, load_parameters(member.parameters))
+        check_ranges(member, load_telescope(member.parameters))
         table.add_row(Text(name), Text(str(settings.get("description", given))))
     Screen().print(table)
 

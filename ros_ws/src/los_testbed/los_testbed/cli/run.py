@@ -307,7 +307,7 @@ def check(parts: RunParts) -> tuple[str, ...]:
     """
     config = parts.config
     check_new_bag(config.bag)
-    check_ranges(config, parts.parameters)
+    check_ranges(config, parts.telescope)
     if config.plant:
         from los_testbed.loop.contract import check_plant
 
@@ -333,7 +333,7 @@ DIFFERENCES_SHOWN = 12
 
 def telescope_differences(parameters: str | None) -> list[str]:
     """Lines about the values in which a parameter file of the user, where there is one, differs from the reference."""
-    from titop_plant.telescope.parameters import differences
+    from titop_plant.telescope.load import differences
 
     if not parameters:
         return []

@@ -21,7 +21,7 @@ from los_testbed.cli.options.options import (
     Json,
     NewFolder,
     ObserverFile,
-    Telescope,
+    TelescopeFile,
     option,
     with_files,
 )
@@ -70,7 +70,7 @@ def stages(
     k_pma: ForceLawFile = None,
     designs: Designs = None,
     camera_rate: Annotated[float | None, option("camera_rate")] = None,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     case: Case = None,
     cases: Cases = None,
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,

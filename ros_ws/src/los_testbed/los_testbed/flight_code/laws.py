@@ -133,10 +133,9 @@ def laws_of_bundle(path: Path) -> FlightLaws:
         A file that is no bundle, or is damaged.
     """
     from los_design.verification.bundle import open_bundle
-    from titop_plant.telescope.parameters import design_basis
 
     with open_bundle(path) as bundle:
-        basis = design_basis(bundle.parameters)
+        basis = bundle.telescope.design_basis
         models = {"k_fsm": bundle.k_fsm, "k_pma": bundle.k_pma}
         return FlightLaws.of(LosEstimator(bundle.k_fsm), assemble_controller(models, basis, STAGES[-1]))
 

@@ -9,8 +9,7 @@ from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import METADATA
 from pointing_analysis.requirements.text import entries
-from titop_plant.telescope.parameters import load_parameters
-from titop_plant.telescope.requirements import telescope_requirements
+from titop_plant.telescope.load import load_telescope
 
 OF_TELESCOPE = ("plant_hash", "parameters_hash", "plant_parameters_hash")
 """Keys of the metadata that name the telescope of a run."""
@@ -25,7 +24,7 @@ def with_requirements(run: Recording) -> Recording:
     if not is_older(run):
         return run
     found = copy.copy(run)
-    reference = entries(telescope_requirements(load_parameters()))
+    reference = entries(load_telescope().requirements)
     found.parameters = MappingProxyType({**run.parameters, METADATA: reference})  # type: ignore[misc]
     return found
 

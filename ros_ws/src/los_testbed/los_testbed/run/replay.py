@@ -173,9 +173,9 @@ def telescope_of(run: Run) -> DesignBasis:
 
 def _completed(telescope: DesignBasis) -> DesignBasis:
     """The reference telescope's values where nothing is said: bags that do not say are of that telescope."""
-    from titop_plant.telescope.parameters import design_basis, load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    return replace(design_basis(load_parameters()), **telescope.to_mapping())
+    return replace(load_telescope().design_basis, **telescope.to_mapping())
 
 
 def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -> replay.Replayed:

@@ -35,8 +35,6 @@ from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
-from titop_plant.telescope.layout import control_stages
-from titop_plant.telescope.parameters import parameters_hash
 
 WORST = SCENARIOS[0]
 
@@ -102,7 +100,7 @@ class Plan:
     @cached_property
     def stages(self) -> tuple[str, ...]:
         """Stages that the telescope has."""
-        return control_stages(RunParts(self.base).parameters)
+        return RunParts(self.base).telescope.stages
 
     def runs(self) -> list[StageRun]:
         """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
@@ -239,7 +237,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
         for config in plan.members().values():
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
     for run in plan.runs():  # of all telescopes, those of the worst case, too: before there is a folder
-        check_ranges(run.config, RunParts(run.config).parameters)
+        check_ranges(run.config, RunParts(run.config).telescope)
     _begin(plan)
     results = []
     for run in plan.runs():
@@ -266,9 +264,9 @@ def _begin(plan: Plan) -> None:
         A folder of something else.
     """
     file, runs = plan.folder / PLAN, plan.runs()
-    parameters = parameters_hash(RunParts(plan.base).parameters)
+    telescope = RunParts(plan.base).telescope.parameters_hash
     inputs = {"inputs": digests} if (digests := input_digests(plan.base)) else {}
-    origin = {**provenance(plan), "parameters": parameters, **inputs}
+    origin = {**provenance(plan), "parameters": telescope, **inputs}
     asked = json.loads(json.dumps({"runs": {run.name: run.config.to_mapping() for run in runs}, "origin": origin}))
     if not plan.folder.exists():
         plan.folder.mkdir(parents=True)

@@ -22,8 +22,7 @@ from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
 from pointing_analysis.units import RAD_PER_MAS
-from titop_plant.telescope.guide_camera import check_exposure, for_frames
-from titop_plant.telescope.parameters import load_parameters
+from titop_plant.telescope.load import load_telescope
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers
@@ -183,7 +182,7 @@ def _points(
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(parameter_text(own, beside, magnitude, 1.0 / rate), "utf-8")
             config = replace(base, parameters=str(file), camera_rate=rate)
-            check_exposure(load_parameters(file), config.frame_ticks)
+            load_telescope(file).check_exposure(config.frame_ticks)
             found.append(replace(point, config=config))
     return tuple(found)
 
@@ -198,8 +197,8 @@ def _design(
     def told(text: str) -> None:
         report(f"{point.name}: {text}")
 
-    parameters = for_frames(load_parameters(str(point.config.parameters)), point.config.frame_ticks)
-    found = redesign.design_all(parameters, folder, effort=EFFORT, report=told, wall_limit=seconds, workers=workers)
+    telescope = load_telescope(str(point.config.parameters)).for_frames(point.config.frame_ticks)
+    found = redesign.design_all(telescope, folder, effort=EFFORT, report=told, wall_limit=seconds, workers=workers)
     ended = SampledSystem.from_file(folder / DESIGN_FILES["k_fsm"]).provenance["status"]
     return str(ended), list(found.not_met)
 
@@ -258,7 +257,7 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     from pointing_analysis.read.run import Run
     from pointing_analysis.requirements.summary import summarise
 
-    noise = float(RunParts(point.config).parameters["sensors"]["camera_noise"]) / RAD_PER_MAS
+    noise = float(RunParts(point.config).telescope.camera_noise) / RAD_PER_MAS
     row: dict[str, Any] = {"magnitude": point.magnitude, "rate_hz": point.rate, "noise_mas": round(noise, 4)}
     try:
         counts, failure = run_in_process(point.config, bag)["plant"], ""

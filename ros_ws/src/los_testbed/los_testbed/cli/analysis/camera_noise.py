@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from los_testbed.cli.options.options import Json, Telescope
+from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import number, numbers, print_json
 from los_testbed.run.summary.screen import Screen, say
 
@@ -42,7 +43,7 @@ def noise(
     frames: Annotated[int, typer.Option(help="Of each star.")] = 10_000,
     seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 1,
     time_limit: Annotated[float, typer.Option(help="Wall limit [s]; no curve is written beyond it.")] = 3600.0,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     json_: Json = False,
 ) -> None:
     """See NOISE_EXAMPLES."""
@@ -85,17 +86,17 @@ def _cameras(
     ValueError
         A file, a magnitude or an exposure that cannot be used; one magnitude alone.
     """
-    from titop_plant.telescope.guide_camera import TABLE, star_camera
-    from titop_plant.telescope.parameters import REFERENCE, load_parameters
+    from titop_plant.telescope.guide_camera import star_camera
+    from titop_plant.telescope.load import REFERENCE, load_telescope
 
     if len(magnitudes) < 2:
         raise ValueError(f"--magnitudes must be two or more, got {len(magnitudes)}")
     file = parameters or REFERENCE
-    known = load_parameters(file)
-    table = known[TABLE]
+    known = load_telescope(file)
+    optics, camera = known.image_optics, known.camera
     return [
-        [star_camera({**known, TABLE: {**table, "magnitude": m, "exposure": t}}, str(file)) for m in magnitudes]
-        for t in exposures or (table["exposure"],)
+        [star_camera(optics, replace(camera, magnitude=m, exposure=t), str(file)) for m in magnitudes]
+        for t in exposures or (camera.exposure,)
     ]
 
 

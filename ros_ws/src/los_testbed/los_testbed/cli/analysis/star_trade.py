@@ -17,7 +17,7 @@ from los_testbed.cli.options.options import (
     Json,
     NewFolder,
     ObserverFile,
-    Telescope,
+    TelescopeFile,
     option,
     with_files,
 )
@@ -63,7 +63,7 @@ def trade(
     k_fsm: ObserverFile = None,
     k_pma: ForceLawFile = None,
     designs: Designs = None,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 7200.0,
     cluster: Cluster,
     output: NewFolder = None,

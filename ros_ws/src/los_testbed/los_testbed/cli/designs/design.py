@@ -14,7 +14,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
-from los_testbed.cli.options.options import Designs, DesignSeed, Json, Telescope
+from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
@@ -65,7 +65,7 @@ def k_fsm(
     time_limit: Limit = 1800.0,
     seed: DesignSeed = 0,
     order: Order = 4,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
@@ -83,7 +83,7 @@ def k_pma(
     seed: DesignSeed = 0,
     starts: Starts = 8,
     order: Order = 4,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     k_fsm: Annotated[Path | None, typer.Option(metavar="FILE", help="Observer; default: the stored one.")] = None,
     output: Output = None,
     json_: Json = False,
@@ -122,23 +122,22 @@ def _make(
     from los_design.synthesis.synthesis import design_actuators, design_observer
     from pointing_analysis.files.atomic_output import check_output
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import telescope
-    from titop_plant.telescope.parameters import design_basis, load_parameters, parameters_hash
+    from titop_plant.telescope.load import load_telescope
 
     path = given_output(output, "a file for the design")
     check_output(path, "--output")
-    parameters, assembled = load_parameters(file), telescope(None if file is None else str(file))
+    telescope = load_telescope(file)
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
-    key = {"kind": kind, "parameters_hash": parameters_hash(parameters), **asdict(options), "wall_limit": 0.0}
+    key = {"kind": kind, "parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
     go_on = told_how_to_go_on("rounds so far", path, state=rounds)
     with one_thread(), go_on, Progress(kind) as bar:
         if kind == "k-fsm":
-            system = design_observer(assembled, parameters, options, bar.print, (rounds, key))
+            system = design_observer(telescope, options, bar.print, (rounds, key))
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
-            warn(design_warnings([k_fsm], design_basis(parameters), closed=True))
+            warn(design_warnings([k_fsm], telescope.design_basis, closed=True))
             key |= {"k_fsm": digest(k_fsm)}
-            system = design_actuators(assembled, parameters, k_fsm, options, bar.print, (rounds, key))
+            system = design_actuators(telescope, k_fsm, options, bar.print, (rounds, key))
     system.to_file(path)
     if system.provenance["status"] != OUT_OF_TIME:
         rounds.unlink(missing_ok=True)

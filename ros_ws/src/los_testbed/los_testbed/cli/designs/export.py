@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options.options import Designs, Json, Telescope
+from los_testbed.cli.options.options import Designs, Json, TelescopeFile
 from los_testbed.cli.output import print_json, warn
 from los_testbed.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen
@@ -124,7 +124,7 @@ def export_check(
 def export_fmu(
     designs: Designs = None,
     plant: Annotated[bool, typer.Option("--plant", help="The telescope instead of the laws.")] = False,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     output: Annotated[Path | None, typer.Option(metavar="FILE", help="New file, NAME.fmu.")] = None,
     json_: Json = False,
 ) -> None:

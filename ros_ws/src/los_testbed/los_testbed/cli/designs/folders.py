@@ -9,10 +9,10 @@ from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 
-def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
+def designs_in(folder: Path) -> tuple[Telescope, SampledSystem, SampledSystem]:
     """Telescope and controllers of a folder of designs; the reference telescope where it names none.
 
     Raises
@@ -21,11 +21,11 @@ def designs_in(folder: Path) -> tuple[Parameters, SampledSystem, SampledSystem]:
         No folder, or a file that is missing or cannot be read.
     """
     from lftkit import SampledSystem
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
     if not folder.is_dir():
         raise ValueError(f"FOLDER must hold {' and '.join(DESIGN_FILES.values())}, got no folder {folder}")
     file = folder / TELESCOPE_FILE
-    parameters = load_parameters(file if file.exists() else None)
+    telescope = load_telescope(file if file.exists() else None)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
-    return parameters, k_fsm, k_pma
+    return telescope, k_fsm, k_pma

@@ -151,8 +151,6 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
     report : callable
         Receives one line for each member and stage.
     """
-    from titop_plant.telescope.layout import mirror_stages
-
     settings = of_designs(str(folder))
     given = {**settings, "mode": "inprocess", "duration": SECONDS, "loop": OPENED}  # a stage that every telescope has
     base = with_scenario(RunConfig.from_mapping(given))
@@ -161,7 +159,7 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
         return Mission()
     verdicts: list[MissionVerdict] = []
     rpe: dict[tuple[str, str], tuple[float, float]] = {}
-    for stage in mirror_stages(parts.parameters):
+    for stage in parts.telescope.mirror_stages:
         worst = worst_member(stage, "RPE", base.parameters, str(folder))
         for member, values in {"nominal": {}, **({"worst for the RPE": worst} if worst else {})}.items():
             report(f"{stage}, {member}: under {', '.join(source.name for source in parts.sources)}")

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from los_design.search.worst_points import WorstPoint
     from los_design.verification.certify import FigureBounds
     from los_loop.implemented_loop import ImplementedLoop
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole box of parameters and all frequencies.
 
@@ -166,12 +166,12 @@ def _chosen(stage: str | None, figure: str | None) -> list[tuple[str, str]]:
     """Stages and figures of the options: one figure, or all gains of the table from the disturbances."""
     from los_design.verification.loop_models import figures_of, provable
     from los_design.verification.noise_certificate import NOISE
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    parameters, stages = load_parameters(), list(MIRROR_STAGES) if stage is None else [stage]  # names alone
+    telescope, stages = load_telescope(), list(MIRROR_STAGES) if stage is None else [stage]  # names alone
     if figure is None:
-        return [(s, name) for s in stages for name in figures_of(parameters, s)]
-    known = [(s, name) for s in stages for name in (*provable(parameters, s), NOISE)]
+        return [(s, name) for s in stages for name in figures_of(telescope, s)]
+    known = [(s, name) for s in stages for name in (*provable(telescope, s), NOISE)]
     found = [(s, name) for s, name in known if name == figure]
     if not found:
         names = dict.fromkeys(repr(name) for _, name in known)
@@ -200,37 +200,35 @@ def loops_of(
     from los_loop.open_loop import OpenLoop
     from titop_plant.interface import design_warnings
     from titop_plant.simulation.build import control_loop_plant
-    from titop_plant.telescope.assembly import build_telescope
-    from titop_plant.telescope.parameters import design_basis, load_parameters
-    from titop_plant.telescope.tables.uncertain import with_uncertain
+    from titop_plant.telescope.load import load_telescope
 
     if folder is None:
-        parameters, (k_fsm, k_pma) = load_parameters(), load_designs("implemented")
+        telescope, (k_fsm, k_pma) = load_telescope(), load_designs("implemented")
     else:
-        parameters, k_fsm, k_pma = designs_in(folder)
+        telescope, k_fsm, k_pma = designs_in(folder)
         if same_telescope:
-            refuse_other_telescope(folder, parameters, (k_fsm, k_pma))
-        refuse_devices(parameters, k_fsm, k_pma)
+            refuse_other_telescope(folder, telescope, (k_fsm, k_pma))
+        refuse_devices(telescope, k_fsm, k_pma)
         k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
         k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    parameters = with_uncertain(parameters, uncertain)
-    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
-    system = control_loop_plant(build_telescope(parameters), parameters)
+    telescope = telescope.with_uncertain(uncertain)
+    warn(design_warnings((k_fsm, k_pma), telescope.design_basis, closed=True))
+    system = control_loop_plant(telescope)
     points = []
     if folder is None or (folder / WORST_POINTS).exists():
         points = [point for table in load_worst_points(folder).values() for point in table.values()]
-    open_loop = OpenLoop(system, parameters)
+    open_loop = OpenLoop(system, telescope)
     return {stage: ImplementedLoop(open_loop, k_fsm, k_pma, stage) for stage in stages}, points
 
 
-def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Sequence[SampledSystem]) -> None:
+def refuse_other_telescope(folder: Path, telescope: Telescope, controllers: Sequence[SampledSystem]) -> None:
     """Refuse controllers that were made for another telescope than that of their folder.
 
     Parameters
     ----------
     folder : Path
         For the message.
-    parameters : mapping
+    telescope : Telescope
         Of its telescope, without the factors of ``--uncertain``. Controllers made without those of its table
         ``[uncertain]`` are not refused either: the option and the table are the same.
     controllers : sequence of SampledSystem
@@ -242,13 +240,11 @@ def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Se
         One was: its proof would be of a loop that nobody designed, hours later.
     """
     from titop_plant.interface import design_warnings
-    from titop_plant.telescope.parameters import design_basis, parameters_hash
-    from titop_plant.telescope.tables.uncertain import UNCERTAIN
 
-    basis = design_basis(parameters)
+    basis = telescope.design_basis
     design_warnings(controllers, basis, closed=True)  # another sensitivity of the mirror has words of its own
     present = basis.parameters_hash
-    without = parameters_hash({name: table for name, table in parameters.items() if name != UNCERTAIN})
+    without = telescope.without_uncertain().parameters_hash
     for controller in controllers:
         made = str(controller.design_basis.get("parameters_hash", present))
         if made not in (present, without):
@@ -259,7 +255,7 @@ def refuse_other_telescope(folder: Path, parameters: Parameters, controllers: Se
             )
 
 
-def refuse_devices(parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
+def refuse_devices(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem) -> None:
     """Refuse controllers that use sensors or actuators of the telescope's file.
 
     Raises
@@ -269,7 +265,7 @@ def refuse_devices(parameters: Parameters, k_fsm: SampledSystem, k_pma: SampledS
     """
     from los_loop.spec import NO_DEVICES, Placed
 
-    if Placed.of(parameters, k_fsm, k_pma) != NO_DEVICES:
+    if Placed.of(telescope, k_fsm, k_pma) != NO_DEVICES:
         known = {port.name for port in (*K_FSM_INPUTS, *K_FSM_OUTPUTS, *K_PMA_INPUTS, *K_PMA_OUTPUTS)}
         ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
         further = ", ".join(dict.fromkeys(name for name in ports if name not in known))
@@ -335,7 +331,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
         if same:
             proofs[stage, figure] = file
     loop = next(iter(loops.values()))
-    write_bundle(output / BUNDLE, loop.parameters, loop.pair, proofs)
+    write_bundle(output / BUNDLE, loop.telescope, loop.pair, proofs)
 
 
 def show_bounds(found: Sequence[FigureBounds]) -> None:

@@ -24,7 +24,7 @@ from los_testbed.cli.designs.mission import (
 from los_testbed.cli.designs.proofs import loops_of, prove_figures, show_bounds
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import DesignSeed, Json, Telescope, Uncertain
+from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
 from los_testbed.cli.output import number, print_json
 from los_testbed.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
@@ -34,7 +34,7 @@ from pointing_analysis.files.atomic_output import atomic_file
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers
     from los_design.verification.certify import FigureBounds
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 ALL_EXAMPLES = """Design K_FSM and K_PMA for a telescope; find their worst points and verify them.
 
@@ -92,21 +92,21 @@ def check_output(folder: Path, parameters: Path | None, uncertain: Sequence[str]
     ValueError
         A file in its place, a folder of another telescope's designs, or one that cannot be written to.
     """
-    from titop_plant.telescope.parameters import load_parameters, parameters_hash
-    from titop_plant.telescope.tables.uncertain import UNCERTAIN, with_uncertain
+    from titop_plant.telescope.load import load_telescope
+    from titop_plant.telescope.tables.uncertain import UNCERTAIN
 
-    given = load_parameters(parameters)
-    own = with_uncertain(given, uncertain)
+    given = load_telescope(parameters)
+    own = given.with_uncertain(uncertain)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"--output must be a folder, got the file {folder}")
     kept = folder / TELESCOPE_FILE
-    if kept.exists() and parameters_hash(load_parameters(kept)) != parameters_hash(own):
+    if kept.exists() and load_telescope(kept).parameters_hash != own.parameters_hash:
         raise ValueError(f"--output must be a folder without designs of another telescope, got {folder}")
-    if uncertain and UNCERTAIN in given:
+    if uncertain and given.factors:
         raise ValueError(f"--uncertain must be in the table [{UNCERTAIN}] of {parameters}, got the option")
     text, beside = ("", {}) if parameters is None else with_files_beside(parameters)
     if uncertain:
-        table = "".join(f"{name} = {spread!r}\n" for name, spread in own[UNCERTAIN].items())
+        table = "".join(f"{name} = {spread!r}\n" for name, spread in own.spreads.items())
         text = f"{text}\n[{UNCERTAIN}]\n{table}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -130,7 +130,7 @@ def _write_telescope(folder: Path, text: str, beside: Mapping[str, bytes]) -> No
 def design_all(
     *,
     output: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the designs; must be given.")] = None,
-    parameters: Telescope = None,
+    parameters: TelescopeFile = None,
     uncertain: Uncertain = None,
     seed: DesignSeed = 0,
     effort: Annotated[str, typer.Option(help="full or short.")] = "full",
@@ -148,13 +148,12 @@ def design_all(
     """See ALL_EXAMPLES."""
     from los_design import redesign
     from los_loop.spec import NO_DEVICES, Placed
-    from titop_plant.telescope.parameters import REFERENCE, differences, load_parameters
-    from titop_plant.telescope.tables.uncertain import with_uncertain
+    from titop_plant.telescope.load import REFERENCE, differences, load_telescope
 
     folder = given_output(output, "a folder for the designs")
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    own = with_uncertain(load_parameters(parameters), uncertain or ())
+    own = load_telescope(parameters).with_uncertain(uncertain or ())
     if certify and (devices := Placed.of(own)) != NO_DEVICES:
         names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
         raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
@@ -190,7 +189,7 @@ def design_all(
     show_implemented(folder, summary.check.to_mapping(), list(summary.not_met), json_, bounds, mission)
 
 
-def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
+def _proven(telescope: Telescope, folder: Path, workers: Workers, until: float) -> Sequence[FigureBounds]:
     """Bounds of all figures of the designs of a folder; the proofs and their bundle go there, too.
 
     Raises
@@ -199,13 +198,11 @@ def _proven(parameters: Parameters, folder: Path, workers: Workers, until: float
         The telescope of the folder is not that of the designs, or the controllers were made for another one.
     """
     from los_design.verification.loop_models import figures_of
-    from titop_plant.telescope.layout import mirror_stages
-    from titop_plant.telescope.parameters import parameters_hash
 
-    wanted, telescope = parameters_hash(parameters), designs_in(folder)[0]
-    if (found := parameters_hash(telescope)) != wanted:
+    wanted, telescope = telescope.parameters_hash, designs_in(folder)[0]
+    if (found := telescope.parameters_hash) != wanted:
         raise ValueError(f"{folder / TELESCOPE_FILE} must be of the telescope {wanted} to be proven, got {found}")
-    stages = mirror_stages(telescope)
+    stages = telescope.mirror_stages
     loops, known = loops_of(folder, list(stages), same_telescope=True)
     chosen = [(stage, name) for stage in stages for name in figures_of(telescope, stage)]
     return prove_figures(chosen, loops, known, folder, workers, until)

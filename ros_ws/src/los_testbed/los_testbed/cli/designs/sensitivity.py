@@ -39,14 +39,14 @@ def sensitivity(
     from lftkit.support.threads import one_thread
     from los_design.search.parameter_sensitivity import changed_entry, effects_of_box, effects_of_entries
     from los_design.verification.loop_models import figures_of
-    from titop_plant.telescope.parameters import load_parameters
+    from titop_plant.telescope.load import load_telescope
 
-    parameters = load_parameters() if folder is None else designs_in(folder)[0]
+    telescope = load_telescope() if folder is None else designs_in(folder)[0]
     for entry in of or ():
-        changed_entry(parameters, entry, 1.0)
+        changed_entry(telescope, entry, 1.0)
     with one_thread():
         loops, points = loops_of(folder, list(MIRROR_STAGES))
-        metrics = {stage: figures_of(parameters, stage) for stage in loops}
+        metrics = {stage: figures_of(telescope, stage) for stage in loops}
         points = [p for p in points if p.requirement in metrics.get(p.stage, {})]
         if not points:
             raise ValueError(f"{folder} must hold worst points of figures, made by `los-testbed design all`, got none")

@@ -29,7 +29,7 @@ from pointing_analysis.files.atomic_output import check_output, write_text
 if TYPE_CHECKING:
     from lftkit import SampledSystem
     from lftkit.support.workers import Workers
-    from titop_plant.telescope.parameters import Parameters
+    from titop_plant.telescope.telescope import Telescope
 
 VERIFY_EXAMPLES = """Recompute all metrics of stored designs: certified norms, and those of the loop as implemented.
 
@@ -93,7 +93,7 @@ def verify(
 
 @contextmanager
 def _going_on(
-    workers: Workers, output: Path | None, parameters: Parameters, designs: Sequence[SampledSystem], at: Sequence[Any]
+    workers: Workers, output: Path | None, telescope: Telescope, designs: Sequence[SampledSystem], at: Sequence[Any]
 ) -> Iterator[Workers]:
     """Workers that keep their results beside the output until the verification is done."""
     if output is None:
@@ -105,8 +105,8 @@ def _going_on(
     from los_testbed.campaign.cluster_work import versions
     from los_testbed.input_files import telescope_digest
 
-    telescope = [telescope_digest(parameters), [dict(values) for values in at]]
-    depends = [versions(), source_digest(), telescope, [one.to_json() for one in designs]]
+    subject = [telescope_digest(telescope), [dict(values) for values in at]]
+    depends = [versions(), source_digest(), subject, [one.to_json() for one in designs]]
     job = hashlib.sha256(json.dumps(depends, default=repr).encode()).hexdigest()
     parts, done = output.with_name(f"{output.name}.parts"), False
     kept = KeptWorkers(workers, parts, job, RESULTS)
@@ -129,21 +129,18 @@ def _of_folder(
     from los_loop.loop_plant import loop_plant
     from los_loop.spec import Placed
     from titop_plant.interface import design_warnings
-    from titop_plant.telescope.layout import mirror_stages
-    from titop_plant.telescope.parameters import design_basis
-    from titop_plant.telescope.tables.uncertain import with_uncertain
 
-    parameters, k_fsm, k_pma = designs_in(folder)
-    parameters = with_uncertain(parameters, uncertain)
-    warn(design_warnings((k_fsm, k_pma), design_basis(parameters), closed=True))
+    telescope, k_fsm, k_pma = designs_in(folder)
+    telescope = telescope.with_uncertain(uncertain)
+    warn(design_warnings((k_fsm, k_pma), telescope.design_basis, closed=True))
     with Progress(f"{folder.name} as implemented") as bar:
-        placed = Placed.of(parameters, k_fsm, k_pma)
-        system = loop_plant(parameters, placed)
+        placed = Placed.of(telescope, k_fsm, k_pma)
+        system = loop_plant(telescope, placed)
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
-        at = [*verification_points(parameters, system, samples), *adversarial]
-        step = _counted(bar, len(mirror_stages(parameters)) * len(at))
-        with _going_on(workers, output, parameters, (k_fsm, k_pma), at) as kept:
-            check = check_implemented(system, parameters, k_fsm, k_pma, at, step, workers=kept, placed=placed)
+        at = [*verification_points(telescope, system, samples), *adversarial]
+        step = _counted(bar, len(telescope.mirror_stages) * len(at))
+        with _going_on(workers, output, telescope, (k_fsm, k_pma), at) as kept:
+            check = check_implemented(system, telescope, k_fsm, k_pma, at, step, workers=kept, placed=placed)
             mission = verify_mission(folder, bar.print)
             implemented, not_met = check.to_mapping(), [*broken_requirements(check), *mission.not_met]
             shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}
@@ -164,26 +161,22 @@ def _stored(
         verification_points,
     )
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import control_loop_plant, telescope
-    from titop_plant.telescope.assembly import build_telescope
-    from titop_plant.telescope.parameters import design_basis, load_parameters
-    from titop_plant.telescope.tables.uncertain import with_uncertain
+    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.load import load_telescope
 
-    parameters, assembled = with_uncertain(load_parameters(), uncertain), telescope()
-    if uncertain:
-        assembled = build_telescope(parameters)
+    telescope = load_telescope().with_uncertain(uncertain)
     for variant in VERIFIED:
-        warn(design_warnings(load_designs(variant), design_basis(parameters), closed=True))
-    system = control_loop_plant(assembled, parameters)
-    at = [*verification_points(parameters, system, samples), *load_adversarial()]
+        warn(design_warnings(load_designs(variant), telescope.design_basis, closed=True))
+    system = control_loop_plant(telescope)
+    at = [*verification_points(telescope, system, samples), *load_adversarial()]
     some = at[:: max(1, len(at) // NOMINAL_POINTS)]
     pair, nominal = load_designs("implemented"), load_designs("implemented_nominal")
-    with _going_on(workers, output, parameters, (*pair, *nominal), at) as kept:
+    with _going_on(workers, output, telescope, (*pair, *nominal), at) as kept:
         with Progress("loops as implemented") as bar:
             step = _counted(bar, 2 * (len(at) + len(some) + 1))
-            implemented = check_implemented(system, parameters, *pair, at, step, workers=kept)
-            alone = check_implemented(system, parameters, *nominal, [{}], step, changes=False)
-            spread = check_implemented(system, parameters, *nominal, some, step, changes=False, workers=kept)
+            implemented = check_implemented(system, telescope, *pair, at, step, workers=kept)
+            alone = check_implemented(system, telescope, *nominal, [{}], step, changes=False)
+            spread = check_implemented(system, telescope, *nominal, some, step, changes=False, workers=kept)
         checks = {
             "robust design": implemented,
             "nominal design, nominal model": alone,

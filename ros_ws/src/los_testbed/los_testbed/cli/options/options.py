@@ -23,7 +23,7 @@ Transient = Annotated[
     float | None,
     typer.Option(help="Seconds to leave out at the start; default: as the bag says, else 5, at most half."),
 ]
-Telescope = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
+TelescopeFile = Annotated[Path | None, typer.Option(metavar="FILE", help="Parameter file of your telescope.")]
 Uncertain = Annotated[
     list[str] | None,
     typer.Option(

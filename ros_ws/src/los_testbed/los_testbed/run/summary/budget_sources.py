@@ -26,9 +26,7 @@ from pointing_analysis.budget.sources import Source
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES, STAGES
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.telescope.layout import control_stages
-from titop_plant.telescope.parameters import Parameters
-from titop_plant.telescope.sensors import noise_of_samples
+from titop_plant.telescope.telescope import Telescope
 
 GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
 PARTS = ("tones", "noise", "sources", "all")
@@ -76,7 +74,7 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part in ("sources", "all"):
         found += _of_files(path, parts, unit)
     if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
-        found += _noise(path, model.loop, parts.parameters, unit)
+        found += _noise(path, model.loop, parts.telescope, unit)
     return found
 
 
@@ -91,8 +89,8 @@ def with_designs(table: Mapping[str, Any], designs: str) -> dict[str, Any]:
         A controller is missing.
     """
     settings = {**of_designs(designs), **dict(table.get("settings", {}))}
-    parameters = RunParts(RunConfig.from_mapping(settings)).parameters
-    stages, loop = control_stages(parameters), table.get("loop", RunConfig().loop)
+    telescope = RunParts(RunConfig.from_mapping(settings)).telescope
+    stages, loop = telescope.stages, table.get("loop", RunConfig().loop)
     return {**table, "settings": settings, "loop": loop if loop in stages or loop not in STAGES else stages[-1]}
 
 
@@ -120,8 +118,8 @@ def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Sourc
     ]
 
 
-def _noise(path: tuple[str, ...], loop: SampledLoop, parameters: Parameters, unit: float) -> list[Source]:
-    sigma = noise_of_samples(parameters)
+def _noise(path: tuple[str, ...], loop: SampledLoop, telescope: Telescope, unit: float) -> list[Source]:
+    sigma = telescope.noise_of_samples
     found = []
     for name in GROUPS:
         chosen = np.zeros_like(sigma)

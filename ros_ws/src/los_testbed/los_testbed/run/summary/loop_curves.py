@@ -66,10 +66,10 @@ def _curves(run: Run) -> tuple[LoopCurves, ...]:
         telescope = value_of(known.partition(" with ")[0]) if isinstance(known, str) else known
         if parts.physical.ramps or value_of(parts.family.name(parts.physical)) != telescope:
             return ()
-        values = parameter_values(parts.settings, parts.parameters)
+        values = parameter_values(parts.settings, parts.telescope)
         with one_thread():
             # at its parameters the telescope has no channels of Delta, which would be closed at each frequency
-            open_loop = OpenLoop(parts.family.control_loop.at(values), parts.parameters)
+            open_loop = OpenLoop(parts.family.control_loop.at(values), parts.telescope)
             loop = ImplementedLoop(open_loop, parts.models["k_fsm"], parts.models["k_pma"], config.loop)
             return broken_loops(loop, loop.point({}))
     except (ValueError, TypeError, OSError, OverflowError):

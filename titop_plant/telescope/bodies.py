@@ -18,8 +18,7 @@ The payload frame has its origin at I_p and axes parallel to the body's.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -36,31 +35,25 @@ from titop_plant.structures.beam_frame import (
 from titop_plant.structures.modal_data import ModalData
 from titop_plant.structures.modal_file import read_modal_data
 from titop_plant.structures.sections import bar, box, tube
+from titop_plant.telescope.layout import BODY_POINTS, frame_points
+from titop_plant.telescope.sections import BodyTable, Equipment, Material, PayloadTable, SectionTable
+from titop_plant.telescope.telescope import Telescope
 
-Parameters = Mapping[str, Any]
-
-
-PORTS = {"body": ("A1", "A2", "I_w", "I_p"), "payload": ("M1", "M2", "I_f", "DET")}
-"""Points of each frame; a parameter file may add points to the body, see :func:`body_points`."""
+PORTS = {"body": BODY_POINTS, "payload": ("M1", "M2", "I_f", "DET")}
+"""Points of each frame; a parameter file may add points to the body."""
 SUPPORTS = 4
 """Nodes of the frame that the bracket of an added point stands on."""
 PARENTS = {"body": "G", "payload": "I_p"}
 
 
-def body_points(parameters: Parameters) -> tuple[str, ...]:
-    """Points of the central body's frame: its own, then those that the parameter file adds."""
-    own = PORTS["body"]
-    return (*own, *(name for name in parameters["body"]["ports"] if name not in own))
-
-
-def build_body(parameters: Parameters, points: Sequence[str] = ("A1", "A2")) -> ModalData:
+def build_body(telescope: Telescope, points: Sequence[str] = ("A1", "A2")) -> ModalData:
     """Central body clamped at G, children A1, A2, I_w, I_p and the points that the parameter file adds.
 
     Parameters
     ----------
-    parameters : mapping
-        Tables ``materials`` and ``body`` of the parameter file. If ``body.modal_data`` names a modal data
-        file, that body is used, with all its modes and damping, instead of the frame.
+    telescope : Telescope
+        Its ``materials`` and ``body``. If ``body.modal_data`` names a modal data file, that body is used, with all its
+        modes and damping, instead of the frame.
     points : sequence of str
         What a file must have beside I_w and I_p: the points where something is mounted.
 
@@ -75,19 +68,18 @@ def build_body(parameters: Parameters, points: Sequence[str] = ("A1", "A2")) -> 
         The file is not modal data, has another parent point or lacks a port.
     """
     needed = (*points, "I_w", "I_p")
-    own = _from_file(parameters, "body", needed)
-    return own or _from_frame(parameters, "body", body_frame(parameters), body_points(parameters))
+    own = _from_file(telescope.body, "body", needed)
+    return own or _from_frame(telescope.body, "body", body_frame(telescope), frame_points(telescope.body.ports))
 
 
-def build_payload(parameters: Parameters) -> ModalData:
+def build_payload(telescope: Telescope) -> ModalData:
     """Telescope payload clamped at I_p, children M1, M2, I_f, DET.
 
     Parameters
     ----------
-    parameters : mapping
-        Tables ``materials``, ``payload`` and ``optics`` (``primary_focal_length``, ``mirror_distance``,
-        ``back_focal_distance``, m) of the parameter file. If ``payload.modal_data`` names a modal data file,
-        that payload is used instead of the frame.
+    telescope : Telescope
+        Its ``materials``, ``payload`` and ``optics``. If ``payload.modal_data`` names a modal data file, that payload
+        is used instead of the frame.
 
     Returns
     -------
@@ -100,18 +92,17 @@ def build_payload(parameters: Parameters) -> ModalData:
         The file is not modal data, has another parent point or lacks a port.
     """
     points = PORTS["payload"]
-    own = _from_file(parameters, "payload", points)
-    return own or _from_frame(parameters, "payload", payload_frame(parameters), points)
+    own = _from_file(telescope.payload, "payload", points)
+    return own or _from_frame(telescope.payload, "payload", payload_frame(telescope), points)
 
 
-def _from_frame(parameters: Parameters, name: str, frame: BeamFrame, points: Sequence[str]) -> ModalData:
-    table = parameters[name]
-    return to_modal_data(frame, PARENTS[name], points, table["modes"], table["damping"])
+def _from_frame(table: BodyTable | PayloadTable, name: str, frame: BeamFrame, points: Sequence[str]) -> ModalData:
+    return to_modal_data(frame, PARENTS[name], points, table.modes, table.damping)
 
 
-def _from_file(parameters: Parameters, name: str, points: Sequence[str]) -> ModalData | None:
+def _from_file(table: BodyTable | PayloadTable, name: str, points: Sequence[str]) -> ModalData | None:
     """The user's body, if the parameters name a file."""
-    path = parameters[name].get("modal_data", "")
+    path = table.modal_data
     if not path:
         return None
     try:
@@ -126,28 +117,28 @@ def _from_file(parameters: Parameters, name: str, points: Sequence[str]) -> Moda
     return data
 
 
-def body_frame(parameters: Parameters) -> BeamFrame:
+def body_frame(telescope: Telescope) -> BeamFrame:
     """Beam frame of the central body (see the module docstring); nodes in the body frame, m."""
-    table, materials = parameters["body"], parameters["materials"]
-    section = {name: _section(materials, spec) for name, spec in table["sections"].items()}
+    table, materials = telescope.body, telescope.materials
+    section = {name: _section(materials, spec) for name, spec in table.sections.items()}
     nodes, beams = _decks(table, section)
     _brackets(table, section, nodes, beams)
-    masses = [_equipment(item, nodes) for item in table["equipment"]]
+    masses = [_equipment(item, nodes) for item in table.equipment]
     loose = BeamFrame("body", nodes, tuple(beams), tuple(masses))
     nodes["G"] = _center_of_mass(loose)
     tube_nodes = {name: xyz for name, xyz in nodes.items() if name.startswith("tube")}
-    link = Section(**{**materials["aluminium"], "density": 0.0}, A=1.0, Iy=0.1, Iz=0.1, J=0.2)
+    link = Section(**{**asdict(materials["aluminium"]), "density": 0.0}, A=1.0, Iy=0.1, Iz=0.1, J=0.2)
     beams.append(Beam("G", _nearest(nodes["G"], tube_nodes), link))
     return BeamFrame("body", nodes, tuple(beams), tuple(masses))
 
 
-def _decks(table: Parameters, section: Mapping[str, Section]) -> tuple[dict[str, FloatArray], list[Beam]]:
+def _decks(table: BodyTable, section: Mapping[str, Section]) -> tuple[dict[str, FloatArray], list[Beam]]:
     """Thrust tube, decks and longerons; corner k is at 45, 135, 225, 315 degrees."""
     nodes: dict[str, FloatArray] = {}
     beams: list[Beam] = []
-    half = 0.5 * np.array([table["width_x"], table["width_y"]])
+    half = 0.5 * np.array([table.width_x, table.width_y])
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    for level, z in enumerate(table["deck_heights"]):
+    for level, z in enumerate(table.deck_heights):
         nodes[f"tube{level}"] = np.array([0.0, 0.0, z])
         for k in range(4):
             x, y = half * signs[k]
@@ -167,7 +158,7 @@ def _decks(table: Parameters, section: Mapping[str, Section]) -> tuple[dict[str,
             ]
         if level:
             beams.append(Beam(f"tube{level - 1}", f"tube{level}", section["thrust_tube"], elements=2))
-            for k, factor in enumerate(table["longeron_factors"]):
+            for k, factor in enumerate(table.longeron_factors):
                 below, above = f"corner{level - 1}{k}", f"corner{level}{(k + 1) % 4}"
                 longeron, brace = _scaled(section["longeron"], factor), section["wall_brace"]
                 beams += [
@@ -178,7 +169,7 @@ def _decks(table: Parameters, section: Mapping[str, Section]) -> tuple[dict[str,
 
 
 def _brackets(
-    table: Parameters, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
+    table: BodyTable, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
 ) -> None:
     """Array drives on the middle deck, wheels on the bottom deck, isolator on the top deck."""
     supports = {
@@ -188,13 +179,13 @@ def _brackets(
         "I_p": ("tube2", "web20", "web21", "web22", "web23"),
     }
     for name, ends in supports.items():
-        nodes[name] = np.array(table["ports"][name], dtype=float)
+        nodes[name] = np.array(table.ports[name], dtype=float)
         beams += [Beam(end, name, section[f"bracket_{name}"]) for end in ends]
     structure = {name: xyz for name, xyz in nodes.items() if name not in supports}
-    for name in (name for name in table["ports"] if name not in supports):
+    for name in (name for name in table.ports if name not in supports):
         if name in nodes or name == "G":
             raise ValueError(f"body.ports: name of a point must not be that of a node of the frame, got {name!r}")
-        place = nodes[name] = np.array(table["ports"][name], dtype=float)
+        place = nodes[name] = np.array(table.ports[name], dtype=float)
         bracket = section.get(f"bracket_{name}", section[f"bracket_{PORTS['body'][0]}"])
         beams += [Beam(end, name, bracket) for end in sorted(structure, key=_distance(place, structure))[:SUPPORTS]]
 
@@ -204,17 +195,17 @@ def _distance(point: FloatArray, nodes: Mapping[str, FloatArray]) -> Callable[[s
     return lambda name: float(np.sum((nodes[name] - point) ** 2))
 
 
-def payload_frame(parameters: Parameters) -> BeamFrame:
+def payload_frame(telescope: Telescope) -> BeamFrame:
     """Beam frame of the telescope payload (see the module docstring); nodes in the payload frame, m."""
-    table, materials, optics = parameters["payload"], parameters["materials"], parameters["optics"]
-    section = {name: _section(materials, spec) for name, spec in table["sections"].items()}
-    m1 = np.array([0.0, 0.0, table["m1_height"]])
+    table, materials, optics = telescope.payload, telescope.materials, telescope.optics
+    section = {name: _section(materials, spec) for name, spec in table.sections.items()}
+    m1 = np.array([0.0, 0.0, table.m1_height])
     nodes = {
         "I_p": np.zeros(3),
         "M1": m1,
-        "M2": m1 + [0.0, 0.0, optics["mirror_distance"]],
-        "DET": np.array([*table["detector_xy"], table["m1_height"] - optics["back_focal_distance"]]),
-        "I_f": np.array(table["fsm_position"], dtype=float),
+        "M2": m1 + [0.0, 0.0, optics.mirror_distance],
+        "DET": np.array([*table.detector_xy, table.m1_height - optics.back_focal_distance]),
+        "I_f": np.array(table.fsm_position, dtype=float),
     }
     beams: list[Beam] = []
     _bench(table, section, nodes, beams)
@@ -222,15 +213,17 @@ def payload_frame(parameters: Parameters) -> BeamFrame:
     _tower(table, section, nodes, beams)
     for name, ends in (("I_f", ("bench", "spoke0", "spoke5")), ("DET", ("bench", "spoke2", "spoke3"))):
         beams += [Beam(end, name, section[f"bracket_{name}"]) for end in ends]
-    masses = [_equipment(item, nodes) for item in table["equipment"]]
+    masses = [_equipment(item, nodes) for item in table.equipment]
     return BeamFrame("payload", nodes, tuple(beams), tuple(masses))
 
 
-def _bench(table: Parameters, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]) -> None:
+def _bench(
+    table: PayloadTable, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
+) -> None:
     """Six-sided bench on three feet from the isolator interface."""
-    z, radius = table["bench_height"], table["bench_radius"]
+    z, radius = table.bench_height, table.bench_radius
     nodes["bench"] = np.array([0.0, 0.0, z])
-    for k, angle in enumerate(np.deg2rad(table["bench_angles"])):
+    for k, angle in enumerate(np.deg2rad(table.bench_angles)):
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
         nodes[f"ring{k}"] = nodes["bench"] + radius * direction
         nodes[f"spoke{k}"] = nodes["bench"] + 0.5 * radius * direction
@@ -245,40 +238,39 @@ def _bench(table: Parameters, section: Mapping[str, Section], nodes: dict[str, F
 
 
 def _mirror_cell(
-    table: Parameters, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
+    table: PayloadTable, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
 ) -> None:
     """M1: a stiff three-armed blank on three bipods that stand on the bench ring."""
-    for k, angle in enumerate(np.deg2rad(table["pad_angles"])):
-        nodes[f"pad{k}"] = nodes["M1"] + table["pad_radius"] * np.array([np.cos(angle), np.sin(angle), 0.0])
+    for k, angle in enumerate(np.deg2rad(table.pad_angles)):
+        nodes[f"pad{k}"] = nodes["M1"] + table.pad_radius * np.array([np.cos(angle), np.sin(angle), 0.0])
         beams.append(Beam("M1", f"pad{k}", section["m1_blank"]))
         beams += [Beam(f"ring{2 * k + j}", f"pad{k}", section["bipod"], elements=2) for j in (0, 1)]
     beams += [Beam(f"pad{k}", f"pad{(k + 1) % 3}", section["m1_blank"]) for k in range(3)]
 
 
-def _tower(table: Parameters, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]) -> None:
+def _tower(
+    table: PayloadTable, section: Mapping[str, Section], nodes: dict[str, FloatArray], beams: list[Beam]
+) -> None:
     """M2: six struts up to a ring, three vanes inwards."""
     z = nodes["M2"][2]
-    for k, angle in enumerate(np.deg2rad(table["tower_angles"])):
-        nodes[f"top{k}"] = np.array([0.0, 0.0, z]) + table["tower_radius"] * np.array(
-            [np.cos(angle), np.sin(angle), 0.0]
-        )
+    for k, angle in enumerate(np.deg2rad(table.tower_angles)):
+        nodes[f"top{k}"] = np.array([0.0, 0.0, z]) + table.tower_radius * np.array([np.cos(angle), np.sin(angle), 0.0])
     beams += [
         Beam(f"ring{k}", f"top{((k + 1) // 2) % 3}", _scaled(section["strut"], factor), elements=2)
-        for k, factor in enumerate(table["strut_factors"])
+        for k, factor in enumerate(table.strut_factors)
     ]
     beams += [Beam(f"top{k}", f"top{(k + 1) % 3}", section["top_ring"], elements=2) for k in range(3)]
     beams += [Beam(f"top{k}", "M2", section["vane"], elements=2) for k in range(3)]
 
 
-def _section(materials: Parameters, spec: Parameters) -> Section:
+def _section(materials: Mapping[str, Material], spec: SectionTable) -> Section:
     """Section of a table such as ``{ shape = "bar", material = "cfrp", height = 0.06, width = 0.006 }``."""
     shapes: dict[str, Callable[..., Section]] = {"tube": tube, "box": box, "bar": bar}
-    size = {key: value for key, value in spec.items() if key not in ("shape", "material")}
-    if spec["shape"] not in shapes:
-        raise ValueError(f"section shape must be one of {sorted(shapes)}, got {spec['shape']!r}")
-    if spec["material"] not in materials:
-        raise ValueError(f"section material must be one of {sorted(materials)}, got {spec['material']!r}")
-    return shapes[spec["shape"]](materials[spec["material"]], **size)
+    if spec.shape not in shapes:
+        raise ValueError(f"section shape must be one of {sorted(shapes)}, got {spec.shape!r}")
+    if spec.material not in materials:
+        raise ValueError(f"section material must be one of {sorted(materials)}, got {spec.material!r}")
+    return shapes[spec.shape](asdict(materials[spec.material]), **spec.size)
 
 
 def _scaled(section: Section, factor: float) -> Section:
@@ -286,13 +278,13 @@ def _scaled(section: Section, factor: float) -> Section:
     return replace(section, A=section.A * factor, Iy=section.Iy * factor, Iz=section.Iz * factor, J=section.J * factor)
 
 
-def _equipment(item: Parameters, nodes: Mapping[str, FloatArray]) -> LumpedMass:
+def _equipment(item: Equipment, nodes: Mapping[str, FloatArray]) -> LumpedMass:
     """A unit with the inertia of a homogeneous block, fixed to the named node (default: the nearest)."""
-    position = np.array(item["position"], dtype=float) if "position" in item else nodes[item["node"]]
-    node = item.get("node") or _nearest(position, nodes)
-    a, b, c = item["size"]
-    inertia = item["mass"] / 12.0 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
-    return LumpedMass(node, item["mass"], inertia, position - nodes[node], item["name"])
+    position = nodes[str(item.node)] if item.position is None else np.array(item.position, dtype=float)
+    node = item.node or _nearest(position, nodes)
+    a, b, c = item.size
+    inertia = item.mass / 12.0 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
+    return LumpedMass(node, item.mass, inertia, position - nodes[node], item.name)
 
 
 def _nearest(point: FloatArray, nodes: Mapping[str, FloatArray]) -> str:
@@ -305,28 +297,3 @@ def _center_of_mass(frame: BeamFrame) -> FloatArray:
     at_origin = rigid.T @ M @ rigid
     moment = at_origin[3:, :3] / at_origin[0, 0]  # skew of the position of the centre of mass
     return np.array([moment[2, 1], moment[0, 2], moment[1, 0]])
-
-
-def port_visibility(data: ModalData, names: Sequence[str] | None = None) -> FloatArray:
-    """Magnitude of each mode at the ports of a body, relative to the largest one.
-
-    The norm of ``[L_k, Phi_Ck ...]`` over all ports, rotations scaled by the radius of gyration about the
-    parent; a mode with value 0 is uncontrollable and is removed from a minimal realisation.
-
-    Parameters
-    ----------
-    data : ModalData
-    names : sequence of str, optional
-        Child ports taken into account. Default: all.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    radius = np.sqrt(np.trace(data.mass_matrix[3:, 3:]) / data.mass)
-    scale = np.r_[np.ones(3), radius * np.ones(3)]
-    seen = [child for child in data.children if names is None or child.name in names]
-    rows = [data.participation / scale / np.sqrt(data.mass)]
-    rows += [child.shapes.T * scale * np.sqrt(data.mass) for child in seen]
-    total = np.sqrt(np.sum(np.hstack(rows) ** 2, axis=1))
-    return np.asarray(total / total.max())

@@ -25,6 +25,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
+from titop_plant.telescope.sections import OscillatorTable, frozen
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -97,15 +98,15 @@ class PlacedActuator:
         it, and on the mass against it.**
     position : ndarray, shape (3,)
         From the point [m].
-    table : mapping
-        `MECHANICS`.
+    table : OscillatorTable
+        Its mechanics.
     """
 
     name: str
     place: str
     axis: FloatArray = field(repr=False)
     position: FloatArray = field(repr=False)
-    table: Mapping[str, Any] = field(repr=False)
+    table: OscillatorTable = field(repr=False)
 
     @property
     def port(self) -> Port:
@@ -115,38 +116,31 @@ class PlacedActuator:
     @property
     def authority(self) -> float:
         """Largest force [N]."""
-        return float(self.table["authority"])
+        return float(self.table.authority)
 
 
-def placed_sensors(parameters: Mapping[str, Any]) -> tuple[PlacedSensor, ...]:
-    """Further sensors of a parameter file, in its order.
-
-    Examples
-    --------
-    >>> from titop_plant.telescope.parameters import load_parameters
-    >>> placed_sensors(load_parameters())
-    ()
-    """
-    return tuple(_sensor(table, parameters) for table in parameters.get(SENSOR, ()))
+def read_sensors(tables: Mapping[str, Any]) -> tuple[PlacedSensor, ...]:
+    """Further sensors of the tables of a parameter file, in its order."""
+    return tuple(_sensor(table, tables) for table in tables.get(SENSOR, ()))
 
 
-def placed_actuators(parameters: Mapping[str, Any]) -> tuple[PlacedActuator, ...]:
-    """Further actuators of a parameter file, in its order."""
+def read_actuators(tables: Mapping[str, Any]) -> tuple[PlacedActuator, ...]:
+    """Further actuators of the tables of a parameter file, in its order."""
     return tuple(
         PlacedActuator(
             str(table["name"]),
             str(table["place"]),
             _unit(table["axis"]),
             _position(table),
-            {key: table.get(key, parameters["pma"][key]) for key in MECHANICS},
+            OscillatorTable(**{key: frozen(table.get(key, tables["pma"][key])) for key in MECHANICS}),
         )
-        for table in parameters.get(ACTUATOR, ())
+        for table in tables.get(ACTUATOR, ())
     )
 
 
-def _sensor(table: Mapping[str, Any], parameters: Mapping[str, Any]) -> PlacedSensor:
+def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> PlacedSensor:
     kind = str(table.get("kind", ACCELEROMETER))
-    usual = parameters["sensors"]["accelerometer_noise"][3 if kind == ANGULAR else 0]
+    usual = tables["sensors"]["accelerometer_noise"][3 if kind == ANGULAR else 0]
     return PlacedSensor(
         str(table["name"]),
         kind,
@@ -167,15 +161,3 @@ def _unit(axis: Any) -> FloatArray:
 
 def _position(table: Mapping[str, Any]) -> FloatArray:
     return np.array(table.get("position", [0.0, 0.0, 0.0]), dtype=float)
-
-
-def sensor_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
-    """Output with the values of all further sensors; none where there are none."""
-    units = [sensor.unit for sensor in placed_sensors(parameters) for _ in sensor.axes]
-    return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
-
-
-def actuator_ports(parameters: Mapping[str, Any]) -> tuple[Port, ...]:
-    """Input with the forces of all further actuators; none where there are none."""
-    count = len(placed_actuators(parameters))
-    return (Port(ACTUATOR_FORCE, count, "N"),) if count else ()

@@ -1,0 +1,149 @@
+"""Reading of a telescope's parameter file."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import StructuredTextError, parse
+from titop_plant.telescope.guide_camera import with_guide_camera
+from titop_plant.telescope.requirements import take_limits, with_limits
+from titop_plant.telescope.tables.parameter_check import ParameterFile
+from titop_plant.telescope.tables.uncertain import UNCERTAIN, checked_spreads
+from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+REFERENCE = Path(__file__).with_name("reference.toml")
+FOLDER = "folder"
+"""Key of a table ``[[disturbance]]`` for the folder of its file, to which other files in it are relative."""
+
+
+def load_telescope(path: str | Path | None = None) -> Telescope:
+    """Read a parameter file.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        TOML file of the form of ``reference.toml``, which stands where none is given; tables that are missing are taken
+        from it, so that a user's file holds only what differs. Tables with a name, ``[[payload.equipment]]`` and
+        ``[[requirement]]``, change those of the same name and are added to the others; ``replace = ["equipment"]`` in
+        ``[payload]``, or ``replace = ["requirement"]`` at the head of the file, replaces all of them. Lists of tables
+        without names are replaced. A relative ``body.modal_data``, ``payload.modal_data``, ``optics.pupil`` or
+        ``camera.noise_curve`` is looked for beside it. Low-pass and noise of a camera that is no vector are those of
+        its table, see :mod:`titop_plant.telescope.guide_camera`. Bearings and broadband noise of wheels and stepper
+        motors of drives are tables of :mod:`titop_plant.telescope.tables.mechanisms`. Tables ``[[solar_array]]``,
+        ``[[reaction_wheel]]`` and ``[[appendage]]`` say what is on board, see :mod:`titop_plant.telescope.layout`,
+        ``[[sensor]]`` and ``[[actuator]]`` what is beside the loop, :mod:`titop_plant.telescope.devices`,
+        ``[uncertain]`` what varies beside the wheels, :mod:`titop_plant.telescope.tables.uncertain`.
+        Tables ``[[disturbance]]`` are kept as they are, each with the folder of the file.
+
+    Raises
+    ------
+    ValueError
+        File missing or not TOML; a key that the reference does not have, or a value of another kind, length or
+        sign than the reference's; requirements that :func:`titop_plant.telescope.requirements.with_limits` refuses.
+        The message names the file, the line and the key.
+    """
+    path = path or REFERENCE
+    reference, text = _read(REFERENCE)
+    if Path(path) == REFERENCE:
+        return Telescope(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
+    from titop_plant.telescope.tables.mechanisms import take_mechanisms, with_mechanisms
+    from titop_plant.telescope.tables.mounted import checked_layout, take_mounted  # loads scipy
+
+    own, text = _read(Path(path))
+    file = ParameterFile(str(path), text)
+    limits, sources, mounted = take_limits(own, file), own.pop(SOURCES, []), take_mounted(own)
+    spreads = own.pop(UNCERTAIN, {})
+    if not isinstance(sources, list) or not all(isinstance(table, dict) for table in sources):
+        raise file.error(SOURCES, f"must be tables [[{SOURCES}]], got {sources!r}")
+    mechanisms = take_mechanisms(own)
+    merged = with_limits(file.merged(reference, own), own, limits, file)
+    merged |= with_mechanisms(merged, mechanisms, file)
+    if merged["optics"]["pupil"]:
+        merged["optics"] = {**merged["optics"], "pupil": str(Path(path).parent / merged["optics"]["pupil"])}
+    if merged["camera"]["noise_curve"]:
+        merged["camera"] = {
+            **merged["camera"],
+            "noise_curve": str(Path(path).parent / merged["camera"]["noise_curve"]),
+        }
+    merged = with_guide_camera(merged, own, file)
+    merged |= checked_layout(mounted, merged, reference, file)
+    if spreads:
+        merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
+    for name in OWN_BODIES:
+        file = merged[name]["modal_data"]
+        if file:
+            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
+    if sources:
+        merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
+    return Telescope(merged)
+
+
+def differences(path: str | Path) -> list[str]:
+    """Values of a parameter file that differ from the reference, one line each, both values in it.
+
+    Raises
+    ------
+    ValueError
+        As :func:`load_telescope`.
+
+    Examples
+    --------
+    >>> differences(REFERENCE)
+    []
+    """
+    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
+    lines = [
+        f"{name} = {_shown(own[name])}" + (f", reference {_shown(reference[name])}" if name in reference else ", added")
+        for name in own
+        if name not in reference or own[name] != reference[name]
+    ]
+    return lines + [f"{name} removed" for name in reference if name not in own]
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Full name and value of each entry; of tables in a list the name counts, not the place."""
+    if isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from _flat(f"{prefix}.{key}" if prefix else key, entry)
+    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        for i, item in enumerate(value):
+            yield from _flat(f"{prefix}[{item.get('name', i)}]", {k: v for k, v in item.items() if k != "name"})
+    else:
+        yield prefix, value
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], str]:
+    """Content of a TOML file, and its text."""
+    try:
+        text = read_text(path)
+        return pickle.loads(_parsed(text)), text
+    except OSError as error:
+        raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a TOML file: expected UTF-8 text") from None
+    except StructuredTextError as error:
+        raise ValueError(f"{path} is not a TOML file: {error}") from None
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> bytes:
+    """Content of a TOML text, pickled: a copy of its own for each caller, a hundred times as fast as parsing."""
+    return pickle.dumps(parse(text, "it", "TOML", tomllib.loads))
+
+
+__all__ = ["REFERENCE", "differences", "load_telescope"]

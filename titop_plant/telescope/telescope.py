@@ -1,0 +1,561 @@
+"""The telescope of a parameter file: one frozen object that plant, loop, design, runs and verdicts read.
+
+It is made once, by :func:`titop_plant.telescope.load.load_telescope`; nothing else of the project reads the tables of a
+file. Each table is an attribute of its own name (:mod:`titop_plant.telescope.sections`), and what follows from several
+of them is an attribute, too: what is on board, stages, requirements, uncertain parameters, ports, hash.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.support.input_files import read_bytes
+from lftkit.systems.ports import Port
+from lftkit.uncertainty.parameters import RealParameter
+from pointing_analysis.requirements.text import Requirement
+from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis, sample_ticks
+from titop_plant.telescope import guide_camera, layout, requirements
+from titop_plant.telescope.devices import (
+    ACTUATOR_FORCE,
+    PLACED_SENSORS,
+    PlacedActuator,
+    PlacedSensor,
+    read_actuators,
+    read_sensors,
+)
+from titop_plant.telescope.layout import MountedBody, WheelOnBoard
+from titop_plant.telescope.places import REFERENCE_POINT
+from titop_plant.telescope.sections import (
+    AttitudeTable,
+    BodyTable,
+    CameraTable,
+    DesignScenarioTable,
+    DriveTable,
+    ImageOptics,
+    ImbalanceTable,
+    IsolatorTable,
+    Material,
+    MirrorTable,
+    OpticsTable,
+    PayloadTable,
+    ProofMassTable,
+    WeightTable,
+    made,
+    structure,
+)
+from titop_plant.telescope.sensors import Sensor, read_loop_sensors
+from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
+from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
+
+SOURCES = "disturbance"
+"""Tables ``[[disturbance]]`` of a user's file: sources that act in every run of the telescope."""
+FIRST_PROBABILITY = 0.997
+"""Part of the windows, and of the instants, that kept their limit in designs whose names do not say it."""
+OWN_BODIES = ("body", "payload")
+"""Bodies whose modal data may be a file of the user."""
+
+
+class Telescope:
+    """A telescope.
+
+    Two telescopes are equal if all values of their files are. It can be pickled; nothing of it can be changed, see
+    :meth:`changed`.
+
+    Parameters
+    ----------
+    tables : mapping
+        All tables of a parameter file, checked and complete. They are copied.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> telescope = load_telescope()
+    >>> telescope.fsm.los_sensitivity, len(telescope.wheels), telescope.stages
+    (0.1, 4, ('none', 'isolator', 'fsm', 'fsm+pma'))
+    """
+
+    _tables: dict[str, Any]
+
+    def __init__(self, tables: Mapping[str, Any]) -> None:
+        object.__setattr__(self, "_tables", copy.deepcopy(dict(tables)))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a telescope cannot be changed, see Telescope.changed, got a value for {name}")
+
+    def __reduce__(self) -> tuple[type[Telescope], tuple[dict[str, Any]]]:
+        return Telescope, (self._tables,)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Telescope) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def __repr__(self) -> str:
+        return f"Telescope({self.parameters_hash})"
+
+    @cached_property
+    def _text(self) -> str:
+        return json.dumps(self._tables, sort_keys=True, default=str)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """All values as plain tables, as a parameter file has them; a copy."""
+        return copy.deepcopy(self._tables)
+
+    def changed(self, values: Mapping[str, Any]) -> Telescope:
+        """A telescope with other values.
+
+        Parameters
+        ----------
+        values : mapping
+            Tables with the values that differ, as in a file, unchecked; lists are replaced.
+
+        Examples
+        --------
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> load_telescope().changed({"pma": {"azimuths_deg": []}}).stages
+        ('none', 'isolator', 'fsm')
+        """
+        return Telescope(_merged(self._tables, values))
+
+    # ---- tables -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def materials(self) -> Mapping[str, Material]:
+        """Materials of the structures by name."""
+        return {name: made(Material, table) for name, table in self._tables["materials"].items()}
+
+    @cached_property
+    def body(self) -> BodyTable:
+        """The central body."""
+        return structure(BodyTable, self._tables["body"])
+
+    @cached_property
+    def payload(self) -> PayloadTable:
+        """The telescope payload."""
+        return structure(PayloadTable, self._tables["payload"])
+
+    @cached_property
+    def optics(self) -> OpticsTable:
+        """Paraxial data of the optics."""
+        return made(OpticsTable, self._tables["optics"])
+
+    @cached_property
+    def image_optics(self) -> ImageOptics:
+        """What images are made with, of the table ``optics``."""
+        return made(ImageOptics, self._tables["optics"])
+
+    @cached_property
+    def isolator(self) -> IsolatorTable:
+        """Isolator."""
+        return made(IsolatorTable, self._tables["isolator"])
+
+    @cached_property
+    def fsm(self) -> MirrorTable:
+        """Fast steering mirror."""
+        return made(MirrorTable, self._tables["fsm"])
+
+    @cached_property
+    def pma(self) -> ProofMassTable:
+        """Proof-mass actuators."""
+        return made(ProofMassTable, self._tables["pma"])
+
+    @cached_property
+    def attitude_control(self) -> AttitudeTable:
+        """Attitude control."""
+        return made(AttitudeTable, self._tables["attitude_control"])
+
+    @cached_property
+    def sadm(self) -> DriveTable:
+        """Drives of the solar arrays, where their own tables say nothing else."""
+        return made(DriveTable, self._tables["sadm"])
+
+    @cached_property
+    def imbalance(self) -> ImbalanceTable:
+        """Imbalance of a wheel."""
+        return made(ImbalanceTable, self._tables["imbalance"])
+
+    @cached_property
+    def design_scenario(self) -> DesignScenarioTable:
+        """Tones of the scenario design."""
+        return made(DesignScenarioTable, self._tables["design_scenario"])
+
+    @cached_property
+    def weights(self) -> WeightTable:
+        """Weights of the synthesis, with the limits that are made of the requirements."""
+        return made(WeightTable, self._tables["weights"])
+
+    @cached_property
+    def camera(self) -> CameraTable:
+        """Guide star and detector."""
+        return made(CameraTable, self._tables["camera"])
+
+    # ---- on board ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def solar_arrays(self) -> tuple[MountedBody, ...]:
+        """Solar arrays, in the order of the file."""
+        return layout.read_arrays(self._tables)
+
+    @cached_property
+    def appendages(self) -> tuple[MountedBody, ...]:
+        """Flexible bodies without a drive, in the order of the file."""
+        return layout.read_appendages(self._tables)
+
+    @cached_property
+    def wheels(self) -> tuple[WheelOnBoard, ...]:
+        """Reaction wheels, in the order of the file."""
+        return layout.read_wheels(self._tables)
+
+    @property
+    def wheel_axes(self) -> FloatArray:
+        """Spin axes Gamma, shape (3, n), body frame."""
+        return np.array([wheel.axis for wheel in self.wheels]).T
+
+    @property
+    def default_speeds(self) -> tuple[float, ...]:
+        """Speeds of the wheels in the parameter file [rad/s]."""
+        return tuple(wheel.default_speed for wheel in self.wheels)
+
+    @property
+    def driven_arrays(self) -> tuple[MountedBody, ...]:
+        """Solar arrays with a drive: one signal of ``sadm_torque`` each."""
+        return tuple(array for array in self.solar_arrays if array.drive is not None)
+
+    @property
+    def torque_bounds(self) -> FloatArray:
+        """Largest disturbance torque of each array drive [Nm], shape (drives,)."""
+        return np.array([float(array.drive.torque_bound) for array in self.solar_arrays if array.drive is not None])
+
+    @property
+    def motors(self) -> tuple[MountedBody, ...]:
+        """Driven arrays with a stepper motor."""
+        return tuple(array for array in self.driven_arrays if array.stepper is not None)
+
+    @property
+    def arrays_turn(self) -> bool:
+        """Whether the telescope has the parameter of the arrays' angle."""
+        return any(array.turns for array in self.solar_arrays)
+
+    @property
+    def on_bearings(self) -> bool:
+        """Whether a wheel has a compliant bearing."""
+        return any(wheel.bearing is not None for wheel in self.wheels)
+
+    @property
+    def mounted_points(self) -> tuple[str, ...]:
+        """Points of the central body where arrays and appendages are, each once."""
+        return tuple(dict.fromkeys(body.point for body in (*self.solar_arrays, *self.appendages)))
+
+    @cached_property
+    def nodes(self) -> Mapping[str, str]:
+        """Nodes of the structure beside the bus's reference point, by the names of places.
+
+        Examples
+        --------
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> list(load_telescope().nodes)
+        ['wheels', 'isolator', 'array_1', 'array_2', 'payload', 'M1', 'M2', 'detector']
+        """
+        return layout.read_nodes(self._tables)
+
+    @property
+    def loaded_nodes(self) -> tuple[str, ...]:
+        """Nodes of all places, each once: the loads of a telescope that sources act on."""
+        return tuple(dict.fromkeys(self.nodes.values()))
+
+    def node_at(self, place: str) -> str:
+        """Node of a place, the bus's reference point included."""
+        return "G" if place == REFERENCE_POINT else layout.device_nodes(self.nodes)[place]
+
+    @cached_property
+    def source_tables(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """Tables of wheels and arrays that make disturbances, each with the name of its wheel or array."""
+        return layout.read_source_tables(self._tables)
+
+    @property
+    def sources(self) -> tuple[Mapping[str, Any], ...]:
+        """Tables ``[[disturbance]]`` of the file, each with the folder of the file."""
+        return tuple(self._tables.get(SOURCES, ()))
+
+    # ---- sensors, actuators, disturbances ---------------------------------------------------------------------------
+
+    @cached_property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """Sensors of the loop in the order of the measurement."""
+        return read_loop_sensors(self._tables["sensors"])
+
+    @property
+    def noise_of_samples(self) -> FloatArray:
+        """Standard deviation of the samples, of a frame for the camera, shape (22,) [m/s2, rad/s2, rad]."""
+        return np.concatenate([sensor.noise for sensor in self.sensors])
+
+    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
+        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
+
+        Parameters
+        ----------
+        frame_ticks : int
+            Ticks of a frame of the camera.
+        """
+        ticks = sample_ticks(frame_ticks)
+        found = (sensor.noise * np.sqrt(ticks.get(sensor.port.name, 1)) for sensor in self.sensors)
+        return np.concatenate(list(found))
+
+    @property
+    def constant_error(self) -> FloatArray:
+        """Bias of the samples, shape (22,) [m/s2, rad/s2, rad]."""
+        return np.concatenate([sensor.bias for sensor in self.sensors])
+
+    @property
+    def washout(self) -> float:
+        """Corner of the high-pass of accelerations before the controllers [rad/s]."""
+        return float(self._tables["sensors"]["washout"])
+
+    @property
+    def camera_noise(self) -> float:
+        """Standard deviation of a frame of the camera [rad]."""
+        return float(self._tables["sensors"]["camera_noise"])
+
+    @property
+    def camera_kind(self) -> str:
+        """What the camera is, see :mod:`titop_plant.telescope.guide_camera`."""
+        return str(self._tables["sensors"].get("camera", guide_camera.VECTOR))
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the camera makes frames with a star."""
+        return self.camera_kind == guide_camera.IMAGE
+
+    @cached_property
+    def placed_sensors(self) -> tuple[PlacedSensor, ...]:
+        """Further sensors, in the order of the file."""
+        return read_sensors(self._tables)
+
+    @cached_property
+    def placed_actuators(self) -> tuple[PlacedActuator, ...]:
+        """Further actuators, in the order of the file."""
+        return read_actuators(self._tables)
+
+    @property
+    def sensor_ports(self) -> tuple[Port, ...]:
+        """Output with the values of all further sensors; none where there are none."""
+        units = [sensor.unit for sensor in self.placed_sensors for _ in sensor.axes]
+        return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
+
+    @property
+    def actuator_ports(self) -> tuple[Port, ...]:
+        """Input with the forces of all further actuators; none where there are none."""
+        count = len(self.placed_actuators)
+        return (Port(ACTUATOR_FORCE, count, "N"),) if count else ()
+
+    @property
+    def disturbance_ports(self) -> tuple[Port, ...]:
+        """Inputs of micro-vibrations: imbalance of the wheels and, where there are drives, their torques."""
+        drives, imbalance = len(self.driven_arrays), layout.imbalance_port(len(self.wheels))
+        return (imbalance, Port(layout.SADM_TORQUE, drives, "Nm")) if drives else (imbalance,)
+
+    @property
+    def channels(self) -> int:
+        """Number of micro-vibration inputs, 22 for the reference."""
+        return layout.IMBALANCE_CHANNELS * len(self.wheels) + len(self.driven_arrays)
+
+    # ---- control ----------------------------------------------------------------------------------------------------
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages of the control: those with forces only where there are proof-mass actuators."""
+        return tuple(stage for stage in STAGES if self.pma.azimuths_deg or stage not in FORCE_STAGES)
+
+    @property
+    def mirror_stages(self) -> tuple[str, ...]:
+        """Those of them with the mirror's loop closed: the last one closes all loops that there are."""
+        return tuple(stage for stage in self.stages if stage in MIRROR_STAGES)
+
+    @cached_property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Pointing requirements, those of all stages."""
+        return requirements.read_requirements(self._tables)
+
+    @property
+    def requirement_texts(self) -> tuple[str, ...]:
+        """Their texts, as the file gives them."""
+        return tuple(str(table["text"]) for table in self._tables["requirement"])
+
+    @property
+    def window_probability(self) -> float:
+        """Part of the windows that must keep the finest limit, see `requirements.window_probability`."""
+        return requirements.window_probability(self.requirements)
+
+    @property
+    def instant_probability(self) -> float:
+        """Part of the instants that must keep the limit of the absolute error."""
+        return requirements.instant_probability(self.requirements)
+
+    @property
+    def design_basis(self) -> DesignBasis:
+        """What of this telescope a controller is made for, or must have been made for."""
+        return DesignBasis(
+            parameters_hash=self.parameters_hash,
+            los_sensitivity=float(self.fsm.los_sensitivity),
+            fsm_authority=float(self.fsm.authority),
+            pma_authority=float(self.pma.authority),
+        )
+
+    # ---- uncertainty ------------------------------------------------------------------------------------------------
+
+    @property
+    def spreads(self) -> Mapping[str, float]:
+        """Half-widths of the uncertain factors by entry."""
+        return dict(self._tables.get(UNCERTAIN, {}))
+
+    @cached_property
+    def factors(self) -> Mapping[str, RealParameter]:
+        """Uncertain factors by entry, see :mod:`titop_plant.telescope.tables.uncertain`."""
+        return factors(self.spreads)
+
+    @cached_property
+    def uncertain(self) -> Mapping[str, RealParameter]:
+        """The varying and uncertain parameters by name, in the order of Delta."""
+        return uncertain_parameters(self.wheels, self.solar_arrays, self.appendages, self.factors)
+
+    @property
+    def box(self) -> dict[str, tuple[float, float]]:
+        """Ranges of the uncertain parameters by name: (lowest, highest)."""
+        return {name: (p.lower, p.upper) for name, p in self.uncertain.items()}
+
+    def corners(self) -> list[dict[str, float]]:
+        """All corners of the box (2^7 for the reference); of more than eight parameters some random ones."""
+        return box_corners(self.box)
+
+    def with_uncertain(self, spreads: Iterable[str]) -> Telescope:
+        """With further uncertain entries such as ``isolator.stiffness=10%``; a later one wins.
+
+        Raises
+        ------
+        ValueError
+            Another form, an unknown entry, a half-width out of its range, a mode that is none.
+        """
+        table = {**self.spreads, **dict(map(spread_of, spreads))}
+        require_modes(table, self._tables)
+        return Telescope({**self._tables, UNCERTAIN: table}) if table else self
+
+    def without_uncertain(self) -> Telescope:
+        """Without the entries of :meth:`with_uncertain`."""
+        return Telescope({name: table for name, table in self._tables.items() if name != UNCERTAIN})
+
+    # ---- variants ---------------------------------------------------------------------------------------------------
+
+    def without_bearings(self) -> Telescope:
+        """With rigid wheels."""
+        return Telescope(layout.without_bearings(self._tables))
+
+    def without_steppers(self) -> Telescope:
+        """With drives whose gearbox ends at the body, with fixed harmonics."""
+        return Telescope(layout.without_steppers(self._tables))
+
+    def for_frames(self, frame_ticks: int) -> Telescope:
+        """For a design, whose frames are those of 50 Hz: with the low-pass and noise of another frame rate.
+
+        A frame that is held longer is older by half of the difference, which the low-pass then has, and its noise per
+        tick is larger by the root of the ticks. Frames that are held for a shorter time keep the low-pass: they are
+        better.
+
+        Parameters
+        ----------
+        frame_ticks : int
+            Ticks of a frame of a camera that is no vector.
+
+        Examples
+        --------
+        >>> from titop_plant.telescope.load import load_telescope
+        >>> given = load_telescope().changed({"camera": {"exposure": 0.04, "readout_delay": 0.002}})
+        >>> held = given.for_frames(80)
+        >>> c0, c1, _ = held.sensors[3].low_pass
+        >>> round(c1 / c0, 9), held.camera_noise
+        (0.052, 2e-08)
+        """
+        if frame_ticks == FRAME_TICKS:
+            return self
+        longer = max(0.0, 0.5 * (frame_ticks - FRAME_TICKS) * DT)
+        low_pass = guide_camera.exposure_low_pass(self.camera.exposure, self.camera.readout_delay + longer)
+        noise = self.camera_noise * math.sqrt(frame_ticks / FRAME_TICKS)
+        return self.changed({"sensors": {"camera_filter": list(low_pass), "camera_noise": noise}})
+
+    def check_exposure(self, frame_ticks: int) -> None:
+        """Refuse an exposure that is longer than the time between frames.
+
+        Parameters
+        ----------
+        frame_ticks : int
+            Ticks of a frame of the run.
+
+        Raises
+        ------
+        ValueError
+            It is longer.
+        """
+        exposure, frame = self.camera.exposure, frame_ticks * DT
+        if self.camera_kind != guide_camera.VECTOR and exposure > frame * (1.0 + 1e-9):
+            raise ValueError(
+                f"camera.exposure must be at most the {frame:g} s between frames of the run, got {exposure:g} s"
+            )
+
+    def without_images(self) -> dict[str, Any]:
+        """Tables without what only images need."""
+        return guide_camera.without_images(self._tables)
+
+    # ---- identity ---------------------------------------------------------------------------------------------------
+
+    @property
+    def parameters_hash(self) -> str:
+        """Twelve hexadecimal digits that name the values: the first ones of :attr:`digest`."""
+        return self.digest[:12]
+
+    @cached_property
+    def digest(self) -> str:
+        """128 bits, as hexadecimal digits, that name the values; of a modal data file the content counts.
+
+        Of the requirements only the limits in ``weights`` count, and of the finest one the probability where it is not
+        that of the designs from before it could be another: nothing else of them is in a plant or a design. Of the
+        optics those of images do not count, nor does the table of the guide camera, of which the low-pass and the noise
+        under ``sensors`` count where they follow from it, nor do sources of disturbance and further sensors: no design
+        depends on them.
+        """
+        known = layout.without_sources(self.without_images())
+        content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
+        parts = {"window_probability": self.window_probability, "instant_probability": self.instant_probability}
+        content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
+        for name in OWN_BODIES:
+            content[name] = _with_digest(content[name])
+        for name in (layout.ARRAYS, layout.APPENDAGES):
+            if isinstance(content.get(name), list):
+                content[name] = [_with_digest(table) for table in content[name]]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables with the values of others."""
+    result = dict(base)
+    for key, value in over.items():
+        nested = isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
+        result[key] = _merged(base[key], value) if nested else value
+    return result
+
+
+def _with_digest(table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table of a body, of its modal data file the content in place of the name."""
+    file = table.get("modal_data", "")
+    return {**table, "modal_data": hashlib.sha256(read_bytes(file)).hexdigest()} if file else table
+
+
+__all__ = ["SOURCES", "Telescope"]
