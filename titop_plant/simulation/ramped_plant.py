@@ -28,6 +28,7 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampled.ordered_product import add_up
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.kernel_arrays import Course, StepArrays
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import Profile
 from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
@@ -169,10 +170,13 @@ class RampedPlant(SampledPlant):
         """Phasors at tick 0."""
         self._phasors[:] = _in_turn(self._moving.phasors(0.0))
 
-    def _course(self, ticks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Nodes, places and phasors of these ticks, the next ones."""
+    def _numbers(self) -> StepArrays:
+        return super()._numbers()._replace(nodes=self._nodes)
+
+    def _course(self, ticks: IntArray) -> Course:
+        """Places and phasors of these ticks, the next ones."""
         phasors = _in_turn(self._moving.phasors(np.append(ticks, ticks[-1] + 1) * self.dt))
-        return self._nodes, (ticks + 0.5) / self._interval, phasors
+        return Course((ticks + 0.5) / self._interval, phasors)
 
     def _propagate(self) -> None:
         place = (self.tick + 0.5) / self._interval

@@ -9,14 +9,14 @@ have the same bits.**
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.sampled.ordered_product import OrderedProduct
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, MEASUREMENTS, TRUTH, sample_ticks
 from titop_plant.simulation.compilation import kernel
+from titop_plant.simulation.kernel_arrays import Course, SensorArrays, StepArrays
 from titop_plant.simulation.plant_step import PlantStep
 
 _NOISE_BLOCK = 64
@@ -56,27 +56,6 @@ def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
     """
     found = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
     return tuple((columns, ticks) for columns, ticks in found if columns != CAMERA)
-
-
-class KernelTicks(NamedTuple):
-    """What :func:`titop_plant.simulation.kernel.loop` needs of a plant for some ticks, in its order."""
-
-    pairs: int
-    own: FloatArray
-    cross: FloatArray
-    driven: FloatArray
-    block: FloatArray
-    outputs: FloatArray
-    turn: FloatArray
-    nodes: FloatArray
-    places: FloatArray
-    phasors: FloatArray
-    values: FloatArray
-    order: int
-    limits: FloatArray
-    noise: FloatArray
-    bias: FloatArray
-    absent: BoolArray
 
 
 class SampledPlant:
@@ -129,6 +108,7 @@ class SampledPlant:
         self._noise_block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
         self._frame = np.zeros(3)
         self._slow = slow_sensors(self.frame_ticks)
+        self._arrays = self._numbers()
         self._compiled = False
         self.reset()
 
@@ -229,8 +209,23 @@ class SampledPlant:
         self._turn()
         self.tick += 1
 
-    def kernel_ticks(self, rows: int) -> KernelTicks | None:
-        """What compiled code needs for the next `rows` ticks, which are then done; None after a change."""
+    @property
+    def values(self) -> FloatArray:
+        """Coordinates, commands and phasors of this tick, for compiled loops, which write them."""
+        return self._values
+
+    @property
+    def bias(self) -> FloatArray:
+        """Constant part of the measurement (22,)."""
+        return self._sensors.bias
+
+    @property
+    def arrays(self) -> StepArrays:
+        """Numbers of a tick, for compiled code."""
+        return self._arrays
+
+    def ahead(self, rows: int) -> tuple[Course, SensorArrays] | None:
+        """Course and sensors of the next `rows` ticks, which compiled code then does; None after a change."""
         if not (self._noisy and self._disturbed):
             return None
         noise, absent = np.empty((rows, MEASUREMENTS)), np.zeros((rows, MEASUREMENTS), bool)
@@ -250,25 +245,15 @@ class SampledPlant:
             for row in np.flatnonzero(ticks % self.frame_ticks == 0):
                 absent[row, CAMERA] = self._lost()
         self.tick += rows
-        return KernelTicks(
-            *self._arithmetic(),
-            *self._course(ticks),
-            self._values,
-            self._n,
-            self.limits,
-            noise,
-            self._sensors.bias,
-            absent,
-        )
+        return self._course(ticks), SensorArrays(noise, self._sensors.bias, absent)
 
-    def _arithmetic(self) -> tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """First entries of `KernelTicks`."""
-        step = self._step
-        return step.pairs, step.own, step.cross, step.driven, step.block, step.outputs, step.turn
+    def _numbers(self) -> StepArrays:
+        step, none = self._step, np.zeros((0, 0, 0))
+        return StepArrays(step.pairs, step.own, step.cross, step.driven, step.block, step.outputs, step.turn, none)
 
-    def _course(self, ticks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Nodes, places and phasors of these ticks, the next ones: none for constant parameters."""
-        return np.zeros((0, 0, 0)), np.zeros(0), np.zeros((0, 0))
+    def _course(self, ticks: IntArray) -> Course:
+        """Places and phasors of these ticks, the next ones: none for constant parameters."""
+        return Course(np.zeros(0), np.zeros((0, 0)))
 
     def push(self, moved: FloatArray) -> None:
         """Add to the present state, in :meth:`coordinates`: what an input beside the matrices did in the last tick."""
@@ -290,7 +275,7 @@ class SampledPlant:
         """Measurement and truth from the present coordinates, command and phasors, and the next coordinates."""
         step, n, values, later = self._step, self._n, self._values, self._later
         if self._compiled and (compiled := kernel()) is not None:
-            compiled.advance(*self._arithmetic()[:-1], values, later[:n], self._sums)
+            compiled.advance(self._arrays, values, later[:n], self._sums)
             return
         plain, m, terms = len(step.own), step.pairs, self._terms
         self._sums[:] = self._outputs()
@@ -313,4 +298,4 @@ class SampledPlant:
         phasors[1::2] = re * sin + im * cos
 
 
-__all__ = ["KernelTicks", "SampledPlant", "SensorModel", "slow_sensors"]
+__all__ = ["SampledPlant", "SensorModel", "slow_sensors"]

@@ -129,20 +129,17 @@ def plant_model(plant: object) -> Model:
     if not isinstance(plant, SampledPlant) or type(plant) is not SampledPlant or plant.sensed.size:
         raise ValueError(f"the plant must be the telescope with constant parameters, got {type(plant).__name__}")
     plant.reset()
-    step = plant.kernel_ticks(1)
-    plant.reset()
-    if step is None:
-        raise ValueError("the plant must have its disturbance and noise as at the start")
+    step, order = plant.arrays, len(plant.state)
     tables = {
         "OWN": step.own,
         "CROSS": step.cross,
         "DRIVE": step.driven,
-        **({"WITHIN": step.block} if step.order > len(step.own) else {}),
+        **({"WITHIN": step.block} if order > len(step.own) else {}),
         "OUTPUTS": step.outputs,
         **({"TURN": step.turn} if step.turn.size else {}),
-        "START": step.values,
-        "LIMITS": step.limits,
-        "BIAS": step.bias,
+        "START": plant.values,
+        "LIMITS": plant.limits,
+        "BIAS": plant.bias,
     }
     found = Tables.of(**tables)
     every = [1] * MEASUREMENTS
@@ -151,7 +148,7 @@ def plant_model(plant: object) -> Model:
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
     text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
-        order=step.order,
+        order=order,
         plain=len(step.own),
         pairs=step.pairs,
         commands=COMMANDS,

@@ -32,6 +32,7 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.compilation import kernel, kernel_for
 from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, Record
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import linear_profile
 from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant
@@ -98,20 +99,24 @@ class CompiledLoop:
         bool
             False: settings of the plant were changed, nothing was done.
         """
-        ticks = self._plant.kernel_ticks(rows)
-        compiled = kernel_for(rows)
-        if ticks is None or compiled is None:
+        plant, compiled = self._plant, kernel_for(rows)
+        ahead = None if compiled is None else plant.ahead(rows)
+        if compiled is None or ahead is None:
             return False
-        controller, observer = self._controller, self._estimator.k_fsm.product
-        law = controller.k_pma
+        course, sensors = ahead
+        record = Record(block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows])
+        observer, controller = self._observer(), self._control(command)
+        compiled.loop(plant.arrays, plant.values, plant.limits, course, sensors, observer, controller, record)
+        return True
+
+    def _observer(self) -> ObserverArrays:
+        product = self._estimator.k_fsm.product
+        return ObserverArrays(product.columns, product.values, _PARTS, HELD, self._estimator.held)
+
+    def _control(self, command: FloatArray) -> ControllerArrays:
+        controller, law = self._controller, self._controller.k_pma
         assert isinstance(law, SampledSystem)
-        compiled.loop(
-            *ticks,
-            observer.columns,
-            observer.values,
-            _PARTS,
-            HELD,
-            self._estimator.held,
+        return ControllerArrays(
             law.product.columns,
             law.product.values,
             PLATFORM.start,
@@ -119,12 +124,7 @@ class CompiledLoop:
             controller.mirror_gain,
             controller.limits,
             command,
-            block.measurement[:rows],
-            block.truth[:rows],
-            block.los_estimate[:rows],
-            block.command[:rows],
         )
-        return True
 
 
 def compile_telescope(plant: object, ticks: int) -> None:
