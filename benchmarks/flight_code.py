@@ -50,7 +50,14 @@ from titop_plant.interface import (
     TRUTH,
 )
 from titop_plant.simulation.compilation import kernel
-from titop_plant.simulation.sampled_plant import KernelTicks
+from titop_plant.simulation.kernel_arrays import (
+    ControllerArrays,
+    Course,
+    ObserverArrays,
+    Record,
+    SensorArrays,
+    StepArrays,
+)
 
 BLOCK, ODD = 1000, 30
 """Ticks of a block; ticks at its end with sums that overflow, of which the last five follow a NaN."""
@@ -137,28 +144,36 @@ def by_kernel(laws: FlightLaws, setting: Setting, measurement: FloatArray) -> tu
     node[0, 0, 0] = 1.0
     none, values = np.zeros((0, 0)), np.zeros(1 + COMMANDS)
     values[0] = 1.0
-    absent = np.zeros((rows, MEASUREMENTS), bool)
-    plant = KernelTicks(
-        *(0, np.zeros(0), np.zeros(0), none, none, none, none),
-        *(node, np.zeros(rows), np.zeros((rows + 1, 0)), values, 1, np.ones(COMMANDS)),
-        *(measurement, np.full(MEASUREMENTS, -0.0), absent),
-    )
-    observer, controller = laws.estimator(), laws.controller(setting.stage)
+    step = StepArrays(0, np.zeros(0), np.zeros(0), none, np.zeros((1, 1)), none, none, node)
+    sensors = SensorArrays(measurement, np.full(MEASUREMENTS, -0.0), np.zeros((rows, MEASUREMENTS), bool))
+    estimator, controller = laws.estimator(), laws.controller(setting.stage)
     controller.limit(setting.mirror, setting.force)
-    law = controller.k_pma
+    law, product = controller.k_pma, estimator.k_fsm.product
     assert isinstance(law, SampledSystem)
-    given, truth = np.empty((rows, MEASUREMENTS)), np.empty((rows, TRUTH))
-    estimate, command = np.empty((rows, ESTIMATES)), np.empty((rows, COMMANDS))
+    parts = np.array([0, *(part.stop for part in HELD_PARTS.values())])
+    widths = (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)
+    record = Record(*(np.empty((rows, width)) for width in widths))
     compiled.loop(
-        *plant,
-        *(observer.k_fsm.product.columns, observer.k_fsm.product.values),
-        *(np.array([0, *(part.stop for part in HELD_PARTS.values())]), HELD, observer.held),
-        *(law.product.columns, law.product.values, PLATFORM.start, np.array(controller.closed, dtype=np.int64)),
-        *(controller.mirror_gain, controller.limits, np.zeros(COMMANDS), given, truth, estimate, command),
+        step,
+        values,
+        np.ones(COMMANDS),
+        Course(np.zeros(rows), np.zeros((rows + 1, 0))),
+        sensors,
+        ObserverArrays(product.columns, product.values, parts, HELD, estimator.held),
+        ControllerArrays(
+            law.product.columns,
+            law.product.values,
+            PLATFORM.start,
+            np.array(controller.closed, dtype=np.int64),
+            controller.mirror_gain,
+            controller.limits,
+            np.zeros(COMMANDS),
+        ),
+        record,
     )
-    if differing(given, measurement):
+    if differing(record.measurement, measurement):
         raise RuntimeError("the kernel must see the measurement as it is, got another one")
-    return estimate, command
+    return record.estimate, record.command
 
 
 class Exported:

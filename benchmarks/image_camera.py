@@ -26,7 +26,7 @@ import numpy as np
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.image_camera import ImagePlant
+from los_testbed.image_camera import image_camera_of
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.run.runner import Runner
 from los_testbed.topics import image_topic
@@ -115,15 +115,16 @@ def costs(parameters: str) -> dict[str, dict[str, float]]:
     with one_thread():
         parts = RunParts(RunConfig(parameters=parameters, duration=COST_TICKS / 1000))
         plant = parts.plant()
-        assert isinstance(plant, ImagePlant)
+        camera = image_camera_of(plant)
+        assert camera is not None
         compile_telescope(plant, COST_TICKS)
         u, y, truth = np.zeros(COMMANDS), np.zeros(MEASUREMENTS), np.zeros(TRUTH)
         steps, works = np.zeros(COST_TICKS), np.zeros(COST_TICKS)
         for k in range(COST_TICKS):
             steps[k] = spent(lambda: plant.step(u, y, truth))
-            works[k] = spent(plant.work)
-    period, delay = plant.frame_ticks, round(1000 * plant.camera.camera.readout_delay)
-    codec, pixels = codec_for(image_topic(plant.camera.camera.window)), plant.image.ravel()
+            works[k] = spent(camera.work)
+    period, delay = plant.frame_ticks, round(1000 * camera.camera.camera.readout_delay)
+    codec, pixels = codec_for(image_topic(camera.camera.camera.window)), camera.image.ravel()
     after = slice(2 * period, None)
     by_phase = {
         "tick_without_frame": steps[after].reshape(-1, period)[:, 2],

@@ -46,7 +46,15 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/lftkit/analysis/test_hinf_norm.py",
     ),
     "titop_plant": ("tests/unit/titop_plant",),
-    "titop_plant/simulation/sampled_plant.py": (
+    "titop_plant/simulation/plant.py": (
+        "tests/unit/titop_plant/test_sampled_steps.py",
+        "tests/unit/titop_plant/test_sampled_plant.py",
+    ),
+    "titop_plant/simulation/constant_step.py": (
+        "tests/unit/titop_plant/test_sampled_steps.py",
+        "tests/unit/titop_plant/test_sampled_plant.py",
+    ),
+    "titop_plant/simulation/sensor_samples.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),

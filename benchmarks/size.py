@@ -25,9 +25,10 @@ from processor_time import least
 from tick import present
 
 from lftkit import Port, System
-from titop_plant.interface import COMMANDS, DT, MEASUREMENTS, TRUTH
+from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.simulation.constant_step import ConstantStep
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant
 
 DISTURBANCES = 22
 OUTPUT = 1e-9
@@ -59,9 +60,8 @@ def cost(states: int, ticks: int) -> dict[str, float]:
     seconds = time.process_time() - begin
     sensors, limits = parts.family._sensors(parts.physical), parts.family.limits
 
-    def plant() -> SampledPlant:
-        zero = np.zeros(system.order)
-        return SampledPlant(step, zero, sensors, limits, dt=DT, tones=np.unique(tones.frequency), parameters_hash="")
+    def plant() -> Plant:
+        return Plant(ConstantStep(step, np.zeros(system.order), np.unique(tones.frequency)), sensors, limits)
 
     made: Any = SimpleNamespace(plant=plant, estimator=parts.estimator, controller=parts.controller, start=parts.start)
     each = [least(lambda: present(made, count, True)) for count in (2, ticks)]  # noqa: B023

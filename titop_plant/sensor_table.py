@@ -40,7 +40,7 @@ class SensorEntry:
     noise : str
         Key of the standard deviation of a sample, in the unit of the port.
     step : str
-        Its quantisation: a field of :class:`titop_plant.simulation.nonlinear_plant.DeviceLimits`.
+        Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`.
     rate : float
         Samples per second; it divides the tick rate. Between its samples the last one is held.
     bias : str

@@ -11,7 +11,7 @@ from los_testbed.cli.app import main
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.simulation import nonlinear_plant
+from titop_plant.simulation import device_limits
 
 PAGE = Path(__file__).parents[2] / "docs" / "telescope.md"
 NO_QUANTISATION = {"acceleration_step": 0.0, "camera_step": 0.0, "gauge_step": 0.0}
@@ -44,8 +44,8 @@ def test_a_row_of_the_table(row: tuple[Any, ...], tmp_path: Path, monkeypatch: p
     options = ["run", "--mode", "inprocess", "--duration", "30", "--loop", loop, "--no-report"]
     changed = LIMITS[kind]
     if changed is not None:
-        limits = nonlinear_plant.DeviceLimits(**changed)
-        monkeypatch.setattr(nonlinear_plant, "DeviceLimits", lambda: limits)
+        limits = device_limits.DeviceLimits(**changed)
+        monkeypatch.setattr(device_limits, "DeviceLimits", lambda: limits)
         options += ["--set", "nonlinear=true"]
     assert main([*options, "--output", str(tmp_path / "bag")]) == 0
     found = summarise(Run.open(tmp_path / "bag"))

@@ -18,9 +18,9 @@ from lftkit.arrays import FloatArray
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
-from titop_plant.simulation.ramped_plant import RampedPlant
-from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.simulation.ramped_step import RampedStep
 
 SAME = 1e-9
 """Largest difference, over the largest value of a column."""
@@ -87,14 +87,14 @@ def _units(A: FloatArray) -> FloatArray:
     return np.asarray(1.0 / np.diag(B))
 
 
-def simulated(plant: SampledPlant, commands: FloatArray) -> FloatArray:
+def simulated(plant: Plant, commands: FloatArray) -> FloatArray:
     rows = np.zeros((len(commands), 24))
     for command, row in zip(commands, rows):
         plant.step(command, row[:22], row[22:])
     return rows
 
 
-def commands_for(plant: SampledPlant, ticks: int) -> FloatArray:
+def commands_for(plant: Plant, ticks: int) -> FloatArray:
     return np.random.default_rng(2).uniform(-0.01, 0.01, (ticks, COMMANDS)) * plant.limits
 
 
@@ -117,14 +117,15 @@ def test_ticks_of_a_ramp_are_its_recursion_in_extended_precision() -> None:
     """Of the same step matrices, interpolated: what rounding adds."""
     family = PlantFamily.of(RAMP)
     plant = family.build(replace(RAMP, camera_rate=1000.0))
-    assert isinstance(plant, RampedPlant)
+    ramp = plant.dynamics
+    assert isinstance(ramp, RampedStep)
     commands = commands_for(plant, 2000)
-    n, nodes = plant.state.size, [wide(node.T) for node in plant._nodes[:3]]
+    n, nodes = plant.state.size, [wide(node.T) for node in ramp.nodes[:3]]
     x, expected = wide(plant.state), []
     for k, command in enumerate(commands):
-        place = (k + 0.5) / plant._interval
+        place = (k + 0.5) / ramp.interval
         node = int(place)
-        z = np.concatenate([x, command, plant._moving.phasors(k * DT).view(float)])
+        z = np.concatenate([x, command, ramp.moving.phasors(k * DT).view(float)])
         near = nodes[min(node, 2)] @ z
         out = near + (nodes[node + 1] @ z - near) * (place - node) if node < 2 else near
         x = out[:n]

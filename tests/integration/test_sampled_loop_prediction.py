@@ -15,9 +15,11 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import DISTURBANCES
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, no_tones
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.load import load_telescope
@@ -40,9 +42,7 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
     _, data, k_fsm, k_pma = case
     sensors = SensorModel(np.zeros(22) if sigma is None else sigma, np.zeros(22), frame_ticks, 0.0, 3)
     limits = np.full(8, 1e6)
-    plant = SampledPlant(
-        plant_step(data, tones), state, sensors, limits, dt=DT, tones=tones.frequency, parameters_hash="test"
-    )
+    plant = Plant(ConstantStep(plant_step(data, tones), state, tones.frequency), sensors, limits, "test")
     estimator, controller = (
         LosEstimator(k_fsm),
         assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, load_telescope().design_basis, "fsm+pma"),

@@ -39,13 +39,15 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
-from titop_plant.interface import DT, FRAME_TICKS, MIRROR_STAGES, PLATFORM
+from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 
 SAME = 1e-10
 TICKS = 200
@@ -104,15 +106,8 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     found = {}
     for name, error in (("quiet", np.zeros(22)), ("biased", bias)):
         disturbance = Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1))
-        simulated = SampledPlant(
-            plant_step(plant, disturbance),
-            start.plant,
-            SensorModel(np.zeros(22), error, FRAME_TICKS, 0.0, 0),
-            limits,
-            dt=DT,
-            tones=omega,
-            parameters_hash="",
-        )
+        dynamics = ConstantStep(plant_step(plant, disturbance), start.plant, omega)
+        simulated = Plant(dynamics, SensorModel(np.zeros(22), error, FRAME_TICKS, 0.0, 0), limits)
         found[name] = run(simulated, start, stage, pair, limits)
     allowed = SAME * max(figure("RPE").limit(telescope, stage), float(np.abs(predicted).max()))
     assert np.abs(found["quiet"] - predicted).max() < allowed
@@ -126,7 +121,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     assert np.abs(found["biased"] - predicted - by_bias).max() < allowed
 
 
-def run(plant: SampledPlant, start, stage: str, pair: Pair, limits: np.ndarray) -> np.ndarray:
+def run(plant: Plant, start, stage: str, pair: Pair, limits: np.ndarray) -> np.ndarray:
     """Line of sight (TICKS, 2) with the classes that run."""
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
     estimator, controller = (

@@ -13,10 +13,12 @@ from los_loop.sampled_loop import sampled_loop
 from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -106,15 +108,7 @@ def test_imbalance_begins_at_structural_modes() -> None:
             1j * abs(speed) * np.eye(len(plant.A)) - plant.A, plant.B[:, COMMANDS:] @ amplitude[:, 0]
         )
         sensors = SensorModel(np.zeros(22), np.zeros(22), 20, 0.0, 0)
-        run = SampledPlant(
-            plant_step(plant, tones),
-            at_rest.imag,
-            sensors,
-            np.ones(8),
-            dt=DT,
-            tones=tones.frequency,
-            parameters_hash="test",
-        )
+        run = Plant(ConstantStep(plant_step(plant, tones), at_rest.imag, tones.frequency), sensors, np.ones(8))
         y, truth, los = np.zeros(22), np.zeros(2), np.zeros((400, 2))
         for row in los:
             run.step(np.zeros(8), y, truth)

@@ -26,7 +26,6 @@ from titop_plant.interface import (
     CAMERA,
     COLUMNS,
     COMMANDS,
-    DT,
     ESTIMATES,
     FRAME_TICKS,
     HELD,
@@ -37,18 +36,19 @@ from titop_plant.interface import (
     DesignBasis,
 )
 from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
-from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.budget import error_budget
 from titop_plant.telescope.load import load_telescope
 
 GUIDE, STAGE, TICKS, SHARE = COLUMNS.get("guide_los", slice(0, 0)), "fsm+pma", 450, 0.4
 PARAMETERS = load_telescope()
-SYSTEM = control_loop_plant(assembled_telescope(), PARAMETERS)
+SYSTEM = control_loop_plant(PARAMETERS)
 STORED, K_PMA = load_designs("implemented")
 
 
@@ -95,7 +95,7 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     predicted = model.record(TICKS)
     step = plant_step(plant, Tones(omega, model.amplitude, np.zeros(4), np.full(4, -1)))
     sensors = SensorModel(bias, bias, FRAME_TICKS, 0.0, 0)
-    simulated = SampledPlant(step, start.plant, sensors, limits, dt=DT, tones=omega, parameters_hash="")
+    simulated = Plant(ConstantStep(step, start.plant, omega), sensors, limits)
     authority = {"fsm_authority": limits[0], "pma_authority": limits[-1]}
     sensitivity = PARAMETERS.fsm.los_sensitivity
     estimator = LosEstimator(k_fsm)

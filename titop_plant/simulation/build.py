@@ -16,14 +16,16 @@ from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig, motion, parameter_values, steady, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import PROFILES
-from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
+from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
 from titop_plant.telescope.layout import speed_names
@@ -70,7 +72,7 @@ class PlantFamily:
         loop = control_loop_plant(self.telescope, further, isolated=self.isolated)
         return replace(self, control_loop=loop, _last={})
 
-    def build(self, config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+    def build(self, config: PlantConfig, start: FloatArray | None = None) -> Plant:
         """The member of a configuration, see :func:`build_plant`.
 
         Raises
@@ -82,11 +84,12 @@ class PlantFamily:
         state = _steady_state(number, tones) if start is None else start
         if state.shape != (number.A.shape[0],):
             raise ValueError(f"start must hold {number.A.shape[0]} states, got {state.shape}")
-        common, name = (state, self._sensors(config), self.limits), self.name(config)
+        dynamics: ConstantStep | RampedStep
         if config.ramps:
-            return RampedPlant(*self.nodes(config, DT), *common, dt=DT, parameters_hash=name)
-        step = plant_step(number, tones)
-        return SampledPlant(step, *common, dt=DT, tones=np.unique(tones.frequency), parameters_hash=name)
+            dynamics = RampedStep(*self.nodes(config, DT), state)
+        else:
+            dynamics = ConstantStep(plant_step(number, tones), state, np.unique(tones.frequency))
+        return Plant(dynamics, self._sensors(config), self.limits, self.name(config))
 
     def plant_and_tones(self, config: PlantConfig) -> tuple[System, Tones]:
         """The continuous plant at the start of a run, and the disturbance that acts on it.
@@ -141,7 +144,7 @@ class PlantFamily:
         return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
 
     def name(self, config: PlantConfig) -> str:
-        """`SampledPlant.parameters_hash` of a configuration, without building the plant."""
+        """`Plant.parameters_hash` of a configuration, without building the plant."""
         settings = config.to_mapping()
         del settings["tau"]
         settings["theta"] = config.array_angle
@@ -181,7 +184,7 @@ class PlantFamily:
         return node_matrices(profile, interval, dt, matrices), interval, tones
 
 
-def build_plant(config: PlantConfig, start: FloatArray | None = None) -> SampledPlant:
+def build_plant(config: PlantConfig, start: FloatArray | None = None) -> Plant:
     """The telescope of a configuration, sampled at 1 kHz.
 
     Parameters

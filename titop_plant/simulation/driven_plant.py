@@ -19,10 +19,9 @@ import numpy as np
 from lftkit import Port, System, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
-from titop_plant.interface import COMMANDED, COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.interface import COMMANDED, COMMANDS
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.simulation.sampled_plant import SampledPlant
 from titop_plant.simulation.sources.drive import loaded_telescope
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
@@ -56,15 +55,14 @@ class Disturbance(Protocol):
         """Back to the first tick: the same values again."""
 
 
-class DrivenPlant:
-    """A telescope with a disturbance of the user; it has the interface of `SampledPlant`.
+class DisturbanceInput:
+    """A disturbance of the user as a held input of :class:`titop_plant.simulation.plant.Plant`.
 
     **A positive force acts on the structure along the axis of its port's frame.** The disturbance is added to the
-    tones of the plant, and switched off with them (`change`).
+    tones of the plant, and switched off with them (`Plant.change`).
 
     Parameters
     ----------
-    plant : SampledPlant or DrivenPlant
     held : ndarray, shape (n + 24, size of the ports)
         Of :func:`held_disturbance`: what a value held for a tick adds to the next state (n), the measurement (22), the
         truth (2), and the further sensors that there are.
@@ -75,127 +73,63 @@ class DrivenPlant:
         Of the disturbance, for the name of the configuration.
     """
 
-    dt: float
-    frame_ticks: int
-    limits: FloatArray
-    tones: FloatArray
-    parameters_hash: str
+    limits: FloatArray = np.zeros(0)
 
-    def __init__(
-        self, plant: SampledPlant | DrivenPlant, held: FloatArray, disturbance: Disturbance, name: str
-    ) -> None:
-        self.plant, self.disturbance = plant, disturbance
-        self.dt, self.frame_ticks, self.limits = plant.dt, plant.frame_ticks, plant.limits
-        self.tones = np.union1d(plant.tones, getattr(disturbance, "lines", []))
-        self.parameters_hash = f"{plant.parameters_hash} with {name}"
-        self._input, self._value = _HeldInput(plant, held), np.zeros(held.shape[1])
-        self._on = True
+    def __init__(self, held: FloatArray, disturbance: Disturbance, name: str) -> None:
+        self.held, self.disturbance, self.name = held, disturbance, name
+        self.lines = np.asarray(getattr(disturbance, "lines", []), dtype=float)
+        self.acts = True
+        self._value = np.zeros(held.shape[1])
 
-    @property
-    def sensed(self) -> FloatArray:
-        """Values of the further sensors at the last tick, see `SampledPlant.sensed`."""
-        return self.plant.sensed
+    def value(self, command: FloatArray) -> FloatArray:
+        """Forces and torques (size of the ports,) of this tick [N, Nm]; the next call overwrites them."""
+        self.disturbance.step(self._value)
+        return self._value
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
-        self.plant.reset()
+        """Back to the first tick: the same values again."""
         self.disturbance.reset()
-        self._on = True
+        self.acts = True
 
     def change(self, name: str, value: float) -> None:
-        """Change a setting from the next tick on, see `SampledPlant.change`."""
-        self.plant.change(name, value)
+        """Change ``disturbance``, see `Plant.change`: its time goes on; other names have no effect."""
         if name == "disturbance":
-            self._on = bool(value)
-
-    def coordinates(self, states: FloatArray) -> FloatArray:
-        """States in the coordinates in which the plant adds them, see `SampledPlant.coordinates`."""
-        return self.plant.coordinates(states)
-
-    def push(self, state: FloatArray) -> None:
-        """Add `state` (n,) to the present state, see `SampledPlant.push`."""
-        self.plant.push(state)
-
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
-        self.disturbance.step(self._value)
-        self.plant.step(command, measurement, truth)
-        if self._on:
-            self._input.add(self._value, measurement, truth)
+            self.acts = bool(value)
 
 
-class PlantWithActuators:
-    """A telescope with further actuators that a controller commands; it has the interface of `SampledPlant`.
+class ActuatorInput:
+    """Further actuators that a controller commands, as a held input of :class:`titop_plant.simulation.plant.Plant`.
 
     Their forces follow the eight values of a command. Each is clipped to its authority.
 
     Parameters
     ----------
-    plant : SampledPlant or DrivenPlant
     held : ndarray, shape (n + 24 + sensors, actuators)
         Of :func:`held_forces`.
     actuators : sequence of PlacedActuator
     """
 
-    dt: float
-    frame_ticks: int
-    tones: FloatArray
-    parameters_hash: str
+    name = ""
+    lines: FloatArray = np.zeros(0)
+    acts = True
 
-    def __init__(
-        self, plant: SampledPlant | DrivenPlant, held: FloatArray, actuators: Sequence[PlacedActuator]
-    ) -> None:
-        self.plant = plant
-        self.dt, self.frame_ticks, self.tones = plant.dt, plant.frame_ticks, plant.tones
-        self.parameters_hash = plant.parameters_hash
-        authority = np.array([one.authority for one in actuators])
-        self.limits = np.concatenate([plant.limits, authority])
-        self._input, self._most, self._least, self._force = (
-            _HeldInput(plant, held),
-            authority,
-            -authority,
-            authority * 0,
-        )
+    def __init__(self, held: FloatArray, actuators: Sequence[PlacedActuator]) -> None:
+        self.held = held
+        self.limits = np.array([one.authority for one in actuators])
+        self._lowest = -self.limits
+        self._force = np.zeros(self.limits.size)
 
-    @property
-    def sensed(self) -> FloatArray:
-        """Values of the further sensors at the last tick, see `SampledPlant.sensed`."""
-        return self.plant.sensed
+    def value(self, command: FloatArray) -> FloatArray:
+        """Forces (actuators,) of this tick [N], of `command` (8 + actuators,); the next call overwrites them."""
+        np.minimum(command[COMMANDS:], self.limits, out=self._force)
+        np.maximum(self._force, self._lowest, out=self._force)
+        return self._force
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
-        self.plant.reset()
+        """Nothing to reset: the forces are those of each command."""
 
     def change(self, name: str, value: float) -> None:
-        """Change a setting from the next tick on, see `SampledPlant.change`."""
-        self.plant.change(name, value)
-
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` (8 + actuators,) from this tick on; write `measurement` (22,) and `truth` (2,)."""
-        self.plant.step(command[:COMMANDS], measurement, truth)
-        np.minimum(command[COMMANDS:], self._most, out=self._force)
-        np.maximum(self._force, self._least, out=self._force)
-        self._input.add(self._force, measurement, truth)
-
-
-class _HeldInput:
-    """What inputs beside the matrices of a telescope, held over a tick, add to it."""
-
-    def __init__(self, plant: SampledPlant | DrivenPlant, held: FloatArray) -> None:
-        self._plant = plant
-        order = held.shape[0] - MEASUREMENTS - TRUTH - plant.sensed.size
-        self._parts = np.cumsum([order, MEASUREMENTS, TRUTH])
-        self._held = np.ascontiguousarray(np.vstack([plant.coordinates(held[:order]), held[order:]]))
-        self._added = np.zeros(held.shape[0])
-
-    def add(self, value: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Add the values of this tick to the next state, and to what is measured now."""
-        np.matmul(self._held, value, out=self._added)
-        pushed, measured, true, sensed = np.split(self._added, self._parts)
-        self._plant.push(pushed)
-        measurement += measured
-        truth += true
-        self._plant.sensed[:] += sensed
+        """No setting of a run changes the actuators."""
 
 
 def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> FloatArray:

@@ -13,8 +13,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from lftkit.arrays import BoolArray, FloatArray, IntArray
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.support.compiled import compiled
+from titop_plant.simulation.kernel_arrays import (
+    ControllerArrays,
+    Course,
+    ObserverArrays,
+    Record,
+    SensorArrays,
+    StepArrays,
+)
 
 
 @compiled
@@ -50,42 +58,61 @@ def _product(columns: FloatArray, values: FloatArray, sums: FloatArray) -> None:
 
 
 @compiled
-def advance(
+def _coordinates(
     pairs: int,
     own: FloatArray,
     cross: FloatArray,
     driven: FloatArray,
     block: FloatArray,
-    outputs: FloatArray,
     values: FloatArray,
+    driving: FloatArray,
     later: FloatArray,
-    sums: FloatArray,
 ) -> None:
-    """Tick of a plant of constant parameters, see :class:`titop_plant.simulation.plant_step.PlantStep`.
+    """Put the next coordinates in the place of the present ones in `values`, by the numbers of a `StepArrays`.
 
-    Outputs (24,) from `values` (coordinates, commands, phasors), and the next coordinates in their place.
+    `driving` are the values behind the coordinates; `later` (n,) is overwritten.
     """
     plain, n = len(own), later.size
-    _product(outputs, values, sums)
     for i in range(pairs):
         later[i] = own[i] * values[i] + cross[i] * values[pairs + i]
     for i in range(pairs, 2 * pairs):
         later[i] = own[i] * values[i] + cross[i] * values[i - pairs]
     for i in range(2 * pairs, plain):
         later[i] = own[i] * values[i] + 0.0
-    _add(driven, 0, values[n:], later[:plain])
+    _add(driven, 0, driving, later)
     if n > plain:
         _product(block, values[plain : plain + len(block)], later[plain:])
-    values[:n] = later
+    for i in range(n):
+        values[i] = later[i]
 
 
 @compiled
-def _turn(turn: FloatArray, phasors: FloatArray) -> None:
-    """Phasors, real and imaginary parts in turn, of the next tick."""
-    for k in range(turn.shape[1]):
+def advance(step: StepArrays, values: FloatArray, later: FloatArray, sums: FloatArray) -> None:
+    """Tick of a plant with constant parameters.
+
+    Outputs from `values` (coordinates, commands, phasors), and the next coordinates in their place.
+
+    Parameters
+    ----------
+    step : StepArrays
+    values : ndarray, shape (n + 8 + 2 K,)
+        Read, and the coordinates written.
+    later : ndarray, shape (n,)
+        Overwritten.
+    sums : ndarray, shape (24,)
+        Outputs; written.
+    """
+    _product(step.outputs, values, sums)
+    _coordinates(step.pairs, step.own, step.cross, step.driven, step.block, values, values[later.size :], later)
+
+
+@compiled
+def turn(factors: FloatArray, phasors: FloatArray) -> None:
+    """Phasors (2 K,) of the next tick, real and imaginary parts in turn, by the factors ``turn`` of a `StepArrays`."""
+    for k in range(factors.shape[1]):
         re, im = phasors[2 * k], phasors[2 * k + 1]
-        phasors[2 * k] = re * turn[0, k] - im * turn[1, k]
-        phasors[2 * k + 1] = re * turn[1, k] + im * turn[0, k]
+        phasors[2 * k] = re * factors[0, k] - im * factors[1, k]
+        phasors[2 * k + 1] = re * factors[1, k] + im * factors[0, k]
 
 
 @compiled
@@ -111,124 +138,122 @@ def between(
         _product(nodes[k + 1], values, other)
         for i in range(len(later)):
             later[i] += (other[i] - later[i]) * share
-    sums[:] = later[n:]
-    values[:n] = later[:n]
+    for i in range(n):
+        values[i] = later[i]
+    for i in range(len(sums)):
+        sums[i] = later[n + i]
+
+
+@compiled
+def _limit(command: FloatArray, limits: FloatArray, out: FloatArray) -> None:
+    """Write the command, limited to [-limits, limits], into `out`."""
+    for i in range(len(command)):
+        v = command[i]
+        if v > limits[i]:
+            v = limits[i]
+        if v < -limits[i]:
+            v = -limits[i]
+        out[i] = v
+
+
+@compiled
+def _hold(
+    parts: IntArray, columns: IntArray, measurement: FloatArray, held: FloatArray, values: FloatArray, first: int
+) -> None:
+    """Inputs of K_FSM, from `first` on in `values`; a sensor that is held keeps its values until all are finite."""
+    for i in range(len(measurement)):
+        values[first + i] = measurement[i]
+    for part in range(len(parts) - 1):
+        finite = True
+        for k in range(parts[part], parts[part + 1]):
+            x = measurement[columns[k]]
+            finite = finite and x - x == 0.0
+        if finite:
+            for k in range(parts[part], parts[part + 1]):
+                held[k] = measurement[columns[k]]
+    for k in range(len(held)):
+        values[first + columns[k]] = held[k]
+
+
+@compiled
+def _law(columns: FloatArray, values: FloatArray, order: int, sums: FloatArray) -> None:
+    """Tick of a law: `sums` from its state and inputs, and its next state in `values`."""
+    _product(columns, values, sums)
+    for i in range(order):
+        values[i] = sums[i]
 
 
 @compiled
 def loop(
-    pairs: int,
-    own: FloatArray,
-    cross: FloatArray,
-    driven: FloatArray,
-    block: FloatArray,
-    outputs: FloatArray,
-    turn: FloatArray,
-    nodes: FloatArray,
-    places: FloatArray,
-    phasors: FloatArray,
+    step: StepArrays,
     values: FloatArray,
-    order: int,
     limits: FloatArray,
-    noise: FloatArray,
-    bias: FloatArray,
-    absent: BoolArray,
-    fsm: FloatArray,
-    fsm_values: FloatArray,
-    parts: IntArray,
-    held_columns: IntArray,
-    held: FloatArray,
-    pma: FloatArray,
-    pma_values: FloatArray,
-    platform: int,
-    closed: IntArray,
-    gain: float,
-    authority: FloatArray,
-    command: FloatArray,
-    measurement: FloatArray,
-    truth: FloatArray,
-    estimate: FloatArray,
-    commands: FloatArray,
+    course: Course,
+    sensors: SensorArrays,
+    observer: ObserverArrays,
+    controller: ControllerArrays,
+    record: Record,
 ) -> None:
-    """Ticks of plant, observer and controller; a row of `measurement`, ..., `commands` for each of them.
+    """Ticks of plant, observer and controller; a row of each array of `record` for each of them.
 
     Parameters
     ----------
-    pairs ... turn
-        Of the :class:`titop_plant.simulation.plant_step.PlantStep`.
-    nodes, places, phasors
-        Of a plant whose parameters vary: as in :func:`between`, place of each tick, phasors of each and of the one
-        after them; without nodes none.
-    values, order
-        Coordinates (n), commands, phasors of the plant; n.
-    limits, noise, bias, absent
-        Of its actuators (8,); of the samples (rows, 22), (22,); samples that are not there (rows, 22).
-    fsm, fsm_values, parts, held_columns, held
-        Columns of K_FSM, its state and inputs; where each sensor that is held begins in the columns that are held, and
-        the end; their columns; their values.
-    pma, pma_values, platform
-        Columns of K_PMA, its state and inputs; first column of its inputs in the measurement.
-    closed, gain, authority
-        Whether mirror and forces are closed; from estimate to mirror; limits (8,).
-    command
-        Of the last tick (8,), in and out.
+    step : StepArrays
+    values : ndarray, shape (n + 8 + 2 K,)
+        Coordinates, commands and phasors of the plant; written.
+    limits : ndarray, shape (8,)
+        Largest commands of its actuators.
+    course : Course
+    sensors : SensorArrays
+    observer : ObserverArrays
+    controller : ControllerArrays
+    record : Record
     """
-    later = np.empty(order if not len(nodes) else order + measurement.shape[1] + truth.shape[1])
+    # arrays are taken from their tuples once: to do so counts references
+    pairs, own, cross, driven, block, outputs, factors, nodes = step
+    places, phasors = course
+    noise, bias, absent = sensors
+    fsm, fsm_values, parts, held_columns, held = observer
+    pma, pma_values, platform, closed, gain, authority, command = controller
+    measurement, truth, estimate, commands = record
+    varying, size, mirror = len(nodes) > 0, measurement.shape[1], estimate.shape[1]
+    order, width = len(own) + block.shape[1], size + truth.shape[1]
+    driving, acting = values[order:], values[order : order + len(command)]
+    turning = values[order + len(command) :]
+    later, sums = np.empty(order + width if varying else order), np.empty(width)
     other = np.empty_like(later)
-    sums = np.empty(measurement.shape[1] + truth.shape[1])
-    size, fsm_order, pma_order = measurement.shape[1], fsm.shape[1] - 2, pma.shape[1] - 6
+    fsm_order, pma_order = fsm.shape[1] - mirror, pma.shape[1] - (len(command) - mirror)
     fsm_sums, pma_sums = np.empty(fsm.shape[1]), np.empty(pma.shape[1])
-    mirror = 2
     for row in range(len(measurement)):
-        for i in range(len(command)):
-            v = command[i]
-            if v > limits[i]:
-                v = limits[i]
-            if v < -limits[i]:
-                v = -limits[i]
-            values[order + i] = v
+        _limit(command, limits, acting)
         y = measurement[row]
-        if len(nodes):
-            values[order + len(command) :] = phasors[row]
+        if varying:
+            turning[:] = phasors[row]
             between(nodes, places[row], values, later, other, sums)
         else:
-            advance(pairs, own, cross, driven, block, outputs, values, later, sums)
-            _turn(turn, values[order + len(command) :])
+            _product(outputs, values, sums)
+            _coordinates(pairs, own, cross, driven, block, values, driving, later)
+            turn(factors, turning)
         for i in range(size):
             y[i] = np.nan if absent[row, i] else (sums[i] + noise[row, i]) + bias[i]
-        truth[row, :] = sums[size:]
-        for part in range(len(parts) - 1):
-            finite = True
-            for k in range(parts[part], parts[part + 1]):
-                x = y[held_columns[k]]
-                finite = finite and x - x == 0.0
-            if finite:
-                for k in range(parts[part], parts[part + 1]):
-                    held[k] = y[held_columns[k]]
-        fsm_values[fsm_order:] = y
-        for k in range(len(held)):
-            fsm_values[fsm_order + held_columns[k]] = held[k]
-        _product(fsm, fsm_values, fsm_sums)
-        fsm_values[:fsm_order] = fsm_sums[:fsm_order]
-        estimate[row, :] = fsm_sums[fsm_order:]
+        for i in range(size, width):
+            truth[row, i - size] = sums[i]
+        _hold(parts, held_columns, y, held, fsm_values, fsm_order)
+        _law(fsm, fsm_values, fsm_order, fsm_sums)
         if closed[1]:
-            pma_values[pma_order:] = y[platform : platform + 6]
-            _product(pma, pma_values, pma_sums)
-            pma_values[:pma_order] = pma_sums[:pma_order]
+            for i in range(len(pma_values) - pma_order):
+                pma_values[pma_order + i] = y[platform + i]
+            _law(pma, pma_values, pma_order, pma_sums)
+        for i in range(mirror):
+            estimate[row, i] = fsm_sums[fsm_order + i]
+            command[i] = estimate[row, i] * gain if closed[0] else 0.0
+        for i in range(mirror, len(command)):
+            command[i] = pma_sums[pma_order + i - mirror] if closed[1] else 0.0
+        _limit(command, authority, command)
         for i in range(len(command)):
-            v = 0.0
-            if i < mirror and closed[0]:
-                v = estimate[row, i] * gain
-            if i >= mirror and closed[1]:
-                v = pma_sums[pma_order + i - mirror]
-            if v > authority[i]:
-                v = authority[i]
-            if v < -authority[i]:
-                v = -authority[i]
-            command[i] = v
-            commands[row, i] = v
-    if len(nodes):
-        values[order + len(command) :] = phasors[len(measurement)]
+            commands[row, i] = command[i]
+    if varying:
+        turning[:] = phasors[len(measurement)]
 
 
-__all__ = ["advance", "between", "loop"]
+__all__ = ["advance", "between", "loop", "turn"]

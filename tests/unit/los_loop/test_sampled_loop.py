@@ -7,16 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_loop import DT, small_controllers, small_plant
+from small_loop import small_controllers, small_plant
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from los_estimator.runtime import LosEstimator
 from los_loop.sampled_loop import Delays, sampled_loop
 from titop_plant.interface import CAMERA, FSM_ANGLE
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 
 STAGES = ("none", "isolator", "fsm", "fsm+pma")
 
@@ -34,9 +36,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame
     rng = np.random.default_rng(0)
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
-    plant = SampledPlant(
-        plant_step(data, no_tones()), state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
-    )
+    plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
     estimator, controller = (
         LosEstimator(k_fsm),
         FsmPmaController(
@@ -70,9 +70,7 @@ def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
     rng = np.random.default_rng(0)
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, 20, 0.0, 0)
-    plant = SampledPlant(
-        plant_step(data, no_tones()), state, sensors, np.full(8, 1e9), dt=DT, tones=np.zeros(0), parameters_hash=""
-    )
+    plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
     estimator = LosEstimator(k_fsm)
     controller = FsmPmaController(k_pma, "fsm+pma", los_sensitivity=sensitivity, fsm_authority=1e9, pma_authority=1e9)
     loop = sampled_loop(data, k_fsm, k_pma, loop="fsm+pma", frame_ticks=20, los_sensitivity=sensitivity, delays=delays)

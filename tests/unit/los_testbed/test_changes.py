@@ -10,8 +10,10 @@ from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, parse_change
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH
+from titop_plant.simulation.constant_step import ConstantStep
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 
 
 def recording():
@@ -119,8 +121,7 @@ def small_plant(dropout=0.0):
     matrix[20, COMMANDS + 1] = 1.0
     sensors = SensorModel(np.full(MEASUREMENTS, 0.1), np.zeros(MEASUREMENTS), 2, dropout, 3)
     step = whole_step(matrix, np.exp(1j * np.array([0.3])))
-    tones = np.array([300.0])
-    return SampledPlant(step, np.zeros(0), sensors, np.ones(COMMANDS), dt=1e-3, tones=tones, parameters_hash="")
+    return Plant(ConstantStep(step, np.zeros(0), np.array([300.0])), sensors, np.ones(COMMANDS))
 
 
 def outputs(plant, changes, ticks=100):

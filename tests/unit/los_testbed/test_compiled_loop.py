@@ -16,6 +16,7 @@ from los_testbed.loop.compiled_loop import CompiledLoop, prepare
 from los_testbed.loop.simulate import SIGNALS, SampleBlock, simulate
 
 from titop_plant.simulation import compilation
+from titop_plant.simulation.plant import Plant
 
 DESIGN = RunConfig(mode="inprocess", scenario="design", duration=2.3, camera_dropout=0.3, seed=5)
 SPEED_UP = {"wheel_acceleration": (8.0, -8.0, 3.0, 0.0)}
@@ -56,10 +57,12 @@ def test_code_of_the_user_is_called_and_the_telescope_beside_it_is_compiled(monk
     monkeypatch.setattr(compiled_loop, "kernel_for", lambda ticks: compilation.kernel())
     parts = RunParts(replace(DESIGN, nonlinear=True))
     plant, estimator, controller = parts.plant(), parts.estimator(), parts.controller()
+    assert isinstance(plant, Plant) and not plant.dynamics.compiled
     assert CompiledLoop.of(plant, estimator, controller, 10) is None
-    assert plant.plant._compiled  # type: ignore[attr-defined]
-    assert CompiledLoop.of(plant.plant, estimator, controller, 10) is not None  # type: ignore[attr-defined]
-    assert CompiledLoop.of(plant.plant, object(), controller, 10) is None  # type: ignore[attr-defined]
+    assert plant.dynamics.compiled
+    linear = replace(plant, devices=None)
+    assert CompiledLoop.of(linear, estimator, controller, 10) is not None
+    assert CompiledLoop.of(linear, object(), controller, 10) is None
 
 
 @needs_numba
@@ -70,7 +73,8 @@ def test_what_is_prepared_is_all_that_runs_need(monkeypatch: pytest.MonkeyPatch)
     assert compiled is not None
     for name in ("both laws", "ramp"):
         record(RunParts(replace(CONFIGS[name], duration=1.1)), True, monkeypatch)
-    assert [len(f.signatures) for f in (compiled.loop, compiled.advance, compiled.between)] == [1, 1, 1]
+    functions = compiled.loop, compiled.advance, compiled.between, compiled.turn
+    assert [len(function.signatures) for function in functions] == [1, 1, 1, 1]
 
 
 @needs_numba

@@ -11,7 +11,7 @@ import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImagePlant, window_of
+from los_testbed.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImageCamera, window_of
 from los_testbed.loop.simulate import run_in_process
 from mcap.reader import make_reader
 
@@ -28,42 +28,31 @@ OPTICS = Optics(550e-9, 38.0 * RAD_PER_MAS, 1.5, 0.3)
 STAR = GuideCamera(magnitude=9.0, cosmic_rate=0.0)
 RATE = np.array([300.0, -200.0]) * RAD_PER_MAS
 """Of the line of sight [rad/s]: four pixels in half a second."""
+NEVER: frozenset[int] = frozenset()
 
 
-class Drift:
-    """A telescope whose line of sight moves at a constant rate, without noise."""
+class Drift(ImageCamera):
+    """A camera on a telescope whose line of sight moves at a constant rate, without noise of its other sensors."""
 
-    dt, frame_ticks, parameters_hash = DT, 20, "drift"
-    limits, tones = np.ones(COMMANDS), np.zeros(0)
+    def __init__(self, camera: StarCamera, seed: int, noise: bool, dropped: frozenset[int]) -> None:
+        super().__init__(camera, 20, seed, noise)
+        self.dropped = dropped
 
-    def __init__(self) -> None:
-        self.dropped: set[int] = set()
-        self.reset()
-
-    def reset(self) -> None:
-        self.tick = 0
-
-    def change(self, name: str, value: float) -> None:
-        """Nothing to change."""
-
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        truth[:] = RATE * self.tick * DT
-        measurement[:] = 0.0
-        measurement[CAMERA] = 0.0 if self.tick % 20 == 0 and self.tick not in self.dropped else np.nan
-        self.tick += 1
+    def step(self) -> FloatArray:
+        """Camera's columns of the next tick (2,)."""
+        y = np.zeros(MEASUREMENTS)
+        y[CAMERA] = 0.0 if self.tick % 20 == 0 and self.tick not in self.dropped else np.nan
+        self.after(y, RATE * self.tick * DT)
+        return y[CAMERA]
 
 
-def plant(camera: GuideCamera = STAR, *, noise: bool = False, seed: int = 1) -> ImagePlant:
-    return ImagePlant(Drift(), StarCamera(OPTICS, camera), seed, noise)
+def plant(camera: GuideCamera = STAR, *, noise: bool = False, seed: int = 1, dropped: frozenset[int] = NEVER) -> Drift:
+    return Drift(StarCamera(OPTICS, camera), seed, noise, dropped)
 
 
-def angles(made: ImagePlant, ticks: int) -> FloatArray:
+def angles(made: Drift, ticks: int) -> FloatArray:
     """Camera's columns of each tick (n, 2)."""
-    y, truth, found = np.zeros(MEASUREMENTS), np.zeros(TRUTH), np.zeros((ticks, 2))
-    for k in range(ticks):
-        made.step(np.zeros(COMMANDS), y, truth)
-        found[k] = y[CAMERA]
-    return found
+    return np.array([made.step() for _ in range(ticks)])
 
 
 def user(folder: Path, text: str = '[sensors]\ncamera = "image"\n') -> str:
@@ -102,7 +91,7 @@ def test_a_reset_gives_the_same_bits() -> None:
     assert made.counts == {"frames": "20", "frames_before_start": "2"}
 
 
-class Counted(ImagePlant):
+class Counted(Drift):
     """Says what is done of the frames, and in which tick."""
 
     def _go_on(self) -> bool:
@@ -111,27 +100,25 @@ class Counted(ImagePlant):
             self.done.append(self.stepping)
         return done
 
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
+    def step(self) -> FloatArray:
         self.stepping = True
-        super().step(command, measurement, truth)
+        found = super().step()
         self.stepping = False
+        return found
 
-    def _restart(self) -> None:
+    def reset(self) -> None:
         self.done: list[bool] = []
-        super()._restart()
+        super().reset()
 
 
 @pytest.mark.parametrize("delay", [0.001, 0.002, 0.03])
 def test_work_between_ticks_gives_the_same_bits_and_leaves_none_to_them(delay: float) -> None:
     """A frame and its centroid take longer than the telescope: in real time they must not be in a tick."""
     camera = StarCamera(OPTICS, replace(STAR, magnitude=13.0, readout_delay=delay))
-    alone, between = (Counted(Drift(), camera, 1, noise=True) for _ in range(2))
-    between.plant.dropped = alone.plant.dropped = {100, 140}  # type: ignore[attr-defined]
+    alone, between = (Counted(camera, 1, True, frozenset({100, 140})) for _ in range(2))
     expected, found = angles(alone, 1000), np.zeros((1000, 2))
-    y, truth = np.zeros(MEASUREMENTS), np.zeros(TRUTH)
     for k in range(1000):
-        between.step(np.zeros(COMMANDS), y, truth)
-        found[k] = y[CAMERA]
+        found[k] = between.step()
         between.work()
     assert np.array_equal(expected, found, equal_nan=True) and np.isfinite(found).any()
     assert np.array_equal(alone.image, between.image) and alone.counts == between.counts
@@ -139,8 +126,7 @@ def test_work_between_ticks_gives_the_same_bits_and_leaves_none_to_them(delay: f
 
 
 def test_frames_without_angles_are_counted_by_reason() -> None:
-    made = plant(replace(STAR, magnitude=25.0), noise=True)
-    made.plant.dropped = {100, 140}  # type: ignore[attr-defined]
+    made = plant(replace(STAR, magnitude=25.0), noise=True, dropped=frozenset({100, 140}))
     found = angles(made, 400)
     assert np.isnan(found).all()
     assert made.missing == {BEFORE_START: 2, DROPPED: 2, NO_STAR: 16}

@@ -13,7 +13,8 @@ from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
 from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
-from titop_plant.simulation.driven_plant import DrivenPlant
+from titop_plant.simulation.driven_plant import DisturbanceInput
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.sources import drive
 from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
@@ -47,9 +48,10 @@ def truth(plant: object, ticks: int) -> FloatArray:
     return found
 
 
-def driven(family: simulation.PlantFamily, *sources: PlacedSource) -> DrivenPlant:
+def driven(family: simulation.PlantFamily, *sources: PlacedSource) -> Plant:
     start = np.zeros(family.control_loop.order)
-    plant = DrivenPlant(family.build(QUIET, start), source_matrix(family, QUIET, sources), Sources(sources), "test")
+    drive = DisturbanceInput(source_matrix(family, QUIET, sources), Sources(sources), "test")
+    plant = replace(family.build(QUIET, start), inputs=(drive,))
     plant.reset()
     return plant
 

@@ -12,7 +12,13 @@ from lftkit.arrays import FloatArray
 from titop_plant.interface import COMMANDED, COMMANDS, DT, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.disturbances import given_tones
-from titop_plant.simulation.driven_plant import DISTURBANCE_COLUMNS, DISTURBANCE_SIZE, DrivenPlant, held_disturbance
+from titop_plant.simulation.driven_plant import (
+    DISTURBANCE_COLUMNS,
+    DISTURBANCE_SIZE,
+    DisturbanceInput,
+    held_disturbance,
+)
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
@@ -37,11 +43,10 @@ class Signal:
         self.tick += 1
 
 
-def driven(rows: np.ndarray, config: PlantConfig = QUIET) -> DrivenPlant:
+def driven(rows: np.ndarray, config: PlantConfig = QUIET) -> Plant:
     plant = simulation.build_plant(config, np.zeros(simulation.PlantFamily.of(config).control_loop.order))
-    whole = DrivenPlant(
-        plant, held_disturbance(simulation.PlantFamily.of(config), config, DT), Signal(rows), "test:Signal"
-    )
+    held = held_disturbance(simulation.PlantFamily.of(config), config, DT)
+    whole = replace(plant, inputs=(DisturbanceInput(held, Signal(rows), "test:Signal"),))
     whole.reset()
     return whole
 

@@ -13,7 +13,7 @@ from titop_plant.simulation.sources.places import all_places, place_matrix, sour
 from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
 from titop_plant.telescope.devices import ANGULAR, PlacedSensor
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.placed.readings import PlantWithReadings
+from titop_plant.telescope.placed.readings import SensorReadings
 from titop_plant.telescope.telescope import Telescope
 
 ARM = [0.3, -0.2, 0.5]
@@ -184,30 +184,19 @@ def test_a_file_that_does_not_fit_is_refused(text: str, problem: str, tmp_path: 
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-class _Still:
-    """A plant whose sensors have constant values."""
-
-    dt, frame_ticks, limits, tones, parameters_hash = 1e-3, 20, np.ones(8), np.zeros(0), "still"
-    sensed = np.array([0.5, -0.5, 9.0])
-
-    def reset(self) -> None: ...
-    def change(self, name: str, value: float) -> None: ...
-    def step(self, command: object, measurement: object, truth: object) -> None: ...
-
-
 def test_readings_have_noise_bias_range_and_step() -> None:
     where = {"place": "bus", "position": np.zeros(3), "kind": "accelerometer"}
     noisy = PlacedSensor("n", axes=np.eye(3)[:1], noise=0.1, bias=0.2, step=0.0, range=np.inf, **where)
     coarse = PlacedSensor("c", axes=np.eye(3)[:2], noise=0.0, bias=0.0, step=0.3, range=2.0, **where)
-    plant, none = PlantWithReadings(_Still(), [noisy, coarse], seed=1, noise=True), np.zeros(0)
+    readings, true = SensorReadings([noisy, coarse], seed=1, noise=True), np.array([0.5, -0.5, 9.0])
     rows = []
     for _ in range(4000):
-        plant.step(none, none, none)
-        rows.append(plant.readings.copy())
+        readings.read(true)
+        rows.append(readings.values.copy())
     values = np.array(rows)
     assert values[:, 0].mean() == pytest.approx(0.7, abs=5 * 0.1 / np.sqrt(4000))
     assert values[:, 0].std() == pytest.approx(0.1, rel=0.06)
     assert values[:, 1:] == pytest.approx(np.tile([-0.6, 2.1], (4000, 1)))  # 9 is limited to 2, then rounded
-    plant.reset()
-    plant.step(none, none, none)
-    assert plant.readings.tolist() == rows[0].tolist()
+    readings.reset()
+    readings.read(true)
+    assert readings.values.tolist() == rows[0].tolist()

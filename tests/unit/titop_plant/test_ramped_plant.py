@@ -13,12 +13,14 @@ from scipy.integrate import solve_ivp
 from lftkit import Port, System
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import imbalance_tones, no_tones
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import motion, parameter_values, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
 from titop_plant.simulation.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
-from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant, node_interval, node_matrices
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
+from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
 
 SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
@@ -32,7 +34,7 @@ CROSSING = PlantConfig(
 )
 
 
-def line_of_sight(plant: SampledPlant, ticks: int, every: int = 1) -> np.ndarray:
+def line_of_sight(plant: Plant, ticks: int, every: int = 1) -> np.ndarray:
     command, measurement, truth = np.zeros(8), np.zeros(22), np.zeros(2)
     record = np.empty((ticks // every, 2))
     for k in range(ticks):
@@ -51,7 +53,7 @@ def test_a_wheel_crosses_the_mode_near_400_as_with_ten_times_finer_integration()
     def record(finer: float, ticks: int) -> np.ndarray:
         dt = DT / ticks
         nodes, interval, tones = family.nodes(CROSSING, dt, finer)
-        plant = RampedPlant(nodes, interval, tones, start.state, SILENT, start.limits, dt=dt, parameters_hash="")
+        plant = Plant(RampedStep(nodes, interval, tones, start.state, dt), SILENT, start.limits)
         return line_of_sight(plant, 1200 * ticks, ticks)
 
     usual, fine = record(1.0, 1), record(10.0, 10)
@@ -66,8 +68,8 @@ def test_a_wheel_crosses_the_mode_near_400_as_in_an_integrator_of_others() -> No
     assert CROSSING.wheel_speed is not None
     crossing = replace(CROSSING, wheel_speed=(398.0, *CROSSING.wheel_speed[1:]), ramp_duration=0.5)
     family, plant = PlantFamily.of(crossing), build_plant(crossing)
-    assert isinstance(plant, RampedPlant)
-    profile, tones = motion(crossing, family.telescope), plant._moving
+    assert isinstance(plant.dynamics, RampedStep)
+    profile, tones = motion(crossing, family.telescope), plant.dynamics.moving
 
     def system(time: float) -> tuple[System, np.ndarray]:
         data = family.control_loop.at(values_along(crossing, profile, time, family.telescope))
@@ -114,7 +116,7 @@ def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float)
     nodes = node_matrices(profile, interval, DT, matrices)
     tones = MovingTones(profile, no_tones())
     start = np.array([1.0, 0.5, 0.0, 100.0])
-    plant = RampedPlant(nodes, interval, tones, start, SILENT, np.ones(8), dt=DT, parameters_hash="")
+    plant = Plant(RampedStep(nodes, interval, tones, start), SILENT, np.ones(8))
     measured = np.empty((10001, 22))
     for row in measured:
         plant.step(np.zeros(8), row, np.zeros(2))
@@ -151,11 +153,10 @@ def test_a_ramp_of_almost_nothing_is_the_run_at_constant_speed() -> None:
     ramp = replace(CROSSING, wheel_acceleration=(1e-9, 0.0, 0.0, 0.0), ramp_duration=0.2)
     family = PlantFamily.of(ramp)
     plant = family.build(ramp)
-    tones = MovingTones(motion(ramp, family.telescope), plant._moving.unit).start()
+    assert isinstance(plant.dynamics, RampedStep)
+    tones = MovingTones(motion(ramp, family.telescope), plant.dynamics.moving.unit).start()
     data = family.control_loop.at({f"wheel_{i + 1}.speed": s for i, s in enumerate(ramp.wheel_speed or ())})
-    constant = SampledPlant(
-        plant_step(data, tones), plant.state, SILENT, plant.limits, dt=DT, tones=np.zeros(0), parameters_hash=""
-    )
+    constant = Plant(ConstantStep(plant_step(data, tones), plant.state, np.zeros(0)), SILENT, plant.limits)
     first, second = line_of_sight(plant, 300), line_of_sight(constant, 300)
     assert np.abs(first - second).max() < 1e-7 * np.abs(second).max()
 
@@ -207,7 +208,7 @@ def test_a_ramp_without_a_ramp_is_refused() -> None:
 def test_modes_of_the_report_are_those_of_the_telescope() -> None:
     ramp = replace(CROSSING, ramp_duration=0.01)
     plant = build_plant(ramp)
-    assert isinstance(plant, RampedPlant)
+    assert plant.motion is not None
     family = PlantFamily.of(ramp)
     poles = linalg.eigvals(family.control_loop.at(parameter_values(ramp, family.telescope)).A)
     near_400 = [w for w in plant.motion["modes"] if 395.0 < w < 412.0]
@@ -221,7 +222,7 @@ def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:
     """Gyroscopic: two hundred rad/s more of a wheel move some modes, as they do at constant speed."""
     ramp = replace(CROSSING, wheel_acceleration=(100.0, 0.0, 0.0, 0.0), ramp_duration=2.0)
     plant, family = build_plant(ramp), PlantFamily.of(ramp)
-    assert isinstance(plant, RampedPlant)
+    assert plant.motion is not None
     for row in (plant.motion["modes_over_time"][0], plant.motion["modes_over_time"][-1]):
         values = values_along(ramp, motion(ramp, family.telescope), row[0], family.telescope)
         poles = linalg.eigvals(family.control_loop.at(values).A)

@@ -11,10 +11,12 @@ from scipy import linalg
 from lftkit import Port, System
 from titop_plant.interface import CAMERA, DT
 from titop_plant.simulation.compilation import kernel
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, joined, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import held_step, in_turn, plant_step, step_matrix, tone_step
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.sensor_samples import SensorModel
 
 K = 3
 SENSORS = SensorModel(np.linspace(0.1, 2.3, 22), np.linspace(-1.0, 1.0, 22), 4, 0.3, 11)
@@ -53,10 +55,10 @@ def tones_at(frequency: np.ndarray) -> Tones:
     return Tones(frequency, amplitude, np.zeros(K), np.full(K, -1))
 
 
-def plant(A: np.ndarray, sensors: SensorModel = SENSORS, frequency: np.ndarray = FREQUENCIES) -> SampledPlant:
+def plant(A: np.ndarray, sensors: SensorModel = SENSORS, frequency: np.ndarray = FREQUENCIES) -> Plant:
     step = plant_step(system(A), tones_at(frequency))
     state = np.linspace(1.0, -2.0, len(A))
-    return SampledPlant(step, state, sensors, LIMITS, dt=DT, tones=frequency, parameters_hash="name")
+    return Plant(ConstantStep(step, state, frequency), sensors, LIMITS, "name")
 
 
 def expected(A: np.ndarray, commands: np.ndarray, sensors: SensorModel, frequency: np.ndarray):

@@ -33,16 +33,13 @@ if TYPE_CHECKING:
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
     from los_testbed.disturbance_kinds import Entry
-    from los_testbed.image_camera import CameraPlant
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
-    from titop_plant.simulation.driven_plant import DrivenPlant, PlantWithActuators
-    from titop_plant.simulation.sampled_plant import SampledPlant
+    from titop_plant.simulation.plant import Plant as SimulatedPlant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.devices import PlacedActuator
-    from titop_plant.telescope.placed.readings import PlantWithReadings
     from titop_plant.telescope.telescope import Telescope
 
 
@@ -345,13 +342,8 @@ class RunParts:
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
             telescope = self.sensed_family.build(self.physical, state)
         own = config.disturbance_source if config.disturbance else None
-        plant = telescope if own is None else self._driven(telescope, own)
-        whole = self.with_devices(self.with_sources(plant))
-        if not config.nonlinear:
-            return self._with_images(whole)
-        from titop_plant.simulation.nonlinear_plant import DeviceLimits, NonlinearPlant
-
-        return self._with_images(NonlinearPlant(whole, DeviceLimits(), asdict(self.telescope.pma)))
+        driven = telescope if own is None else self._driven(telescope, own)
+        return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
 
     @cached_property
     def sensed_family(self) -> PlantFamily:
@@ -380,31 +372,38 @@ class RunParts:
         """Columns of the readings that each controller sees, and the forces behind the commands."""
         return Wiring.of(self.placed, self._used("k_fsm"), self._used("k_pma"))
 
-    def with_devices(
-        self, plant: SampledPlant | DrivenPlant
-    ) -> SampledPlant | DrivenPlant | PlantWithActuators | PlantWithReadings:
+    def with_devices(self, plant: SimulatedPlant) -> SimulatedPlant:
         """The telescope with further actuators that the controller commands, and further sensors, if there are any."""
         sensors, actuators = self.placed.sensors, self._used("k_pma").actuators
-        whole: SampledPlant | DrivenPlant | PlantWithActuators = plant
         if actuators:
-            from titop_plant.simulation.driven_plant import PlantWithActuators, held_forces
+            from titop_plant.simulation.driven_plant import ActuatorInput, held_forces
 
             with one_thread():
                 held = held_forces(self.sensed_family, self.settings, actuators, plant.dt)
-            whole = PlantWithActuators(plant, held, actuators)
-        if not sensors:
-            return whole
-        from titop_plant.telescope.placed.readings import PlantWithReadings
+                plant = replace(plant, inputs=(*plant.inputs, ActuatorInput(held, actuators)))
+        if sensors:
+            from titop_plant.telescope.placed.readings import SensorReadings
 
-        return PlantWithReadings(whole, sensors, self.config.seed, self.config.noise)
+            plant = replace(plant, further_sensors=SensorReadings(sensors, self.config.seed, self.config.noise))
+        return plant
 
-    def _with_images(self, plant: CameraPlant) -> Plant:
+    def _with_limits(self, plant: SimulatedPlant) -> SimulatedPlant:
+        """The telescope with limits of its devices, where the configuration asks for them."""
+        if not self.config.nonlinear:
+            return plant
+        from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
+
+        devices = LimitedDevices(DeviceLimits(), self.telescope.pma, plant.limits, plant.dt)
+        return replace(plant, devices=devices)
+
+    def _with_images(self, plant: SimulatedPlant) -> SimulatedPlant:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
         if self.star_camera is None:
             return plant
-        from los_testbed.image_camera import ImagePlant
+        from los_testbed.image_camera import ImageCamera
 
-        return ImagePlant(plant, self.star_camera, self.config.seed, self.config.noise)
+        camera = ImageCamera(self.star_camera, plant.frame_ticks, self.config.seed, self.config.noise)
+        return replace(plant, camera=camera)
 
     @cached_property
     def star_camera(self) -> StarCamera | None:
@@ -430,27 +429,28 @@ class RunParts:
 
         return make_disturbance(self.config, driven_ports(self.telescope))
 
-    def _driven(self, plant: SampledPlant, source: str) -> DrivenPlant:
+    def _driven(self, plant: SimulatedPlant, source: str) -> SimulatedPlant:
         """The telescope under the disturbance of the user."""
-        from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
+        from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance
 
         disturbance = self.disturbance()
         disturbance.reset()
         with one_thread():
             held = held_disturbance(self.sensed_family, self.physical, plant.dt)
-            return DrivenPlant(plant, held, disturbance, source)
+            return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, disturbance, source)))
 
-    def with_sources(self, plant: SampledPlant | DrivenPlant) -> SampledPlant | DrivenPlant:
+    def with_sources(self, plant: SimulatedPlant) -> SimulatedPlant:
         """The telescope under the sources of files, where there are any."""
         if not self.sources:
             return plant
-        from titop_plant.simulation.driven_plant import DrivenPlant
+        from titop_plant.simulation.driven_plant import DisturbanceInput
         from titop_plant.simulation.sources.drive import Sources, source_matrix
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
         family = self.sensed_family if plant.sensed.size else self.family
         with one_thread():
-            return DrivenPlant(plant, source_matrix(family, self.physical, self.sources, plant.dt), drive, name)
+            held = source_matrix(family, self.physical, self.sources, plant.dt)
+            return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, drive, name)))
 
     @cached_property
     def sources(self) -> tuple[PlacedSource, ...]:

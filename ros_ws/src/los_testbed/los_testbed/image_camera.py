@@ -6,16 +6,16 @@ tick k - d; its centroid takes the place of the measurement of the camera at tic
 whole pixels**: its middle is the pixel of the last angles. After `SEARCH_AFTER` frames in a row without angles the star
 is searched in the whole field, which puts the window at the pixel of its true mean place.
 
-Frame and centroid take longer than a tick of the telescope. **`step` leaves them until the angles are due**; who has
-time between two ticks does one of them with `work`. What they give depends on what `step` kept for them alone, so it is
-the same whenever they are done.
+Frame and centroid take longer than a tick of the telescope. **`after` leaves them until the angles are due**; who has
+time between two ticks does one of them with `work`. What they give depends on what `after` kept for them alone, so it
+is the same whenever they are done.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,25 +34,6 @@ SEED_KEY = 17
 """Of the camera's random numbers among those of a run: the other noise of the loop stays as it is."""
 
 
-class CameraPlant(Protocol):
-    """What the camera needs of the telescope under it."""
-
-    dt: float
-    frame_ticks: int
-    limits: FloatArray
-    tones: FloatArray
-    parameters_hash: str
-
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """One tick, see `SampledPlant.step`."""
-
-    def reset(self) -> None:
-        """Back to tick 0."""
-
-    def change(self, name: str, value: float) -> None:
-        """A setting, see `SampledPlant.change`."""
-
-
 @dataclass
 class _Frame:
     """An exposure: the tick at which its angles are there, the middle of its window, the path about it [rad].
@@ -68,41 +49,36 @@ class _Frame:
     found: Centroid | None = None
 
 
-class ImagePlant:
-    """A telescope whose camera takes images; it has the interface of `SampledPlant`.
+class ImageCamera:
+    """A camera that takes images, a part of :class:`titop_plant.simulation.plant.Plant`.
+
+    The plant's own measurement of the camera only says which frames are dropped.
 
     Parameters
     ----------
-    plant : Telescope
-        In the state in which the run starts. Its own measurement of the camera only says which frames are dropped.
     camera : StarCamera
+    frame_ticks : int
+        Ticks from one frame to the next.
     seed : int
         Of the run.
     noise : bool
         Whether frames have noise and cosmic hits.
     """
 
-    def __init__(self, plant: CameraPlant, camera: StarCamera, seed: int, noise: bool) -> None:
+    def __init__(self, camera: StarCamera, frame_ticks: int, seed: int, noise: bool) -> None:
         from pointing_analysis.image.centroid import centroid  # scipy, which a vector camera does without
 
-        self.plant, self.camera, self._find = plant, camera, centroid
-        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
-        self.parameters_hash = plant.parameters_hash
+        self.camera, self.frame_ticks, self._find = camera, frame_ticks, centroid
         self._exposure = round(camera.camera.exposure / DT)
         self._delay = round(camera.camera.readout_delay / DT)
         self._seed, self._with_noise = seed, noise
         self._path = np.zeros((self._exposure + 1, TRUTH))
         self.image = np.zeros((camera.camera.window, camera.camera.window))
         """Counts of the frame of the last tick with one."""
-        self._restart()
+        self.reset()
 
     def reset(self) -> None:
         """Back to tick 0: same seed, same bits."""
-        self.plant.reset()
-        self._restart()
-
-    def _restart(self) -> None:
-        """What the camera itself knows, as at tick 0."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(SEED_KEY,)))
         self._noisy = self._with_noise
         self.tick = 0
@@ -114,14 +90,12 @@ class ImagePlant:
         self.image[:] = 0.0
 
     def change(self, name: str, value: float) -> None:
-        """Change a setting of the telescope, see `SampledPlant.change`; ``noise`` is that of the frames, too."""
-        self.plant.change(name, value)
+        """Change ``noise`` of the frames, see `Plant.change`; other names have no effect."""
         if name == "noise":
             self._noisy = bool(value)
 
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
-        self.plant.step(command, measurement, truth)
+    def after(self, measurement: FloatArray, truth: FloatArray) -> None:
+        """Replace the camera's angles of this tick in `measurement` (22,) [rad]; `truth` (2,) is the line of sight."""
         self._path[:-1] = self._path[1:]
         self._path[-1] = truth
         if (self.tick + self._delay) % self.frame_ticks == 0 and self.tick >= self._exposure:
@@ -193,14 +167,22 @@ class ImagePlant:
         return {"frames": str(self.frames), **missing}
 
 
+def image_camera_of(plant: object) -> ImageCamera | None:
+    """The camera of a plant that takes images; None for another camera."""
+    camera = getattr(plant, "camera", None)
+    return camera if isinstance(camera, ImageCamera) else None
+
+
 def frame_counts(plant: object) -> dict[str, str]:
-    """:attr:`ImagePlant.counts` of a plant; nothing for a camera without images."""
-    return plant.counts if isinstance(plant, ImagePlant) else {}
+    """:attr:`ImageCamera.counts` of a plant; nothing for a camera without images."""
+    camera = image_camera_of(plant)
+    return {} if camera is None else camera.counts
 
 
 def window_of(plant: object) -> int:
     """Pixels along each axis of the images of a plant; 0 for a camera without images."""
-    return plant.camera.camera.window if isinstance(plant, ImagePlant) else 0
+    camera = image_camera_of(plant)
+    return 0 if camera is None else camera.camera.camera.window
 
 
-__all__ = ["ImagePlant", "frame_counts", "window_of"]
+__all__ = ["ImageCamera", "frame_counts", "image_camera_of", "window_of"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,8 +19,9 @@ class Plant(Protocol):
     plant that diverges returns values that are not finite. It takes well under a tick. After `reset` the same commands
     give the same bits.
 
-    Two further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
-    and ``parameters_hash``, a text that names its values.
+    Three further attributes are recorded where a plant has them: ``tones``, the frequencies of its disturbance [rad/s],
+    ``motion``, what moves, as a mapping (:attr:`titop_plant.simulation.ramped_step.RampedStep.motion`), and
+    ``parameters_hash``, a text that names its values. The telescope is a :class:`titop_plant.simulation.plant.Plant`.
     """
 
     frame_ticks: int
@@ -36,20 +37,13 @@ class Plant(Protocol):
         """Back to the state before the first step, noise included."""
 
 
-def inner(plant: object, name: str) -> Any:
-    """Attribute of a plant, or of the telescope behind its devices; None where none has it."""
-    while not hasattr(plant, name) and hasattr(plant, "plant"):
-        plant = plant.plant
-    return getattr(plant, name, None)
-
-
 def plant_notes(plant: Plant) -> dict[str, str]:
     """Tones, motion and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)
     if tones is not None:
         notes["tones_rad_s"] = "[" + ", ".join(f"{tone:.9g}" for tone in np.ravel(tones)) + "]"
-    motion = inner(plant, "motion")
+    motion = getattr(plant, "motion", None)
     if motion is not None:
         notes["motion"] = json.dumps(motion)
     parameters_hash = getattr(plant, "parameters_hash", None)

@@ -36,7 +36,8 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     sample_ticks,
 )
-from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.simulation.constant_step import ConstantStep
+from titop_plant.simulation.plant import Plant
 
 LAW, PLANT = "los_law", "los_plant"
 PLATFORM = "linux64"
@@ -118,31 +119,28 @@ def plant_model(plant: object) -> Model:
 
     Parameters
     ----------
-    plant : SampledPlant
+    plant : Plant
         It is reset.
 
     Raises
     ------
     ValueError
-        A plant of another kind, or one whose parameters change.
+        A plant of another kind, one with further parts, or one whose parameters change.
     """
-    if not isinstance(plant, SampledPlant) or type(plant) is not SampledPlant or plant.sensed.size:
-        raise ValueError(f"the plant must be the telescope with constant parameters, got {type(plant).__name__}")
+    if not isinstance(plant, Plant) or not plant.is_plain or not isinstance(plant.dynamics, ConstantStep):
+        raise ValueError(f"the plant must be the telescope with constant parameters, got {_kind_of(plant)}")
     plant.reset()
-    step = plant.kernel_ticks(1)
-    plant.reset()
-    if step is None:
-        raise ValueError("the plant must have its disturbance and noise as at the start")
+    step, order = plant.dynamics.arrays, plant.dynamics.numbers.order
     tables = {
         "OWN": step.own,
         "CROSS": step.cross,
         "DRIVE": step.driven,
-        **({"WITHIN": step.block} if step.order > len(step.own) else {}),
+        **({"WITHIN": step.block} if order > len(step.own) else {}),
         "OUTPUTS": step.outputs,
         **({"TURN": step.turn} if step.turn.size else {}),
-        "START": step.values,
-        "LIMITS": step.limits,
-        "BIAS": step.bias,
+        "START": plant.values,
+        "LIMITS": plant.authority,
+        "BIAS": plant.sensors.bias,
     }
     found = Tables.of(**tables)
     every = [1] * MEASUREMENTS
@@ -151,7 +149,7 @@ def plant_model(plant: object) -> Model:
     inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
     text = template(f"{PLANT}.c").render(
         name=f"Values: {plant.parameters_hash}",
-        order=step.order,
+        order=order,
         plain=len(step.own),
         pairs=step.pairs,
         commands=COMMANDS,
@@ -164,6 +162,13 @@ def plant_model(plant: object) -> Model:
     )
     about = f"Telescope {plant.parameters_hash} with its disturbance, without sensor noise"
     return Model(PLANT, about, inputs, outputs, {f"{PLANT}.c": text}, found.sha256)
+
+
+def _kind_of(plant: object) -> str:
+    """What a plant is, for an error: its class, or how it is no telescope with constant parameters alone."""
+    if not isinstance(plant, Plant):
+        return type(plant).__name__
+    return "one with further inputs, sensors or limits" if not plant.is_plain else "one whose parameters change"
 
 
 def write_fmu(model: Model, output: Path) -> str:

@@ -31,11 +31,14 @@ from titop_plant.interface import (
     TRUTH,
 )
 from titop_plant.simulation.compilation import kernel, kernel_for
+from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import no_tones
+from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, Record
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import linear_profile
-from titop_plant.simulation.ramped_plant import MovingTones, RampedPlant
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
+from titop_plant.simulation.ramped_step import MovingTones, RampedStep
+from titop_plant.simulation.sensor_samples import SensorModel
 
 _PARTS = np.array([0, *(part.stop for part in HELD_PARTS.values())])
 
@@ -65,24 +68,25 @@ class CompiledLoop:
 
     Parameters
     ----------
-    plant : SampledPlant
+    plant : Plant
+        Without further parts (`Plant.is_plain`).
     estimator : LosEstimator
     controller : FsmPmaController
         With a `SampledSystem` as K_PMA.
     """
 
-    def __init__(self, plant: SampledPlant, estimator: LosEstimator, controller: FsmPmaController) -> None:
+    def __init__(self, plant: Plant, estimator: LosEstimator, controller: FsmPmaController) -> None:
         self._plant, self._estimator, self._controller = plant, estimator, controller
 
     @classmethod
     def of(cls, plant: object, estimator: object, controller: object, ticks: int) -> CompiledLoop | None:
-        """The loop of these parts; None where one of them is of another class, or compiled code does not pay.
+        """The loop of these parts; None where one of them is of another kind, or compiled code does not pay.
 
         A plant that is stepped by others is told to use compiled code, too.
         """
-        own = type(plant) in (SampledPlant, RampedPlant) and type(estimator) is LosEstimator
         if kernel_for(ticks) is None:
             return None
+        own = type(plant) is Plant and plant.is_plain and type(estimator) is LosEstimator
         if not own or type(controller) is not FsmPmaController:
             compile_telescope(plant, ticks)
             return None
@@ -98,20 +102,26 @@ class CompiledLoop:
         bool
             False: settings of the plant were changed, nothing was done.
         """
-        ticks = self._plant.kernel_ticks(rows)
-        compiled = kernel_for(rows)
-        if ticks is None or compiled is None:
+        plant, compiled = self._plant, kernel_for(rows)
+        ahead = None if compiled is None else plant.ahead(rows)
+        if compiled is None or ahead is None:
             return False
-        controller, observer = self._controller, self._estimator.k_fsm.product
-        law = controller.k_pma
-        assert isinstance(law, SampledSystem)
+        course, sensors = ahead
+        record = Record(block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows])
+        observer, controller = self._observer(), self._control(command)
         compiled.loop(
-            *ticks,
-            observer.columns,
-            observer.values,
-            _PARTS,
-            HELD,
-            self._estimator.held,
+            plant.dynamics.arrays, plant.values, plant.authority, course, sensors, observer, controller, record
+        )
+        return True
+
+    def _observer(self) -> ObserverArrays:
+        product = self._estimator.k_fsm.product
+        return ObserverArrays(product.columns, product.values, _PARTS, HELD, self._estimator.held)
+
+    def _control(self, command: FloatArray) -> ControllerArrays:
+        controller, law = self._controller, self._controller.k_pma
+        assert isinstance(law, SampledSystem)
+        return ControllerArrays(
             law.product.columns,
             law.product.values,
             PLATFORM.start,
@@ -119,19 +129,12 @@ class CompiledLoop:
             controller.mirror_gain,
             controller.limits,
             command,
-            block.measurement[:rows],
-            block.truth[:rows],
-            block.los_estimate[:rows],
-            block.command[:rows],
         )
-        return True
 
 
 def compile_telescope(plant: object, ticks: int) -> None:
-    """Have the simulated telescope, also inside device limits or another disturbance, use compiled code if it pays."""
-    while plant is not None and not isinstance(plant, SampledPlant):
-        plant = getattr(plant, "plant", None)
-    if plant is not None and kernel_for(ticks) is not None:
+    """Have the simulated telescope, with all its parts, use compiled code if it pays; another plant stays as it is."""
+    if isinstance(plant, Plant) and kernel_for(ticks) is not None:
         plant.compile()
 
 
@@ -145,15 +148,10 @@ def prepare() -> bool:
     """
     if kernel() is None:
         return False
-    matrix, still = np.zeros((MEASUREMENTS + TRUTH, COMMANDS)), np.zeros(0, complex)
-    common = (
-        np.zeros(0),
-        SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0),
-        np.ones(COMMANDS),
-    )
-    plant = SampledPlant(whole_step(matrix, still), *common, dt=DT, tones=np.zeros(0), parameters_hash="")
+    matrix, start = np.zeros((MEASUREMENTS + TRUTH, COMMANDS)), np.zeros(0)
     moving = MovingTones(linear_profile(0.0, 0.0, np.zeros(4), np.zeros(4), 1.0), no_tones())
-    ramped = RampedPlant([matrix], 1, moving, *common, dt=DT, parameters_hash="")
+    constant = ConstantStep(whole_step(matrix, np.zeros(0, complex)), start, np.zeros(0))
+    sensors = SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0)
     gain = np.zeros((FORCES.stop - FORCES.start, PLATFORM.stop - PLATFORM.start))
     none = np.zeros((0, 0))
     law = SampledSystem(none, none, none, gain, K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
@@ -161,7 +159,8 @@ def prepare() -> bool:
     one = 1.0
     controller = FsmPmaController(law, los_sensitivity=one, fsm_authority=one, pma_authority=one)
     block = _Ticks(*(np.zeros((1, width)) for width in (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)))
-    for telescope in (plant, ramped):
+    for dynamics in (constant, RampedStep([matrix], 1, moving, start)):
+        telescope = Plant(dynamics, sensors, np.ones(COMMANDS))
         telescope.compile()
         CompiledLoop(telescope, LosEstimator(observer), controller).run(np.zeros(COMMANDS), block, 1)
     return True

@@ -22,10 +22,10 @@ from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.image_camera import ImagePlant, frame_counts, window_of
+from los_testbed.image_camera import frame_counts, image_camera_of, window_of
 from los_testbed.law_devices import NONE, Wiring
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
-from los_testbed.plants import Plant, inner, plant_notes
+from los_testbed.plants import Plant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition
@@ -170,7 +170,8 @@ def _step_by_step(
     """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     done, who = 0, "plant"
-    image = plant.image.ravel() if isinstance(plant, ImagePlant) else None
+    camera = image_camera_of(plant)
+    image = None if camera is None else camera.image.ravel()
     readings = readings_of(plant)
     seen, felt = np.zeros(MEASUREMENTS + len(wiring.estimator)), np.zeros(ACCELERATIONS + len(wiring.controller))
     try:
@@ -204,7 +205,7 @@ def _step_by_step(
 
 def readings_of(plant: object) -> FloatArray:
     """Readings of the further sensors of a plant at its last tick, the same array at every tick; empty without any."""
-    found = inner(plant, READINGS)
+    found = getattr(plant, READINGS, None)
     return np.zeros(0) if found is None else np.asarray(found)
 
 

@@ -21,8 +21,8 @@ from los_testbed.loop.simulate import SampleBlock, simulate
 from los_testbed.run_start import RunStart
 from pointing_analysis.indices.errors import default_transient
 from titop_plant.interface import DT, MIRROR_STAGES
-from titop_plant.simulation.driven_plant import DrivenPlant, held_disturbance
-from titop_plant.simulation.sampled_plant import SampledPlant
+from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance
+from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.sources.drive import Sources, source_matrix
 
 NOISE = "sensor noise"
@@ -92,10 +92,10 @@ def _of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
     alone, source = _quiet(parts), parts.sources[index : index + 1]
     with one_thread():
         family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
-        matrix = source_matrix(family, alone.settings, source, telescope.dt)
-    return _simulated(
-        alone, DrivenPlant(telescope, matrix, Sources(source, telescope.dt), source[0].name), parts, ticks
-    )
+        held = source_matrix(family, alone.settings, source, telescope.dt)
+        driving = DisturbanceInput(held, Sources(source, telescope.dt), source[0].name)
+        driven = replace(telescope, inputs=(driving,))
+    return _simulated(alone, driven, parts, ticks)
 
 
 def _of_code(parts: RunParts, ticks: int) -> FloatArray:
@@ -104,7 +104,8 @@ def _of_code(parts: RunParts, ticks: int) -> FloatArray:
     with one_thread():
         family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
         held = held_disturbance(family, alone.settings, telescope.dt)
-    return _simulated(alone, DrivenPlant(telescope, held, disturbance, disturbance.name), parts, ticks)
+        driven = replace(telescope, inputs=(DisturbanceInput(held, disturbance, disturbance.name),))
+    return _simulated(alone, driven, parts, ticks)
 
 
 def _started(parts: RunParts, noise: bool, ticks: int) -> FloatArray:
@@ -133,12 +134,12 @@ def _laws(parts: RunParts) -> dict[str, SampledSystem] | None:
     return None if parts.code else {name: replace(law) for name, law in parts.models.items()}
 
 
-def _at_rest(alone: RunParts, parts: RunParts) -> SampledPlant:
+def _at_rest(alone: RunParts, parts: RunParts) -> Plant:
     family = alone.sensed_family if parts.code else alone.family  # code may read further sensors
     return family.build(alone.settings, np.zeros(family.control_loop.order))
 
 
-def _simulated(alone: RunParts, telescope: SampledPlant | DrivenPlant, parts: RunParts, ticks: int) -> FloatArray:
+def _simulated(alone: RunParts, telescope: Plant, parts: RunParts, ticks: int) -> FloatArray:
     """True line of sight of the loop with this plant."""
     plant = alone.with_devices(telescope) if parts.code else telescope
     estimator, controller = alone.estimator(), alone.controller()

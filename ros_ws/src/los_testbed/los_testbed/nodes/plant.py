@@ -23,7 +23,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts, build_plant
-from los_testbed.image_camera import ImagePlant, frame_counts
+from los_testbed.image_camera import frame_counts, image_camera_of
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
@@ -120,7 +120,7 @@ class PlantLoop:
         self._command = np.zeros(self.io.command_size)
         self._measurement = np.zeros(MEASUREMENTS)
         self._truth = np.zeros(TRUTH)
-        self._camera = plant if isinstance(plant, ImagePlant) else None
+        self._camera = image_camera_of(plant)
         self._further = {READINGS: readings_of(plant)}
         if self._camera is not None:
             self._further[IMAGE_VECTOR] = self._camera.image.ravel()

@@ -1,4 +1,4 @@
-"""Limits of real devices around the linear telescope: strokes, rates, quantisation, anti-alias filters.
+"""Limits of real devices of the telescope: strokes, rates, quantisation, anti-alias filters.
 
 In each tick, in this order:
 
@@ -7,7 +7,7 @@ In each tick, in this order:
    mass on the stop has no net force on the structure. The displacement is that of the mass on its spring under the
    force alone (``m x'' + d x' + k x = u``, exact for a force held over a tick). Neglected: the acceleration of the
    mount, small beside it, and the impact.
-3. The telescope moves (`titop_plant.simulation.sampled_plant`), with noise and bias.
+3. The telescope moves (`titop_plant.simulation.plant`), with noise and bias.
 4. Accelerations pass a Butterworth low-pass of second order (bilinear, prewarped at its cut-off), which delays slow
    signals by ``sqrt(2) / (2 pi cut-off)``. It starts settled on the first sample.
 5. Every measurement is rounded to its quantisation step.
@@ -19,9 +19,7 @@ quantisation the plant is the linear one to the last bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -29,9 +27,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.simulation.driven_plant import DrivenPlant, PlantWithActuators
-from titop_plant.simulation.sampled_plant import SampledPlant
-from titop_plant.telescope.placed.readings import PlantWithReadings
+from titop_plant.telescope.sections import OscillatorTable
 
 
 @dataclass(frozen=True)
@@ -77,16 +73,23 @@ class DeviceLimits:
             raise ValueError(f"cut_off must be from 0 to {0.5 / DT:g} Hz, got {self.cut_off}")
 
 
-class NonlinearPlant:
-    """The telescope with device limits; it has the interface of `SampledPlant`.
+class LimitedDevices:
+    """Actuators and sensors with device limits, a part of :class:`titop_plant.simulation.plant.Plant`.
 
     Parameters
     ----------
-    plant : SampledPlant, DrivenPlant, PlantWithActuators or PlantWithReadings
-        The linear telescope, in the state in which the run starts.
     limits : DeviceLimits
-    actuator : mapping
-        ``moving_mass`` [kg], ``stiffness`` [N/m] and ``damping`` [N s/m] of a proof-mass actuator.
+    actuator : OscillatorTable
+        Of the proof-mass actuators.
+    authority : ndarray, shape (8 + actuators,)
+        Largest commands: mirror [rad], forces [N], forces of further actuators [N], which have no other limit.
+    dt : float
+        Sampling period [s].
+
+    Attributes
+    ----------
+    name : str
+        Added to the name of the plant's values: the limits.
 
     Examples
     --------
@@ -96,61 +99,56 @@ class NonlinearPlant:
     0.9
     """
 
-    def __init__(
-        self,
-        plant: SampledPlant | DrivenPlant | PlantWithActuators | PlantWithReadings,
-        limits: DeviceLimits,
-        actuator: Mapping[str, Any],
-    ) -> None:
-        self.plant, self.device_limits = plant, limits
-        self.dt, self.frame_ticks, self.tones, self.limits = plant.dt, plant.frame_ticks, plant.tones, plant.limits
-        self.parameters_hash = f"{plant.parameters_hash} with {astuple(limits)}"
-        self._most = np.full(plant.limits.size, np.inf)  # further actuators have no rate
-        self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * plant.dt, limits.force_rate * plant.dt
-        self._push, self._move = held_oscillator(actuator, plant.dt)
+    def __init__(self, limits: DeviceLimits, actuator: OscillatorTable, authority: FloatArray, dt: float = DT) -> None:
+        self.limits, self.name = limits, str(astuple(limits))
+        self._authority = authority
+        self._most = np.full(authority.size, np.inf)
+        self._most[MIRROR], self._most[FORCES] = limits.mirror_rate * dt, limits.force_rate * dt
+        self._push, self._move = held_oscillator(actuator, dt)
         self._b, self._a = np.eye(1, 3)[0], np.eye(1, 3)[0]
         if limits.cut_off:
             from scipy import signal
 
-            self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / plant.dt))
+            self._b, self._a = (np.asarray(c) for c in signal.butter(2, limits.cut_off, fs=1.0 / dt))
         self._filtered = bool(limits.cut_off)
         self._step = np.zeros(MEASUREMENTS)
         for entry in MEASURED_SENSORS:
             self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step)
         self._coarse = self._step > 0.0
-        self._command = np.zeros(plant.limits.size)
+        self._command = np.zeros(authority.size)
         self.reset()
 
     def reset(self) -> None:
-        """Back to tick 0: same seed, same bits."""
-        self.plant.reset()
+        """Back to tick 0: masses at rest, filters that settle on the first sample."""
         self._last: FloatArray | None = None
         self._mass = np.zeros((2, FORCES.stop - FORCES.start))
         self._memory: FloatArray | None = None
 
     def change(self, name: str, value: float) -> None:
-        """Change a setting of the telescope from the next tick on, see `SampledPlant.change`."""
-        self.plant.change(name, value)
+        """No setting of a run changes the limits."""
 
     @property
     def displacement(self) -> FloatArray:
         """Copy of the displacements of the six proof masses [m]."""
         return np.array(self._mass[0])
 
-    def step(self, command: FloatArray, measurement: FloatArray, truth: FloatArray) -> None:
-        """Apply `command` (8,) from this tick on; write `measurement` (22,) and `truth` (2,) of this tick."""
-        v = self._command
-        np.clip(command, -self.limits, self.limits, out=v)
+    def before(self, command: FloatArray) -> FloatArray:
+        """What the actuators do of `command` (8 + actuators,) in this tick; the next call overwrites it."""
+        v, stroke = self._command, self.limits.stroke
+        np.clip(command, -self._authority, self._authority, out=v)
         if self._last is not None:  # the first command is that of the start
             np.clip(v, self._last - self._most, self._last + self._most, out=v)
         forces = v[FORCES]
-        forces[(np.abs(self._mass[0]) >= self.device_limits.stroke) & (forces * self._mass[0] > 0.0)] = 0.0
+        forces[(np.abs(self._mass[0]) >= stroke) & (forces * self._mass[0] > 0.0)] = 0.0
         self._last = v.copy()
         self._mass = self._push @ self._mass + self._move[:, None] * forces
-        at_stop = np.abs(self._mass[0]) > self.device_limits.stroke
-        self._mass[0, at_stop] = np.copysign(self.device_limits.stroke, self._mass[0, at_stop])
+        at_stop = np.abs(self._mass[0]) > stroke
+        self._mass[0, at_stop] = np.copysign(stroke, self._mass[0, at_stop])
         self._mass[1, at_stop] = 0.0
-        self.plant.step(v, measurement, truth)
+        return v
+
+    def after(self, measurement: FloatArray) -> None:
+        """Filter and round the measurement (22,) of this tick."""
         if self._filtered:
             self._low_pass(measurement[ACCELERATIONS])
         coarse = self._coarse
@@ -168,19 +166,20 @@ class NonlinearPlant:
         x[:] = y
 
 
-def held_oscillator(actuator: Mapping[str, Any], dt: float) -> tuple[FloatArray, FloatArray]:
+def held_oscillator(actuator: OscillatorTable, dt: float) -> tuple[FloatArray, FloatArray]:
     """Displacement and velocity of a proof mass one tick on: matrix (2, 2) of the state, vector (2,) of a held force.
 
     Examples
     --------
     A constant force ends at u / k:
 
-    >>> push, move = held_oscillator({"moving_mass": 2.5, "stiffness": 70.0, "damping": 10.0}, 1e-3)
+    >>> actuator = OscillatorTable(2.5, 3.5, (1e-3, 1e-3, 1e-3), 70.0, 10.0, 31.6)
+    >>> push, move = held_oscillator(actuator, 1e-3)
     >>> rest = linalg.solve(np.eye(2) - push, move * 7.0)
     >>> rest.round(12).tolist()
     [0.1, 0.0]
     """
-    m, k, d = (float(actuator[name]) for name in ("moving_mass", "stiffness", "damping"))
+    m, k, d = actuator.moving_mass, actuator.stiffness, actuator.damping
     generator = np.array([[0.0, 1.0, 0.0], [-k / m, -d / m, 1.0 / m], [0.0, 0.0, 0.0]])
     held = linalg.expm(generator * dt)
     return held[:2, :2], held[:2, 2]

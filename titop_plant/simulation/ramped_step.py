@@ -1,6 +1,6 @@
-"""The telescope as a sampled simulation while wheel speeds and array angle vary.
+"""How the state of a telescope goes on while wheel speeds and array angle vary.
 
-The one-tick matrices of :mod:`titop_plant.simulation.sampled_plant` are prepared at nodes of the profile and
+The one-tick matrices of :mod:`titop_plant.simulation.plant_step` are prepared at nodes of the profile and
 interpolated linearly between them, at the middle of each tick. They are entire functions of parameters and of tone
 frequencies that vary on the scale of 1 / tick, so that nodes 10 rad/s or 0.06 rad apart are enough (:data:`SPEED_STEP`,
 :data:`ANGLE_STEP`); a test compares them with ten times finer nodes and ticks. Tones of the wheels follow them
@@ -26,11 +26,12 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampled.ordered_product import add_up
+from titop_plant.interface import DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones
+from titop_plant.simulation.kernel_arrays import Course, StepArrays
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import Profile
-from titop_plant.simulation.sampled_plant import SampledPlant, SensorModel
 
 SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 """Largest change of a wheel speed [rad/s] and of the array angle [rad] from one node to the next."""
@@ -96,46 +97,44 @@ def node_matrices(
     return [matrices(min(k * interval * dt, profile.duration)) for k in range(count)]
 
 
-class RampedPlant(SampledPlant):
-    """A :class:`SampledPlant` whose parameters follow a profile.
+class RampedStep:
+    """State at the start of a telescope whose parameters follow a profile, and its next state.
+
+    It has the interface of :class:`titop_plant.simulation.constant_step.ConstantStep`; its coordinates are the states.
 
     Parameters
     ----------
     nodes : sequence of ndarray, shape (n + 24, n + 8 + 2 K)
         Step matrices every `interval` ticks.
     interval : int
-    tones : MovingTones
-    state, sensors, limits, dt, parameters_hash
-        As in `SampledPlant`.
+    moving : MovingTones
+        Of the profile, K tones.
+    start : ndarray, shape (n,)
+        State at tick 0.
+    dt : float
+        Sampling period [s].
     """
 
     def __init__(
-        self,
-        nodes: Sequence[FloatArray],
-        interval: int,
-        tones: MovingTones,
-        state: FloatArray,
-        sensors: SensorModel,
-        limits: FloatArray,
-        *,
-        dt: float,
-        parameters_hash: str,
+        self, nodes: Sequence[FloatArray], interval: int, moving: MovingTones, start: FloatArray, dt: float = DT
     ) -> None:
-        self.profile = tones.profile
-        self._nodes = np.ascontiguousarray(np.stack(nodes).transpose(0, 2, 1))
-        self._interval, self._moving = interval, tones
-        self._next, self._other = np.zeros(self._nodes.shape[2]), np.zeros(self._nodes.shape[2])
-        self._products = np.zeros(self._nodes.shape[1:])
-        still = np.ones(tones.unit.frequency.size, complex)
-        super().__init__(
-            whole_step(nodes[0], still),
-            state,
-            sensors,
-            limits,
-            dt=dt,
-            tones=np.unique(tones.unit.frequency[tones.unit.wheel < 0]),
-            parameters_hash=parameters_hash,
+        self.interval, self.moving, self.start, self.dt = interval, moving, start, dt
+        self.tones = np.unique(moving.unit.frequency[moving.unit.wheel < 0])
+        self.numbers = numbers = whole_step(nodes[0], np.ones(moving.unit.frequency.size, complex))
+        self.nodes = np.ascontiguousarray(np.stack(nodes).transpose(0, 2, 1))
+        self.arrays = StepArrays(
+            numbers.pairs,
+            numbers.own,
+            numbers.cross,
+            numbers.driven,
+            numbers.block,
+            numbers.outputs,
+            numbers.turn,
+            self.nodes,
         )
+        self.compiled = False
+        self._next, self._other = np.zeros(self.nodes.shape[2]), np.zeros(self.nodes.shape[2])
+        self._products = np.zeros(self.nodes.shape[1:])
 
     @cached_property
     def motion(self) -> dict[str, list[Any]]:
@@ -143,13 +142,13 @@ class RampedPlant(SampledPlant):
 
         A row of ``modes_over_time`` is a time [s] and the frequencies [rad/s] of the lightly damped modes there.
         """
-        table = self.profile.table()
+        table = self.moving.profile.table()
         knots = table[:: -(-len(table) // KNOTS)]
         if knots[-1] != table[-1]:
             knots.append(table[-1])
-        harmonics = np.unique(self._moving.unit.harmonic[self._moving.unit.wheel >= 0])
-        shown = np.unique(np.linspace(0, len(self._nodes) - 1, MODES_SHOWN).round().astype(int))
-        times = np.minimum(shown * self._interval * self.dt, self.profile.duration)
+        harmonics = np.unique(self.moving.unit.harmonic[self.moving.unit.wheel >= 0])
+        shown = np.unique(np.linspace(0, len(self.nodes) - 1, MODES_SHOWN).round().astype(int))
+        times = np.minimum(shown * self.interval * self.dt, self.moving.profile.duration)
         over_time = [[float(time), *self._modes(k)] for time, k in zip(times, shown)]
         return {
             "knots": [[float(f"{value:.9g}") for value in knot] for knot in knots],
@@ -160,39 +159,39 @@ class RampedPlant(SampledPlant):
 
     def _modes(self, node: int) -> list[float]:
         """Frequencies of the lightly damped modes at a node [rad/s]."""
-        n = self._n
-        poles = np.log(linalg.eigvals(self._nodes[node][:n, :n].T).astype(complex)) / self.dt
+        n = self.numbers.order
+        poles = np.log(linalg.eigvals(self.nodes[node][:n, :n].T).astype(complex)) / self.dt
         light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT * np.abs(poles))]
         return [float(f"{value:.6g}") for value in np.sort(light.imag)]
 
-    def _begin(self) -> None:
-        """Phasors at tick 0."""
-        self._phasors[:] = _in_turn(self._moving.phasors(0.0))
+    def begin(self, phasors: FloatArray) -> None:
+        """Write the phasors (2 K,) of tick 0, real and imaginary parts in turn."""
+        phasors[:] = _in_turn(self.moving.phasors(0.0))
 
-    def _course(self, ticks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Nodes, places and phasors of these ticks, the next ones."""
-        phasors = _in_turn(self._moving.phasors(np.append(ticks, ticks[-1] + 1) * self.dt))
-        return self._nodes, (ticks + 0.5) / self._interval, phasors
-
-    def _propagate(self) -> None:
-        place = (self.tick + 0.5) / self._interval
-        if self._compiled and (compiled := kernel()) is not None:
-            compiled.between(self._nodes, place, self._values, self._next, self._other, self._sums)
+    def advance(self, tick: int, values: FloatArray, sums: FloatArray) -> None:
+        """Write outputs (24 + further sensors,) and next states, see `ConstantStep.advance`."""
+        place = (tick + 0.5) / self.interval
+        if self.compiled and (compiled := kernel()) is not None:
+            compiled.between(self.nodes, place, values, self._next, self._other, sums)
             return
-        k = int(place)
-        last = len(self._nodes) - 1
-        add_up(self._nodes[min(k, last)], self._values, self._products, self._next)
+        n, k, last = self.numbers.order, int(place), len(self.nodes) - 1
+        add_up(self.nodes[min(k, last)], values, self._products, self._next)
         if k < last:
-            add_up(self._nodes[k + 1], self._values, self._products, self._other)
+            add_up(self.nodes[k + 1], values, self._products, self._other)
             self._other -= self._next
             self._other *= place - k
             self._next += self._other
-        self._values[: self._n] = self._next[: self._n]
-        self._sums[:] = self._next[self._n :]
+        values[:n] = self._next[:n]
+        sums[:] = self._next[n:]
 
-    def _turn(self) -> None:
-        phasors = self._phasors if self._disturbed else self._phasor
-        phasors[:] = _in_turn(self._moving.phasors((self.tick + 1) * self.dt))
+    def turn(self, tick: int, phasors: FloatArray) -> None:
+        """Write the phasors (2 K,) of the tick after this one."""
+        phasors[:] = _in_turn(self.moving.phasors((tick + 1) * self.dt))
+
+    def course(self, ticks: IntArray) -> Course:
+        """Places and phasors of these consecutive ticks."""
+        phasors = _in_turn(self.moving.phasors(np.append(ticks, ticks[-1] + 1) * self.dt))
+        return Course((ticks + 0.5) / self.interval, phasors)
 
 
 def _in_turn(phasors: ComplexArray) -> FloatArray:
@@ -200,4 +199,4 @@ def _in_turn(phasors: ComplexArray) -> FloatArray:
     return np.ascontiguousarray(phasors).view(float)
 
 
-__all__ = ["MovingTones", "RampedPlant", "node_interval", "node_matrices"]
+__all__ = ["MovingTones", "RampedStep", "node_interval", "node_matrices"]

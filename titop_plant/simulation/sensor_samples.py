@@ -1,0 +1,130 @@
+"""Samples of the 22 measurements: noise, bias, sensors that are slower than the tick, frames that are lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lftkit.arrays import FloatArray, IntArray
+from titop_plant.interface import CAMERA, COLUMNS, MEASUREMENTS, sample_ticks
+from titop_plant.simulation.kernel_arrays import SensorArrays
+
+_NOISE_BLOCK = 64
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """Noise, bias and frame rate.
+
+    Parameters
+    ----------
+    sigma : ndarray, shape (22,)
+        Standard deviation of the samples (of a frame for the camera).
+    bias : ndarray, shape (22,)
+        Added to every sample.
+    frame_ticks : int
+        Ticks between camera frames; other sensors have the rate of their entry.
+    dropout : float
+        Probability that a frame is lost (read as NaN).
+    seed : int
+    """
+
+    sigma: FloatArray
+    bias: FloatArray
+    frame_ticks: int
+    dropout: float
+    seed: int
+
+
+def slow_sensors(frame_ticks: int) -> tuple[tuple[slice, int], ...]:
+    """Columns of the sensors beside the camera that are slower than the tick, and their ticks.
+
+    Parameters
+    ----------
+    frame_ticks : int
+        Ticks between camera frames.
+    """
+    found = ((COLUMNS[name], ticks) for name, ticks in sample_ticks(frame_ticks).items())
+    return tuple((columns, ticks) for columns, ticks in found if columns != CAMERA)
+
+
+class SensorSamples:
+    """The samples of a run, tick by tick or many ticks at a time: the same random numbers either way.
+
+    Parameters
+    ----------
+    model : SensorModel
+    """
+
+    def __init__(self, model: SensorModel) -> None:
+        self.model = model
+        self._block = np.zeros((_NOISE_BLOCK, MEASUREMENTS))
+        self._frame = np.zeros(3)
+        self._slow = slow_sensors(model.frame_ticks)
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to tick 0: same seed, same bits."""
+        noise, camera = np.random.SeedSequence(self.model.seed).spawn(2)
+        self._noise, self._camera = np.random.default_rng(noise), np.random.default_rng(camera)
+        self.noisy = True
+        self._dropout = self.model.dropout
+
+    def change(self, name: str, value: float) -> None:
+        """Change ``noise`` (the bias stays) or ``camera_dropout``, see `Plant.change`; other names have no effect."""
+        if name == "noise":
+            self.noisy = bool(value)
+        elif name == "camera_dropout":
+            self._dropout = float(value)
+
+    def write(self, tick: int, true: FloatArray, out: FloatArray) -> None:
+        """Write the measurement `out` (22,) of a tick, with the values `true` (22,) and NaN where there is no sample.
+
+        Ticks follow each other.
+        """
+        row = tick % _NOISE_BLOCK
+        if row == 0:
+            self._draw()
+        np.add(true, self._block[row] if self.noisy else 0.0, out=out)
+        out += self.model.bias
+        for columns, ticks in self._slow:
+            if tick % ticks:
+                out[columns] = np.nan
+        if tick % self.model.frame_ticks or self._lost():
+            out[CAMERA] = np.nan
+
+    def ahead(self, ticks: IntArray) -> SensorArrays:
+        """What is added to the true values at these consecutive ticks, the next ones, while there is noise."""
+        rows, done = len(ticks), 0
+        noise, absent = np.empty((rows, MEASUREMENTS)), np.zeros((rows, MEASUREMENTS), bool)
+        while done < rows:
+            row = int(ticks[done]) % _NOISE_BLOCK
+            if row == 0:
+                self._draw()
+            some = min(_NOISE_BLOCK - row, rows - done)
+            noise[done : done + some] = self._block[row : row + some]
+            done += some
+        for columns, every in self._slow:
+            absent[ticks % every != 0, columns] = True
+        framed = ticks % self.model.frame_ticks == 0
+        absent[:, CAMERA] = ~framed[:, None]
+        if self._dropout > 0.0:
+            for row in np.flatnonzero(framed):
+                absent[row, CAMERA] = self._lost()
+        return SensorArrays(noise, self.model.bias, absent)
+
+    def _draw(self) -> None:
+        """Noise of the next ticks."""
+        self._noise.standard_normal(out=self._block)
+        self._block *= self.model.sigma
+
+    def _lost(self) -> bool:
+        """Whether the frame of this tick is lost."""
+        if not self._dropout > 0.0:
+            return False
+        self._camera.random(out=self._frame)
+        return bool(self._frame[0] < self._dropout)
+
+
+__all__ = ["SensorModel", "SensorSamples", "slow_sensors"]
