@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from titop_plant.telescope.placed.devices import PlacedActuator, PlacedSensor
 
 from lftkit import Port, System
 from lftkit.arrays import FloatArray
@@ -20,6 +19,7 @@ from titop_plant.simulation.driven_plant import ActuatorInput, DisturbanceInput
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.readings import SensorReadings
 
@@ -84,7 +84,7 @@ def held(seed: int, columns: int = 3) -> FloatArray:
 
 
 def actuator() -> PlacedActuator:
-    return PlacedActuator("a", "A1", np.eye(3)[2], np.zeros(3), {"authority": 3.0})
+    return PlacedActuator("a", "A1", np.eye(3)[2], np.zeros(3), replace(ACTUATOR, authority=3.0))
 
 
 def whole() -> Plant:
