@@ -55,6 +55,9 @@ STILL = 0.2
 BATCH = 64
 """Frequencies at which the loop is closed at a time: many small matrices together take half the time of each alone."""
 
+TOGETHER = 32
+"""Frequencies of a member whose matrices are in the cache at once."""
+
 
 def channel_factors(system: System) -> tuple[FloatArray, FloatArray]:
     """Orthonormal bases U (q, c) and V (q, b) of what Delta sees and of what it drives."""
@@ -190,7 +193,11 @@ class MemberLoop:
 
     def at(self, W: FloatArray, index: IntArray) -> ComplexArray:
         """Responses of a member at points of the grid, shape (k, 10, 30): as `ClosedAt.lft.T11` for this member."""
-        return self.reduced[index].closed_with_matrix(W)
+        found: ComplexArray = np.empty((len(index), *self.reduced.T11.shape[1:]), complex)
+        for first in range(0, len(index), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            found[part] = self.reduced[index[part]].closed_with_matrix(W)
+        return found
 
     def looked_at(self, W: FloatArray) -> IntArray:
         """Points of the grid at and beside the lightly damped modes of a member, and the coarse ones."""

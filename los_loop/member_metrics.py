@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -199,9 +200,13 @@ class MemberMetrics:
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
         """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s], at least `least`."""
-        probability = window_probability(telescope_requirements(self.parameters))
+        probability = self._probability
         turn = omega * float(self.parameters["weights"]["rpe_window"])
         return combined_level(tone, noise, probability, turn=turn, least=least)
+
+    @cached_property
+    def _probability(self) -> float:
+        return window_probability(telescope_requirements(self.parameters))
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
