@@ -31,7 +31,7 @@ from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.runtime import LosEstimator
-from los_loop import implemented_loop
+from los_loop import control_laws, implemented_loop
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
@@ -166,10 +166,10 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
         if metric.disturbed:
             model = telescope_model(loop, figures_of(parameters, stage)[name])
             assert float(member_gains(model, omega, deviation[None])[0]) == pytest.approx(expected, abs=SAME), name
-    monkeypatch.setattr(implemented_loop, "FRAME_TICKS", 1)
+    monkeypatch.setattr(control_laws, "FRAME_TICKS", 1)
     loop = ImplementedLoop(OpenLoop(centred(system, member), parameters), *pair, stage)
-    plant, matrices = loop.sampled_at({})
-    assert matrices.frame_ticks == 1
+    plant = loop.system.at({})
+    matrices = sampled_loop(plant, loop.control_laws, frame_ticks=1)
     response, relative = weighted_gains(matrices, plant, parameters, np.array([omega]))
     for name, metric in implemented_loop.loop_metrics(parameters, stage).items():
         if metric.disturbed:
