@@ -13,8 +13,8 @@ import numpy as np
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import solve
+from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
-from lftkit.proofs.sampled_loop.build import modal
 from lftkit.systems.ports import Port, port_slices
 from los_loop.spec import NO_DEVICES, Placed, held_response
 from titop_plant.interface import (

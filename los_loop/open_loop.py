@@ -16,10 +16,10 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import System
+from lftkit.analysis.eigenvectors import modal
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.sampled_loop.build import modal
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
 from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH

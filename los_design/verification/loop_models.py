@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
-from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.trusted.proof import Interval
 from los_design.verification.error_sum import FAST, PARTS
 from los_design.verification.frames import IMAGES, SEEN
