@@ -97,12 +97,16 @@ class LftResponse:
             many = RepeatedClosed.of(self, repeated)
             if many is not None:
                 return many.closed(delta)
-        return np.asarray(self.T11 + self.through(delta) @ self.T21)
+        found: ComplexArray = self.through(delta) @ self.T21
+        found += self.T11
+        return found
 
     def through(self, delta: ComplexArray) -> ComplexArray:
         """``T12 Delta (I - M Delta)^-1`` for N diagonals of Delta (N, q): shape (N, p, q)."""
-        # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory
-        loop, each = np.ascontiguousarray(self.M.swapaxes(-1, -2)) * -delta[:, :, None], np.arange(delta.shape[1])
+        # rows are fewer than columns: solutions with the transposed matrices; that of one frequency is contiguous
+        M = self.M.swapaxes(-1, -2)
+        loop = (np.ascontiguousarray(M) if M.ndim == 2 else M) * -delta[:, :, None]
+        each = np.arange(delta.shape[1])
         loop[:, each, each] += 1.0
         return np.asarray(solve(loop, self.T12.swapaxes(-1, -2) * delta[:, :, None]).swapaxes(1, 2))
 
