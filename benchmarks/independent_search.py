@@ -41,8 +41,9 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import figures_of
 from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
+from los_loop.noise import noise_covariances
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_covariances, weighted_gains
+from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.worst_tone import INDICES
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT

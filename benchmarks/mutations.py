@@ -71,6 +71,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "los_estimator": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "fsm_pma_controller": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
     "los_design": ("tests/unit/los_design",),
+    "lftkit/analysis/lft_response.py": ("tests/unit/lftkit/analysis/test_lft_response.py",),
+    "los_loop/closing.py": ("tests/unit/los_loop/test_closing.py", "tests/unit/los_loop/test_sampled_loop.py"),
     "los_loop/sampled_loop.py": ("tests/unit/los_loop/test_sampled_loop.py",),
     "los_loop/sampled_loop_norms.py": ("tests/unit/los_loop/test_sampled_loop_norms.py",),
     "los_design/verification/verification.py": ("tests/unit/los_design/test_verification.py",),

@@ -3,7 +3,7 @@
     python benchmarks/verification.py [--points 24] [--json]
 
 - ``closing``: microseconds per point and frequency for the responses of the stage fsm+pma at 300 points: with all 48
-  channels one by one, with the 32 that are left, and for many points at once (:mod:`los_loop.angle_channels`).
+  channels one by one, with the 32 that are left, and for many points at once (:mod:`lftkit.analysis.lft_response`).
 - ``verify``: seconds of :func:`los_design.verification.verification.check_implemented` for the stored pair at some of
   the verification's points: stability by eigenvalues and the grid grow with their number, the rest hardly.
 """
@@ -20,11 +20,12 @@ from processor_time import least
 from threadpoolctl import threadpool_limits
 
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.lft_response import LftResponse
 from los_design.search.worst_points import load_adversarial
 from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.open_loop import OpenLoop, closed_lft
+from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
@@ -36,17 +37,17 @@ def closing(open_loop: OpenLoop) -> dict[str, float]:
     loop, system = ImplementedLoop(open_loop, *load_designs("implemented"), "fsm+pma"), open_loop.system
     points = np.random.default_rng(0).uniform(size=(CLOSED, len(open_loop.names)))
     at = loop.at(OMEGA)
-    q, p, m = len(system.channels), *at.T11.shape
+    q, p, m = len(system.channels), *at.lft.T11.shape
     G = FrequencyResponse.of(system.A, system.B, system.C, system.D).at([OMEGA])[0]
     rng = np.random.default_rng(1)
-    all_channels = (G[:q, :q], rng.normal(size=(p, q)) + 0j, rng.normal(size=(q, m)) + 0j, at.T11)
+    all_channels = LftResponse(G[:q, :q], rng.normal(size=(p, q)) + 0j, rng.normal(size=(q, m)) + 0j, at.lft.T11)
     places = [open_loop.names.index(name) for name in system.channels]
     values = open_loop.low + points * open_loop.width - open_loop.nominal
-    parts, delta = (at.M, at.T12, at.T21, at.T11), loop.delta(points)
+    delta = loop.delta(points)
     times = {
-        "all_channels_us": least(lambda: closed_lft(*all_channels, values[:, places].astype(complex))),
-        "kept_channels_us": least(lambda: closed_lft(*parts, delta)),
-        "many_points_us": least(lambda: open_loop.closed(*parts, delta)),
+        "all_channels_us": least(lambda: all_channels.closed(values[:, places].astype(complex))),
+        "kept_channels_us": least(lambda: at.lft.closed(delta)),
+        "many_points_us": least(lambda: at.lft.closed(delta, open_loop.angle)),
     }
     found = {name: 1e6 * seconds / CLOSED for name, seconds in times.items()}
     return found | {"ratio": found["all_channels_us"] / found["many_points_us"]}

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import System
-from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.loop import extended_plant
+from los_loop.control_laws import transfer_matrices
 from los_loop.figures_of_merit import FigureOfMerit, figure, paper_figures
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.open_loop import OpenLoop
@@ -129,14 +129,9 @@ def joint_gain_matrix(mirror: FloatArray, force_law: FloatArray, *, forces: bool
 
 
 def _responses(K: FloatArray, outputs: int, omega: FloatArray) -> ComplexArray:
-    """``D + C (s I - A)^-1 B`` of a gain matrix at N frequencies [rad/s], shape (N, outputs, inputs)."""
+    """Of a gain matrix at N frequencies [rad/s], shape (N, outputs, inputs)."""
     n = len(K) - outputs
-    A, B, C, D = K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:]
-    if n == 0:
-        return np.asarray(np.broadcast_to(D, (len(omega), *D.shape)), dtype=complex)
-    entered = np.broadcast_to(B.astype(complex), (len(omega), *B.shape))
-    shifted = np.asarray(1j * omega[:, None, None] * np.eye(n) - A, dtype=complex)
-    return np.asarray(D + C @ solve(shifted, entered))
+    return transfer_matrices((K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:]), np.asarray(1j * omega))
 
 
 __all__ = [

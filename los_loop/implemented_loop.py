@@ -1,9 +1,9 @@
 """Response of the implemented loop as a linear fractional function of the parameters, with gradients.
 
-At one frequency the loop of the sampled controllers is closed around the telescope's LFT; what remains is a small
-matrix with the 32 Delta channels, and every response at any parameter values is a solution of order 32::
+At one frequency the loop of the sampled controllers is closed around the telescope's LFT
+(:func:`los_loop.closing.closed_loop`); what remains is a small LFT with the 32 channels of Delta. With the largest
+singular value sigma of a closed response::
 
-    T(w, Delta) = T11 + T12 Delta (I - M Delta)^-1 T21
     d sigma / d Delta_c = Re( (sigma-left vector side)_c (right vector side)_c )
 
 Inputs: Delta channels, 22 normalised disturbances, signals added to the 8 commands. Outputs: Delta channels, controlled
@@ -23,28 +23,16 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System
-from lftkit.analysis.batched_linalg import largest_gains, singular_triples, singular_values, solve
+from lftkit.analysis.batched_linalg import largest_gains, singular_values
+from lftkit.analysis.lft_response import GainSlopes, rows_times
 from lftkit.arrays import ComplexArray, FloatArray
+from los_loop.closing import ClosedAt, ClosedLoop, closed_loop, sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import FigureOfMerit, gain_figures
-from los_loop.open_loop import OpenLoop, closed_lft
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.open_loop import OpenLoop
+from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import weighted_gains
-from los_loop.spec import (
-    DISTURBANCE,
-    LINE_OF_SIGHT,
-    NO_DEVICES,
-    OUTPUTS,
-    Placed,
-    held_response,
-    laws,
-)
-from titop_plant.interface import (
-    COLUMNS,
-    DT,
-    FRAME_TICKS,
-    TRUTH,
-    sample_ticks,
-)
+from los_loop.spec import DISTURBANCE, LINE_OF_SIGHT, NO_DEVICES, OUTPUTS, Placed
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -105,22 +93,6 @@ def loop_metrics(
     }
 
 
-@dataclass(frozen=True)
-class ClosedAt:
-    """The loop at one frequency as an LFT in Delta: matrix from (Delta, disturbances, commands added) to outputs.
-
-    `open` and `control` are what was closed: the LFT of the telescope, and commands by measurements.
-    """
-
-    omega: float
-    M: ComplexArray
-    T12: ComplexArray
-    T21: ComplexArray
-    T11: ComplexArray
-    open: ComplexArray
-    control: ComplexArray
-
-
 class ImplementedLoop:
     """The loop of one stage around the uncertain telescope.
 
@@ -139,7 +111,7 @@ class ImplementedLoop:
         self.pair = (k_fsm, k_pma)
         self.placed = open_loop.placed
         sensitivity = self.telescope.fsm.los_sensitivity
-        self.laws = laws(k_fsm, k_pma, stage, sensitivity, self.placed)
+        self.control_laws = ControlLaws(k_fsm, k_pma, stage, sensitivity, self.placed)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -153,46 +125,21 @@ class ImplementedLoop:
         """Entries of Delta, shape (..., 32), from points of the unit cube, shape (..., 7)."""
         return self.open.delta(point)
 
-    def control(self, omega: float) -> ComplexArray:
-        """Commands by measurements, shape (8, 22), one tick of delay and the hold of slower sensors in it."""
-        return np.asarray(self.controls(np.array([omega]))[0])
-
     def controls(self, omega: FloatArray) -> ComplexArray:
-        """What :meth:`control` gives at N frequencies [rad/s], shape (N, 8, 22)."""
-        z = np.exp(1j * omega * DT)
-        out = np.zeros((len(omega), self.placed.commands, self.placed.measurements), complex)
-        rows, seen = np.arange(self.placed.commands), np.arange(self.placed.measurements)
-        for law in self.laws:
-            if law.gain:
-                part = np.ix_(np.arange(len(omega)), rows[law.command], seen[law.measured])
-                out[part] = law.gain * _sampled_responses(law.system, z)
-        for name, ticks in sample_ticks(FRAME_TICKS).items():
-            out[:, :, COLUMNS[name]] *= held_response(z, ticks)[:, None, None]
-        return np.asarray(out / z[:, None, None])
+        """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22): delay and hold are in it."""
+        return self.control_laws.response(omega)
 
     def at(self, omega: float) -> ClosedAt:
         """Close the loop at a frequency [rad/s]."""
         return self.at_each(np.array([omega]))[0]
 
-    def at_each(self, omega: FloatArray) -> list[ClosedAt]:
+    def at_each(self, omega: FloatArray) -> ClosedLoop:
         """Close the loop at each of some frequencies (N,) [rad/s]."""
         return self.around(self.open.at(omega), omega)
 
-    def around(self, lft: ComplexArray, omega: FloatArray) -> list[ClosedAt]:
+    def around(self, lft: ComplexArray, omega: FloatArray) -> ClosedLoop:
         """Close the loop around the telescope's LFT at N frequencies (:meth:`los_loop.open_loop.OpenLoop.at`)."""
-        q, commands, measured = self.open.channels, self.placed.commands, self.placed.measurements
-        y, u = q + measured, lft.shape[2] - commands
-        K, held, into = self.controls(omega), lft[:, :, u:], lft[:, :, :u]
-        unit = np.broadcast_to(np.eye(commands, dtype=complex), (len(omega), commands, commands))
-        command = solve(np.asarray(unit - K @ held[:, q:y]), np.concatenate([K, unit], axis=2))
-        applied = np.concatenate([command[:, :, :measured] @ into[:, q:y], command[:, :, measured:]], axis=2)
-        whole = np.concatenate([held @ applied, applied], axis=1)
-        whole[:, : lft.shape[1], :u] += into
-        rows = np.r_[y : y + TRUTH, lft.shape[1] : whole.shape[1]]
-        return [
-            ClosedAt(float(w), T[:q, :q], T[rows, :q], T[:q, q:], T[rows, q:], own, law)
-            for w, T, own, law in zip(omega, whole, lft, K)
-        ]
+        return closed_loop(lft, self.controls(omega), omega)
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the loop must keep, by name."""
@@ -207,13 +154,13 @@ class ImplementedLoop:
         gain = float(relative[0]) if metric.relative else float(largest_gains(response[:, metric.rows])[0])
         return gain / metric.limit
 
-    def gain(self, closed: ClosedAt, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
-        """Normalised gain, its gradient over the unit cube, shape (7,), and its slope over log frequency."""
-        values, gradient, slope = self.gains_with_slopes([closed], metric, point[None])
+    def gain(self, omega: float, metric: LoopMetric, point: FloatArray) -> tuple[float, FloatArray, float]:
+        """Normalised gain at a frequency, its gradient over the unit cube (7,), its slope over log frequency."""
+        values, gradient, slope = self.gains_with_slopes(self.at_each(np.array([omega])), metric, point[None])
         return float(values[0, 0]), np.asarray(gradient[0]), float(slope[0])
 
     def gains_with_slopes(
-        self, closed: Sequence[ClosedAt], metric: LoopMetric, points: FloatArray
+        self, closed: ClosedLoop, metric: LoopMetric, points: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of K closed loops, each at a point of the unit cube (K, 7) of its own.
 
@@ -228,54 +175,36 @@ class ImplementedLoop:
             r that the right singular vector causes in the closed loop, and what reaches the left one from signals l
             added there. Only the numbers ``l P r`` are computed at the two frequencies beside.
         """
-        omega = np.array([own.omega for own in closed])
-        delta, scale = self.delta(points), self.scales(metric, omega)
-        M, T12, T21, T11 = (np.array([getattr(own, name) for own in closed]) for name in ("M", "T12", "T21", "T11"))
-        out, into = T12[:, metric.rows], T21[:, :, metric.columns]
-        loop, each = M * -delta[:, None, :], np.arange(delta.shape[1])
-        loop[:, each, each] += 1.0
-        # T12 Delta (I - M Delta)^-1, and T12 (I - Delta M)^-1 = T12 + T12 Delta (I - M Delta)^-1 M
-        inner = solve(loop.swapaxes(1, 2), (out * delta[:, None, :]).swapaxes(1, 2)).swapaxes(1, 2)
-        U, s, Vh = singular_triples(T11[:, metric.rows, metric.columns] + inner @ into)
-        left, right = U[:, :, 0].conj(), Vh[:, 0].conj()
-        z = solve(loop, into @ right[:, :, None])[:, :, 0]
-        outer = _through(left, inner)
-        row = _through(left, out) + _through(outer, M)
-        slope = scale[:, None] * np.real(row * z * self.open.delta_slope(points))
+        omega = closed.omega
+        scale = self.scales(metric, omega)
+        found = closed.lft.part(metric.rows, metric.columns).gain_slopes(self.delta(points))
+        slope = scale[:, None] * np.real(found.slopes * self.open.delta_slope(points))
         gradients = slope @ (self.open.channel[:, None] == np.arange(len(self.names)))
-        signals = _Signals(left, outer, right, z * delta)
-        change = scale * self._change(closed, metric, (T12, T21, T11), signals)
+        change = scale * self._change(closed, metric, found)
         weights = [self.scales(metric, omega * np.exp(step)) for step in (STEP, -STEP)]
-        values = s * scale[:, None]
+        values = found.values * scale[:, None]
         return values, gradients, (change + values[:, 0] * (weights[0] - weights[1]) / scale) / (2.0 * STEP)
 
-    def _change(
-        self,
-        closed: Sequence[ClosedAt],
-        metric: LoopMetric,
-        parts: tuple[ComplexArray, ComplexArray, ComplexArray],
-        signals: _Signals,
-    ) -> FloatArray:
+    def _change(self, closed: ClosedLoop, metric: LoopMetric, found: GainSlopes) -> FloatArray:
         """First-order changes (K,) of gains, not normalised, between the frequencies STEP below and above."""
-        T12, T21, T11 = parts
-        q, count, placed = self.open.channels, len(closed), self.placed
+        lft, q, count, placed = closed.lft, self.open.channels, len(closed), self.placed
         added, applied = placed.added, placed.applied
-        inputs: ComplexArray = np.zeros((count, T11.shape[2]), complex)
+        inputs: ComplexArray = np.zeros((count, lft.T11.shape[2]), complex)
         outputs: ComplexArray = np.zeros((count, applied.stop), complex)
-        inputs[:, metric.columns], outputs[:, metric.rows] = signals.right, signals.left
-        both = np.concatenate([T12[:, applied], T11[:, applied]], axis=2)
-        commands = (both @ np.concatenate([signals.driven, inputs], axis=1)[:, :, None])[:, :, 0]
-        by_commands = _through(outputs, T11[:, :, added]) + _through(signals.outer, T21[:, :, added])
-        measured = _through(by_commands, np.array([own.control for own in closed]))
-        row = np.concatenate([signals.outer, measured, outputs[:, OUTPUTS[LINE_OF_SIGHT]]], axis=1)
-        column = np.concatenate([signals.driven, inputs[:, placed.columns_of(DISTURBANCE)], commands], axis=1)
-        seen = np.array([own.open[q : q + placed.measurements] for own in closed]) @ column[:, :, None]
-        beside = np.outer([np.exp(STEP), np.exp(-STEP)], [own.omega for own in closed])
+        inputs[:, metric.columns], outputs[:, metric.rows] = found.right, found.left
+        both = np.concatenate([lft.T12[:, applied], lft.T11[:, applied]], axis=2)
+        commands = (both @ np.concatenate([found.driven, inputs], axis=1)[:, :, None])[:, :, 0]
+        by_commands = rows_times(outputs, lft.T11[:, :, added]) + rows_times(found.outer, lft.T21[:, :, added])
+        measured = rows_times(by_commands, closed.control)
+        row = np.concatenate([found.outer, measured, outputs[:, OUTPUTS[LINE_OF_SIGHT]]], axis=1)
+        column = np.concatenate([found.driven, inputs[:, placed.columns_of(DISTURBANCE)], commands], axis=1)
+        seen = closed.open[:, q : q + placed.measurements] @ column[:, :, None]
+        beside = np.outer([np.exp(STEP), np.exp(-STEP)], closed.omega)
         plant = self.open.between(beside.ravel(), np.tile(row, (2, 1)), np.tile(column, (2, 1))).reshape(2, -1)
         controls = self.controls(beside.ravel()).reshape(2, count, placed.commands, placed.measurements)
         control = (by_commands[:, None, :] @ controls @ seen)[:, :, 0, 0]
-        found = (plant + control).real
-        return np.asarray(found[0] - found[1])
+        total = (plant + control).real
+        return np.asarray(total[0] - total[1])
 
     def singular_vectors(
         self, closed: ClosedAt, metric: LoopMetric, point: FloatArray
@@ -299,17 +228,11 @@ class ImplementedLoop:
         """Responses of all or some outputs to inputs at N points (N, 7) of the unit cube: shape (N, 10, 30)."""
         return self.some_responses(closed, self.delta(points), rows, columns)
 
-    def some_responses(self, closed: ClosedAt, delta: ComplexArray, rows: slice, columns: slice) -> ComplexArray:
-        """What :meth:`all_responses` gives, for N values of Delta (N, 32)."""
-        T12, T21, T11 = closed.T12[rows], closed.T21[:, columns], closed.T11[rows][:, columns]
-        return self.open.closed(closed.M, T12, T21, T11, delta)
-
-    def responses_each(
-        self, closed: Sequence[ClosedAt], delta: ComplexArray, rows: slice, columns: slice
+    def some_responses(
+        self, closed: ClosedAt | ClosedLoop, delta: ComplexArray, rows: slice, columns: slice
     ) -> ComplexArray:
-        """Responses of K closed loops, each for a diagonal of Delta (K, 32) of its own: shape (K, rows, columns)."""
-        M, T12, T21, T11 = (np.array([getattr(own, name) for own in closed]) for name in ("M", "T12", "T21", "T11"))
-        return closed_lft(M, T12[:, rows], T21[:, :, columns], T11[:, rows, columns], delta)
+        """What :meth:`all_responses` gives, for N values of Delta (N, 32), or one for each of N closed loops."""
+        return closed.lft.part(rows, columns).closed(delta, self.open.angle)
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
@@ -321,17 +244,8 @@ class ImplementedLoop:
         return plant, self.sampled_around(plant)
 
     def sampled_around(self, plant: System, step: FloatArray | None = None) -> SampledLoop:
-        """The exact periodic loop around a plant; `step` as for :func:`los_loop.sampled_loop.sampled_loop`."""
-        sensitivity = self.telescope.fsm.los_sensitivity
-        return sampled_loop(
-            plant,
-            *self.pair,
-            loop=self.stage,
-            frame_ticks=FRAME_TICKS,
-            los_sensitivity=sensitivity,
-            step=step,
-            placed=self.placed,
-        )
+        """The exact periodic loop around a plant; `step` as for :func:`los_loop.closing.sampled_loop`."""
+        return sampled_loop(plant, self.control_laws, step=step)
 
     def scale(self, metric: LoopMetric, omega: float) -> float:
         """Weight of the relative error, where it applies, over the limit."""
@@ -351,29 +265,3 @@ class ImplementedLoop:
         """All normalised singular values at a point of the unit cube, largest first."""
         T = self.responses(closed, metric, self.delta(point)[None])
         return np.asarray(singular_values(T)[0] * self.scale(metric, closed.omega))
-
-
-@dataclass(frozen=True)
-class _Signals:
-    """Of K closed loops: left singular vectors (conjugate) and right ones, and both at the channels of Delta.
-
-    `outer` is what the left ones see of signals at the outputs of Delta, `driven` what the right ones cause there.
-    """
-
-    left: ComplexArray
-    outer: ComplexArray
-    right: ComplexArray
-    driven: ComplexArray
-
-
-def _through(rows: ComplexArray, matrices: ComplexArray) -> ComplexArray:
-    """``row @ matrix`` of K rows (K, p) and matrices (K, p, m): shape (K, m)."""
-    return np.asarray((rows[:, None, :] @ matrices)[:, 0])
-
-
-def _sampled_responses(system: SampledSystem, z: ComplexArray) -> ComplexArray:
-    if system.order == 0:
-        return np.asarray(np.broadcast_to(system.D, (len(z), *system.D.shape)), dtype=complex)
-    shifted = np.asarray(z[:, None, None] * np.eye(system.order) - system.A, dtype=complex)
-    entered = np.broadcast_to(system.B.astype(complex), (len(z), *system.B.shape))
-    return np.asarray(system.D + system.C @ solve(shifted, entered))

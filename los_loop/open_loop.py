@@ -16,19 +16,16 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import System
-from lftkit.analysis.batched_linalg import solve
+from lftkit.analysis.eigenvectors import modal
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.sampled_loop.build import modal
-from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kept_channels
+from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
 from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.telescope import Telescope
-
-MANY = 40
-"""Points from which on the eigenvectors of the angle's channels take less time than they save."""
 
 
 class OpenLoop:
@@ -180,29 +177,7 @@ class OpenLoop:
         -------
         ndarray, complex, shape (N, 24, 30)
         """
-        q = self.channels
-        return self.closed(lft[:q, :q], lft[q:, :q], lft[:q, q:], lft[q:, q:], self.delta(points))
-
-    def closed(
-        self, M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: ComplexArray
-    ) -> ComplexArray:
-        """What :func:`closed_lft` gives; for many diagonals of Delta the angle is closed for all of them at once."""
-        many = AngleClosed.of((M, T12, T21, T11), self.angle) if len(delta) >= MANY and self.angle.any() else None
-        return closed_lft(M, T12, T21, T11, delta) if many is None else many.responses(delta)
-
-
-def closed_lft(
-    M: ComplexArray, T12: ComplexArray, T21: ComplexArray, T11: ComplexArray, delta: ComplexArray
-) -> ComplexArray:
-    """``T11 + T12 Delta (I - M Delta)^-1 T21`` for N diagonals of Delta (N, q): shape (N, rows, columns).
-
-    The matrices are those of all diagonals, or there is one of each kind for each diagonal.
-    """
-    # rows are fewer than columns: solutions with the transposed matrices, one beside the other in memory
-    loop, each = np.ascontiguousarray(M.swapaxes(-1, -2)) * -delta[:, :, None], np.arange(delta.shape[1])
-    loop[:, each, each] += 1.0
-    z = solve(loop, T12.swapaxes(-1, -2) * delta[:, :, None]).swapaxes(1, 2)
-    return np.asarray(T11 + z @ T21)
+        return LftResponse.of(lft, self.channels).closed(self.delta(points), self.angle)
 
 
 def _held(poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

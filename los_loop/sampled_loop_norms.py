@@ -21,10 +21,12 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
-from lftkit.systems.sampled.sampling import sampled
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
-from los_loop.sampled_loop import SampledLoop, periodic_covariances, sampled_loop
-from los_loop.spec import APPLIED, LINE_OF_SIGHT, NO_DEVICES, OUTPUTS, Placed, held_response
+from los_loop.noise import covariances, noise_rms
+from los_loop.sampled_loop import SampledLoop
+from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response
 from titop_plant.interface import (
     DT,
     FRAME_TICKS,
@@ -32,13 +34,12 @@ from titop_plant.interface import (
     HELD_PARTS,
     MEASUREMENTS,
     MIRROR_STAGES,
-    PLATFORM,
     TRUTH,
 )
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import relative_error_weight, rpe_weight
+from titop_plant.telescope.weights import rpe_weight
 
 LOS = OUTPUTS[LINE_OF_SIGHT]
 SIDEBANDS = 4
@@ -97,7 +98,7 @@ def sampled_loop_metrics(
     Parameters
     ----------
     plant : System
-        As for :func:`los_loop.sampled_loop.sampled_loop`.
+        As for :func:`los_loop.closing.sampled_loop`.
     k_fsm, k_pma : SampledSystem
     telescope : Telescope
         Telescope parameters (weights, sensors, authority).
@@ -110,7 +111,7 @@ def sampled_loop_metrics(
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
     sensitivity = telescope.fsm.los_sensitivity
-    closed = sampled_loop(plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity), frame_ticks=frame_ticks)
     radius = closed.spectral_radius()
     if not radius < 1.0:
         inf = np.inf
@@ -121,7 +122,7 @@ def sampled_loop_metrics(
     los = float(largest_gains(response[:, ape.rows]).max())
     angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
     worst = float(relative.max())
-    rms = noise_rms(_noise(closed, telescope, sensors)) if noise else (float("nan"), float("nan"))
+    rms = noise_rms(covariances(closed, telescope, sensors)) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
         los / ape.limit(telescope, both),
         worst / rpe.limit(telescope, mirrors),
@@ -339,73 +340,3 @@ def _places(held: list[tuple[slice, int, int]]) -> dict[tuple[int, int], slice]:
         for m in range(classes):
             places[s, m] = slice(start, start := start + part.stop - part.start)
     return places
-
-
-def noise_covariances(
-    plant: System,
-    k_fsm: SampledSystem,
-    k_pma: SampledSystem,
-    telescope: Telescope,
-    *,
-    loop: str,
-    frame_ticks: int = FRAME_TICKS,
-    sensors: str | None = None,
-    placed: Placed = NO_DEVICES,
-) -> tuple[FloatArray, FloatArray]:
-    """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
-
-    The arguments are those of :func:`sampled_loop_metrics`, with the further sensors and actuators that the plant has;
-    infinite if the loop is unstable.
-    """
-    sensitivity = telescope.fsm.los_sensitivity
-    closed = sampled_loop(
-        plant, k_fsm, k_pma, loop=loop, frame_ticks=frame_ticks, los_sensitivity=sensitivity, placed=placed
-    )
-    if closed.spectral_radius() < 1.0:
-        return _noise(closed, telescope, sensors, placed)
-    return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
-
-
-def noise_rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
-    """Root mean squares [rad, both axes] of :func:`noise_covariances`."""
-    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
-    return plain, relative
-
-
-def largest_part(covariance: FloatArray) -> float:
-    """Largest part of a power that is along one axis: of a covariance (2, 2); NaN without a power.
-
-    Examples
-    --------
-    >>> round(largest_part(np.array([[2.0, 1.0], [1.0, 2.0]])), 3)
-    0.75
-    """
-    total = float(np.trace(covariance))
-    return float(linalg.eigvalsh(covariance)[-1]) / total if np.isfinite(total) and total > 0.0 else np.nan
-
-
-def _noise(
-    loop: SampledLoop, telescope: Telescope, sensors: str | None, placed: Placed = NO_DEVICES
-) -> tuple[FloatArray, FloatArray]:
-    """Covariances of the line of sight over a frame period [rad^2], plain and with the relative-error weight."""
-    sigma = np.concatenate([telescope.noise_of_samples, placed.noise])
-    if sensors == "platform":  # the paper's figure
-        sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
-    w = sampled(relative_error_weight(telescope.weights.rpe_window), DT)
-    n, m = loop.hold.shape[0], w.order
-
-    def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        whole = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
-        drive = np.vstack([N * sigma, np.zeros((m, sigma.size))])
-        return whole, drive @ drive.T
-
-    outputs = (
-        np.hstack([loop.truth, np.zeros((2, m))]),
-        np.hstack([w.D @ loop.truth, w.C]),
-    )
-    ticks = loop.each_tick(extended)
-    power = np.zeros((2, 2, 2))
-    for P in periodic_covariances(ticks):
-        power += [C @ P @ C.T for C in outputs]
-    plain, relative = power / len(ticks)
-    return plain, relative

@@ -1,4 +1,4 @@
-"""What the loop consists of: controllers between ports, the hold of the camera, the parts of its state, its response.
+"""What the loop consists of: ports of its response, devices of a file, the hold of the camera, the parts of its state.
 
 Sensors are those of :mod:`titop_plant.telescope.sensors`. Commands act one tick after the measurement; a value of a
 sensor that is slower than the tick is held until its next one (:func:`titop_plant.interface.sample_ticks`).
@@ -19,30 +19,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
-from lftkit import SampledSystem
 from lftkit.arrays import ComplexArray, IntArray
 from lftkit.systems.ports import Port, port_slices, total_size
 from titop_plant.interface import (
-    COLUMNS,
     COMMAND_PORTS,
-    COMMANDED,
     COMMANDS,
-    FORCE_STAGES,
     FORCES,
     HELD,
-    K_FSM_INPUTS,
-    K_PMA_INPUTS,
-    K_PMA_OUTPUTS,
     MEASUREMENTS,
-    MIRROR_STAGES,
     TRUTH_PORTS,
-    DesignBasis,
 )
 from titop_plant.telescope.telescope import Telescope
 
@@ -186,92 +177,6 @@ class Placed:
 NO_DEVICES = Placed()
 
 
-@dataclass(frozen=True)
-class Law:
-    """A controller in the loop: from columns of the measurement to columns of the command.
-
-    Parameters
-    ----------
-    system : SampledSystem
-    gain : float
-        From its output to the command; 0 where its loop is open.
-    measured, command : slice or ndarray of int
-    """
-
-    system: SampledSystem
-    gain: float
-    measured: slice | IntArray
-    command: slice | IntArray
-
-
-def _in_order(k_pma: SampledSystem, placed: Placed) -> SampledSystem:
-    """K_PMA with its further ports in the order of the telescope, and the forces of its actuators in their units."""
-    sensed = {port.name for port in k_pma.inputs}
-    k_pma = k_pma.with_inputs((*K_PMA_INPUTS, *(port for port in placed.sensors if port.name in sensed)))
-    units = dict(zip((port.name for port in placed.actuators), placed.units))
-    at, own = port_slices(k_pma.outputs), {port.name: port for port in k_pma.outputs}
-    names = [*(port.name for port in K_PMA_OUTPUTS), *(port.name for port in placed.actuators if port.name in own)]
-    rows = np.concatenate([np.arange(at[name].start, at[name].stop) for name in names])
-    size = np.concatenate([np.full(own[name].size, units.get(name, 1.0)) for name in names])
-    outputs = tuple(own[name] for name in names)
-    return replace(k_pma, C=k_pma.C[rows] / size[:, None], D=k_pma.D[rows] / size[:, None], outputs=outputs)
-
-
-def laws(
-    k_fsm: SampledSystem,
-    k_pma: SampledSystem,
-    stage: str,
-    los_sensitivity: float | None = None,
-    placed: Placed = NO_DEVICES,
-) -> tuple[Law, Law]:
-    """Both controllers in a stage. **The mirror turns against the estimate, by its inverse sensitivity**.
-
-    Parameters
-    ----------
-    k_fsm, k_pma : SampledSystem
-        Measured ports that the file of K_FSM leaves out have no effect.
-    stage : {"none", "isolator", "fsm", "fsm+pma"}
-    los_sensitivity : float, optional
-        Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
-        one it was made.
-    placed : Placed
-        Of the telescope. A controller has the sensors that it uses behind its other inputs, in this order, and K_PMA
-        the actuators behind its other outputs.
-
-    Raises
-    ------
-    ValueError
-        The mirror's loop is closed and nothing says a sensitivity.
-    """
-    mirror = 0.0
-    if stage in MIRROR_STAGES:
-        basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
-        mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=los_sensitivity))
-    angle, force = COMMANDED[0], K_PMA_OUTPUTS[0].name
-    seen = [placed.columns(columns(K_FSM_INPUTS), k_fsm.inputs, placed.sensors, MEASUREMENTS)]
-    seen.append(placed.columns(columns(K_PMA_INPUTS), k_pma.inputs, placed.sensors, MEASUREMENTS))
-    driven = placed.columns(COLUMNS[force], k_pma.outputs, placed.actuators, COMMANDS)
-    names = {port.name for port in k_fsm.inputs}
-    if placed != NO_DEVICES:
-        k_pma = _in_order(k_pma, placed)
-    k_fsm = k_fsm.with_inputs((*K_FSM_INPUTS, *(port for port in placed.sensors if port.name in names)))
-    return (
-        Law(k_fsm, mirror, seen[0], COLUMNS[angle]),
-        Law(k_pma, 1.0 if stage in FORCE_STAGES else 0.0, seen[1], driven),
-    )
-
-
-def columns(ports: Sequence[Port]) -> slice:
-    """Columns of neighbouring ports in their vector.
-
-    Examples
-    --------
-    >>> columns(K_FSM_INPUTS), columns(K_PMA_INPUTS)
-    (slice(0, 22, None), slice(0, 6, None))
-    """
-    return slice(COLUMNS[ports[0].name].start, COLUMNS[ports[-1].name].stop)
-
-
 def held_response(z: ComplexArray, frame_ticks: int) -> ComplexArray:
     """Fundamental of a value that is held between frames, at ``z = exp(i w dt)`` (N,): mean of the delays of a period.
 
@@ -306,10 +211,7 @@ __all__ = [
     "LINE_OF_SIGHT",
     "NO_DEVICES",
     "OUTPUTS",
-    "Law",
     "Placed",
-    "columns",
     "held_response",
-    "laws",
     "state_parts",
 ]

@@ -100,7 +100,7 @@ def bias_state(loop: SampledLoop, bias: FloatArray) -> FloatArray:
     state: FloatArray = np.zeros(loop.hold.shape[0])
     for A, drive in map(loop.at, range(loop.frame_ticks)):
         state = A @ state + drive @ bias
-    return loop.schur.solve(np.ones(1, complex), state[:, None].astype(complex))[:, 0].real
+    return loop.steady_state(np.zeros(1), state[:, None].astype(complex))[:, 0].real
 
 
 __all__ = ["LoopStart", "bias_state", "steady_start"]

@@ -29,9 +29,12 @@ import numpy as np
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_loop.sampled_loop import NONE, Delays, SampledLoop, sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from los_loop.spec import Placed
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
@@ -151,17 +154,11 @@ class ToneModel:
             moved = plant.form.excited(held[: plant.order])
             step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
         sensors = family.telescope.placed_sensors if len(plant.observed) > MEASUREMENTS + TRUTH else ()
-        closed = sampled_loop(
-            plant,
-            controllers["k_fsm"],
-            controllers["k_pma"],
-            loop=loop,
-            frame_ticks=frame_ticks(physical.camera_rate),
-            los_sensitivity=family.telescope.fsm.los_sensitivity,
-            step=step,
-            delays=delays,
-            placed=Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators)),
-        )
+        placed = Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators))
+        sensitivity = family.telescope.fsm.los_sensitivity
+        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, placed)
+        ticks = frame_ticks(physical.camera_rate)
+        closed = sampled_loop(plant, laws, frame_ticks=ticks, step=step, delays=delays)
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
@@ -200,6 +197,12 @@ class ToneModel:
         _, total, through = self._period(self.phasors())
         return np.asarray(total / self.loop.frame_ticks + through, dtype=np.complex128)
 
+    def relative_error(self, window: float) -> float:
+        """Relative error in windows [s] in steady state: root mean square of both axes together [rad]."""
+        amplitude = np.sqrt(np.sum(np.abs(self.settled()) ** 2, axis=0))
+        weights = rpe_discrete(self.omega, max(round(window / DT), 1), DT)
+        return float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0))
+
     def phasors(self) -> ComplexArray:
         """State of the loop at tick 0 in steady state, shape (n, K): of tone k the imaginary part of column k.
 
@@ -211,7 +214,7 @@ class ToneModel:
     def _phasors(self) -> ComplexArray:
         loop, size = self.loop, self.loop.hold.shape[0]
         forced, _, _ = self._period(np.zeros((size, self.omega.size), complex))
-        start = loop.schur.solve(np.exp(1j * self.omega * DT * loop.frame_ticks), forced)
+        start = loop.steady_state(self.omega, forced)
         start.flags.writeable = False
         return start
 

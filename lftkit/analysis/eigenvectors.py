@@ -230,3 +230,21 @@ def _fine_residual(A: FloatArray, modes: Modes, partner: IntArray) -> FloatArray
         total, error = two_sum(total, part)
         rest = rest + error
     return total + rest
+
+
+def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Poles, B and C in coordinates in which A is diagonal: ``C (s I - A)^-1 B = (c / (s - poles)) @ b``.
+
+    Returns
+    -------
+    poles : ndarray, complex, shape (n,)
+    b, c : ndarray, complex, shapes (n, m) and (p, n)
+    """
+    if not len(A):
+        return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
+    found = corrected_modes(np.asarray(A), modes(np.asarray(A)))
+    b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
+    for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
+        b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
+        c[:, k], c[:, k + 1] = c[:, k] + 1j * c[:, k + 1], c[:, k] - 1j * c[:, k + 1]
+    return found.poles, b, c

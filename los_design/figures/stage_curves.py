@@ -16,7 +16,8 @@ from lftkit import SampledSystem, System, close
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.norms import spectral_abscissa
 from los_design.synthesis.store import continuous
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS, Placed
 from titop_plant.simulation.disturbance_responses import ALL, ARCSEC, Curve, DisturbanceResponses
@@ -65,7 +66,8 @@ def sampled_curve(
     if stage in NAMES:
         return responses.weighted(getattr(responses, NAMES[stage]), values, ALL, LOWEST, HIGHEST)
     plant, telescope = system.at(values), responses.telescope
-    loop = sampled_loop(plant, *pair, loop=stage, los_sensitivity=telescope.fsm.los_sensitivity, placed=placed)
+    laws = ControlLaws(*pair, stage, telescope.fsm.los_sensitivity, placed)
+    loop = sampled_loop(plant, laws)
     omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
     response = disturbance_response(loop, plant, omega)[:, OUTPUTS[LINE_OF_SIGHT]]
     gains = largest_gains(response * weight_amplitudes(telescope, omega)[:, None, :])

@@ -70,7 +70,7 @@ def effects_of_box(loop: ImplementedLoop, metric: LoopMetric, worst: WorstPoint)
     worst : WorstPoint
     """
     point = np.clip(loop.point(dict(worst.parameters)), 0.0, 1.0)
-    value, slope, _ = loop.gain(loop.at(worst.omega), metric, point)
+    value, slope, _ = loop.gain(worst.omega, metric, point)
     points = np.tile(point, (len(point) * VALUES, 1))
     for k in range(len(point)):
         points[k * VALUES : (k + 1) * VALUES, k] = np.linspace(0.0, 1.0, VALUES)

@@ -339,7 +339,7 @@ class Search:
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
             nonlocal best
             at, where = float(np.exp(x[0] * FREQUENCY_SCALE)), x[1:]
-            value, slope, by_frequency = self.loop.gain(self.loop.at(at), metric, where)
+            value, slope, by_frequency = self.loop.gain(at, metric, where)
             if value > best[0]:
                 best = (value, at, where.copy())
             return -np.log(value), -np.concatenate([[by_frequency * FREQUENCY_SCALE], slope]) / value

@@ -15,8 +15,9 @@ from lftkit.tuning.responses import ControllerBlock, ResponseProblem
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import STAGE_NAMES, Samples, blocks, limits, pair_problem
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.sampled_loop import sampled_loop
 
 HALVINGS = 7
 """Of the way to an unstable point."""
@@ -110,13 +111,8 @@ class ImplementedTask(Task):
         loop = self.samples.open_loop
         plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
         sensitivity = loop.telescope.fsm.los_sensitivity
-        return all(
-            sampled_loop(
-                plant, *pair, loop=STAGE_NAMES[stage], los_sensitivity=sensitivity, placed=loop.placed
-            ).spectral_radius()
-            < 1.0
-            for stage in self.stages
-        )
+        laws = (ControlLaws(*pair, STAGE_NAMES[stage], sensitivity, loop.placed) for stage in self.stages)
+        return all(sampled_loop(plant, one).spectral_radius() < 1.0 for one in laws)
 
 
 def first_points(task: Task, count: int) -> list[FloatArray]:

@@ -322,7 +322,7 @@ def certify_figure(
     lower, omega, values = 0.0, 0.0, {p.name: p.nominal for p in loop.system.parameters}
     for point in known:
         if point.requirement == name and point.stage == loop.stage:
-            gain = float(loop.gain(loop.at(point.omega), metric, loop.point(dict(point.parameters)))[0])
+            gain = float(loop.gain(point.omega, metric, loop.point(dict(point.parameters)))[0])
             if gain > lower:
                 lower, omega, values = gain, point.omega, dict(point.parameters)
     target = (1.0 + 0.95 * gap) * lower if level is None else level

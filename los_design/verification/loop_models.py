@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.analysis.eigenvectors import modal
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
-from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.trusted.proof import Interval
 from los_design.verification.error_sum import FAST, PARTS
 from los_design.verification.frames import IMAGES, SEEN
@@ -21,7 +21,7 @@ from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
 from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
-from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, MEASUREMENTS, sample_ticks
+from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, sample_ticks
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.telescope import Telescope
 
@@ -111,10 +111,7 @@ def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, *
     rows = [*kept, *range(q, system.C.shape[0])]
     columns = [*kept, *range(q + COMMANDS, system.B.shape[1]), *range(q, q + COMMANDS)]
     poles, B, C = modal(system.A, system.B[:, columns], system.C[rows])
-    K_poles, K_B, K_C, K_D = _controllers(loop)
-    frame = np.ones(MEASUREMENTS, dtype=np.int64)
-    for name, ticks in sample_ticks().items():
-        frame[COLUMNS[name]] = ticks
+    K_poles, K_B, K_C, K_D = loop.control_laws.modes()
     order = [names[channel] for channel in kept]
     D, (first, last) = system.D[np.ix_(rows, columns)], (len(kept), len(columns) - COMMANDS)
     if outcome.get("added") or noisy is not None:
@@ -132,31 +129,12 @@ def _model(loop: ImplementedLoop, weights: FloatArray, noisy: IntArray | None, *
         K_C,
         K_B,
         K_D,
-        frame,
+        loop.control_laws.held_ticks,
         tuple(tuple(i for i, name in enumerate(order) if name == p.name) for p in system.parameters),
         tuple(p.name == ANGLE for p in system.parameters),
         weights,
         **outcome,
     )
-
-
-def _controllers(loop: ImplementedLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray, FloatArray]:
-    """Poles, B, C, D of both controllers as one, from measurements to commands, for the loops that are closed."""
-    D = np.zeros((COMMANDS, MEASUREMENTS))
-    poles: list[ComplexArray] = [np.zeros(0, complex)]
-    into, out = [], []
-    for law in loop.laws:
-        if not law.gain:
-            continue
-        K, gain = law.system, law.gain
-        p, b, c = modal(K.A, K.B, K.C) if K.order else (np.zeros(0, complex), K.B, K.C)
-        B, C = np.zeros((len(p), MEASUREMENTS), complex), np.zeros((COMMANDS, len(p)), complex)
-        B[:, law.measured], C[law.command], D[law.command, law.measured] = b, gain * c, gain * K.D
-        poles.append(p)
-        into.append(B)
-        out.append(C)
-    empty = np.zeros((0, MEASUREMENTS), complex), np.zeros((COMMANDS, 0), complex)
-    return np.concatenate(poles), np.vstack([empty[0], *into]), np.hstack([empty[1], *out]), D
 
 
 def box_of(loop: ImplementedLoop) -> Box:

@@ -35,7 +35,7 @@ from los_design.verification.certify import (
 from los_design.verification.loop_models import NYQUIST, Box, box_of, noise_model
 from los_loop.figures_of_merit import figure
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.sampled_loop_norms import noise_covariances, noise_rms
+from los_loop.noise import noise_covariances, noise_rms
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, MIRROR_STAGES
 

@@ -17,7 +17,8 @@ from lftkit.analysis.batched_linalg import singular_values
 from lftkit.arrays import ComplexArray, FloatArray
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import WorstPoint
-from los_loop.implemented_loop import ClosedAt, LoopMetric
+from los_loop.closing import ClosedLoop
+from los_loop.implemented_loop import LoopMetric
 
 NEAR = 0.8
 """Peaks above this part of the largest one of their metric are looked at."""
@@ -110,7 +111,7 @@ def _values(search: Search, metric: LoopMetric, omega: FloatArray, points: Float
     return _singular_values(search, metric, search.loop.at_each(omega), search.loop.delta(points))
 
 
-def _singular_values(search: Search, metric: LoopMetric, each: Sequence[ClosedAt], delta: ComplexArray) -> FloatArray:
+def _singular_values(search: Search, metric: LoopMetric, each: ClosedLoop, delta: ComplexArray) -> FloatArray:
     """What :func:`_values` gives, of loops that are closed, for N diagonals of Delta (N, 32)."""
     loop = search.loop
     return np.array(

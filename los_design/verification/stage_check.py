@@ -227,7 +227,7 @@ def _at_modes(reach: Reach, modes: FloatArray, point: FloatArray, doubt: BoolArr
     if not len(modes):
         return
     delta = reach.loop.delta(point[None])
-    T = reach.loop.responses_each(reach.loop.at_each(modes), delta.repeat(len(modes), 0), reach.rows, reach.columns)
+    T = reach.responses(reach.loop.at_each(modes), delta.repeat(len(modes), 0))
     doubt |= reach.doubt(T, modes).any(axis=0)
     gains = {(rows.start, columns.start): largest_gains(T[:, rows, columns]) for rows, columns, _ in reach.blocks}
     for k, w in enumerate(modes.tolist()):

@@ -15,7 +15,8 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from los_loop.implemented_loop import ClosedAt, ImplementedLoop, LoopMetric
+from los_loop.closing import ClosedAt, ClosedLoop
+from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, doubtful
 from los_loop.spec import APPLIED
 from titop_plant.interface import FORCE_STAGES, MIRROR
@@ -54,8 +55,8 @@ class Reach:
         """Number of the changes of :func:`los_loop.margins.changed_loops`."""
         return len(change_names(self.loop.stage, self.loop.placed.commands))
 
-    def responses(self, closed: ClosedAt, delta: ComplexArray) -> ComplexArray:
-        """For N diagonals of Delta (N, 32): the first rows and columns of the loop's response."""
+    def responses(self, closed: ClosedAt | ClosedLoop, delta: ComplexArray) -> ComplexArray:
+        """First rows and columns of the response for N diagonals of Delta (N, 32), or one of each of N closed loops."""
         return self.loop.some_responses(closed, delta, self.rows, self.columns)
 
     def doubt(self, T: ComplexArray, omega: float | FloatArray) -> BoolArray:

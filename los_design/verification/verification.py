@@ -23,8 +23,8 @@ from los_estimator.problem import observer_plant
 from los_loop.figures_of_merit import figure, gain_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import Margins, delay_margins, rounded
+from los_loop.noise import largest_part, noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import largest_part, noise_covariances, noise_rms
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES

@@ -12,7 +12,8 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import COLUMNS, DELTA, members
 from los_testbed.config import RunConfig
 
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import weighted_gains
 from titop_plant.interface import FRAME_TICKS
 
@@ -48,7 +49,7 @@ def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not()
     worst = int(random.argmax())
     plant = evaluator.family.control_loop.at(dict(zip(DELTA, points[worst])))
     pair, telescope = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.parameters
-    closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
     near = rows[worst]["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert random[worst] == pytest.approx(peak, rel=0.02)

@@ -49,14 +49,14 @@ found = {
 CERTIFY = 'design certify --output proofs --stage fsm+pma --figure "force, slow"'
 FIGURE_VALUES = """
 from los_design.verification.verification import check_implemented
-from los_testbed.campaign.model_depth import ModelDepth
+from los_loop.member_metrics import MemberMetrics
 
 worst = check_implemented(system, telescope, *pair, [{}], changes=False).both.worst
 found |= {
     "verified": worst[name].gamma,
     "frequency": worst[name].omega,
     "all forces": worst["force"].gamma,
-    "campaign": ModelDepth.of(system, telescope, *pair, "fsm+pma").metrics({})["force_slow_gain"],
+    "campaign": MemberMetrics.of(system, telescope, *pair, "fsm+pma").metrics({})["force_slow_gain"],
 }
 """
 

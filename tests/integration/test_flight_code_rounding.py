@@ -9,7 +9,7 @@ from los_testbed.factories import RunParts
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_loop.sampled_loop import periodic_covariances
+from los_loop.noise import periodic_covariances
 from los_loop.spec import state_parts
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import COMMANDS, ESTIMATES, FORCE_STAGES, MEASUREMENTS, PLATFORM, TRUTH

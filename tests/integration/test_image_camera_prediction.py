@@ -12,7 +12,8 @@ from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.summary.predictions import predictions
 
 from lftkit.arrays import FloatArray
-from los_loop.sampled_loop import SampledLoop, periodic_covariances
+from los_loop.noise import periodic_covariances
+from los_loop.sampled_loop import SampledLoop
 from pointing_analysis.read.run import Run
 
 pytestmark = pytest.mark.slow

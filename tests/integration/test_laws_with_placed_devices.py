@@ -22,8 +22,8 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.loop_plant import loop_plant
+from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED

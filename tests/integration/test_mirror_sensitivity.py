@@ -20,7 +20,8 @@ from los_testbed.run.summary.predictions import predictions
 
 from lftkit import SampledSystem
 from los_design.synthesis.store import load_designs
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import sampled_loop_metrics
 from pointing_analysis.indices.errors import knowledge_error
 from pointing_analysis.indices.telescope_values import telescope_value
@@ -109,12 +110,12 @@ def test_an_observer_that_says_nothing_takes_the_telescopes(config: RunConfig) -
     plant = control_loop_plant(telescope).at({})
     silent = replace(chosen["k_fsm"], design_basis={})
     said, given = (
-        sampled_loop(plant, k_fsm, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=SENSITIVITY)
+        sampled_loop(plant, ControlLaws(k_fsm, chosen["k_pma"], "fsm", SENSITIVITY), frame_ticks=FRAME_TICKS)
         for k_fsm in (chosen["k_fsm"], silent)
     )
     np.testing.assert_array_equal(said.hold, given.hold)
     with pytest.raises(ValueError, match="los_sensitivity must be given"):
-        sampled_loop(plant, silent, chosen["k_pma"], loop="fsm", frame_ticks=FRAME_TICKS)
+        sampled_loop(plant, ControlLaws(silent, chosen["k_pma"], "fsm"), frame_ticks=FRAME_TICKS)
 
 
 def test_the_analysis_takes_the_sensitivity_from_the_bag(bag: Path) -> None:

@@ -11,7 +11,8 @@ from los_testbed.loop.simulate import simulate as run
 
 from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
 from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import DISTURBANCES
@@ -65,7 +66,7 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
 def test_a_tone_has_the_predicted_amplitude(case, omega: float, frame_ticks: int) -> None:
     """Camera at every tick, where the loop is time-invariant, and at 50 Hz. Within 2 %."""
     _, data, k_fsm, k_pma = case
-    loop = sampled_loop(data, k_fsm, k_pma, loop="fsm+pma", frame_ticks=frame_ticks)
+    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, "fsm+pma"), frame_ticks=frame_ticks)
     assert loop.spectral_radius() < 1.0
     predicted = disturbance_response(loop, data, np.array([omega]))[0, :2]
     amplitude = np.zeros((22, 1), complex)

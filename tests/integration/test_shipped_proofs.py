@@ -23,8 +23,8 @@ from support.stored_proofs import (
     write_shipped_bundle,
 )
 
+from lftkit.analysis.eigenvectors import modal
 from lftkit.proofs.sampled_loop import check_loop_proof
-from lftkit.proofs.sampled_loop.build import modal
 from lftkit.proofs.sampled_loop.files import read_loop_proof
 from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, noise_bound
 from lftkit.proofs.trusted.strips import windows_of

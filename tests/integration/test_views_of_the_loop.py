@@ -31,11 +31,12 @@ from los_design.synthesis import pair_problem
 from los_design.synthesis.store import continuous, load_designs
 from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.runtime import LosEstimator
-from los_loop import implemented_loop
+from los_loop import control_laws, implemented_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
@@ -99,7 +100,7 @@ def test_simulation_matrices_and_prediction_are_one_loop(stage: str, seed: int, 
     (omega, amplitude), bias = tones(rng, telescope), 1e-5 * rng.standard_normal(22)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     modal = ModalPlant.of(plant)
-    loop = sampled_loop(modal, *pair, loop=stage, frame_ticks=FRAME_TICKS)
+    loop = sampled_loop(modal, ControlLaws(*pair, stage), frame_ticks=FRAME_TICKS)
     model = ToneModel(loop, modal, omega, 1e-2 * amplitude, limits)
     start = steady_start(model, np.zeros(22), (pair[0].order, pair[1].order))
     predicted = model.record(TICKS)
@@ -160,10 +161,10 @@ def test_matrices_response_proof_and_tuner_have_the_same_gains(
         if metric.disturbed:
             model = telescope_model(loop, figures_of(telescope, stage)[name])
             assert float(member_gains(model, omega, deviation[None])[0]) == pytest.approx(expected, abs=SAME), name
-    monkeypatch.setattr(implemented_loop, "FRAME_TICKS", 1)
+    monkeypatch.setattr(control_laws, "FRAME_TICKS", 1)
     loop = ImplementedLoop(OpenLoop(centred(system, member), telescope), *pair, stage)
-    plant, matrices = loop.sampled_at({})
-    assert matrices.frame_ticks == 1
+    plant = loop.system.at({})
+    matrices = sampled_loop(plant, loop.control_laws, frame_ticks=1)
     response, relative = weighted_gains(matrices, plant, telescope, np.array([omega]))
     for name, metric in implemented_loop.loop_metrics(telescope, stage).items():
         if metric.disturbed:

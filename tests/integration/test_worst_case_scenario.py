@@ -9,7 +9,8 @@ from los_testbed.factories import RunParts
 from los_testbed.variants import of_scenario
 from support.true_los import true_los
 
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
@@ -56,7 +57,7 @@ def test_the_measured_tone_is_gamma_times_the_limit(loop: str, index: str) -> No
 def loop_at(config: RunConfig):
     plant = ModalPlant.of(plant_and_tones(RunParts(config).physical)[0])
     chosen = RunParts(config).models
-    return sampled_loop(plant, chosen["k_fsm"], chosen["k_pma"], loop=config.loop, frame_ticks=20), plant
+    return sampled_loop(plant, ControlLaws(chosen["k_fsm"], chosen["k_pma"], config.loop), frame_ticks=20), plant
 
 
 def test_no_other_tone_of_unit_norm_is_worse() -> None:

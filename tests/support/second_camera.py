@@ -17,9 +17,11 @@ from los_design.verification.loop_models import figures_of, telescope_model
 from los_estimator.kalman import sampled_observer
 from los_estimator.runtime import LosEstimator
 from los_loop import sampled_loop_norms
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
 from titop_plant.interface import (
@@ -89,7 +91,7 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     omega, amplitude = tones(rng)
     limits = PlantFamily.of(PlantConfig(disturbance=False)).limits
     modal = ModalPlant.of(plant)
-    model = ToneModel(sampled_loop(modal, k_fsm, K_PMA, loop=STAGE), modal, omega, 1e-2 * amplitude, limits)
+    model = ToneModel(sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE)), modal, omega, 1e-2 * amplitude, limits)
     bias = np.zeros(MEASUREMENTS)
     start = steady_start(model, bias, (k_fsm.order, K_PMA.order))
     predicted = model.record(TICKS)
@@ -112,8 +114,8 @@ def prediction(k_fsm: SampledSystem) -> dict[str, float]:
     found["simulated"] = float(np.abs(los - predicted).max() / np.abs(predicted).max())
     sampled_loop_norms.SIDEBANDS = 50
     for ticks in (1, 4, FRAME_TICKS):
-        loop = sampled_loop(plant, k_fsm, K_PMA, loop=STAGE, frame_ticks=ticks)
-        same = sampled_loop(modal, k_fsm, K_PMA, loop=STAGE, frame_ticks=ticks)
+        loop = sampled_loop(plant, ControlLaws(k_fsm, K_PMA, STAGE), frame_ticks=ticks)
+        same = sampled_loop(modal, ControlLaws(k_fsm, K_PMA, STAGE), frame_ticks=ticks)
         settled = ToneModel(same, modal, omega, amplitude, limits).settled()
         response = sampled_loop_norms.disturbance_response(loop, plant, omega)[:, :2]
         shown = np.stack([response[k] @ amplitude[:, k] for k in range(4)], axis=1)
@@ -172,9 +174,7 @@ def noise(k_fsm: SampledSystem) -> dict[str, object]:
         ("shared", k_fsm, PARAMETERS),
         ("shared, louder", k_fsm, louder),
     ):
-        found[name] = sampled_loop_norms.noise_rms(
-            sampled_loop_norms.noise_covariances(plant, k, K_PMA, parameters, loop=STAGE)
-        )[1]
+        found[name] = noise_rms(noise_covariances(plant, k, K_PMA, parameters, loop=STAGE))[1]
     k_fsm.to_file("shared.json")
     for name, settings in (("stored", {}), ("shared", {"k_fsm": "shared.json"})):
         sources = testbed_sources((), {"loop": STAGE, "part": "noise", "settings": settings}, 1.0)

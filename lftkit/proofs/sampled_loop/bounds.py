@@ -16,7 +16,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lftkit.analysis.batched_linalg import largest_gains, solve
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop.branching import Branching
@@ -315,12 +316,11 @@ def member_gains(model: Responses, omega: float, members: FloatArray) -> FloatAr
     q = model.sizes[0]
     z, e = model.at(omega)
     weight, amplitude = model.amplitudes(omega)
-    delta = np.zeros((len(members), q))
+    delta: ComplexArray = np.zeros((len(members), q), complex)
     for k, (group, angle) in enumerate(zip(model.groups, model.angle)):
         delta[:, list(group)] = (np.tan(0.5 * members[:, k]) if angle else members[:, k])[:, None]
-    loop = np.eye(q) - z[:, :q] * delta[:, None, :]
-    inner = solve(loop, np.broadcast_to(z[:, q:], (len(delta), *z[:, q:].shape)))
-    return weight * largest_gains((e[:, q:] + (e[:, :q] * delta[:, None, :]) @ inner) * amplitude)
+    closed = LftResponse(z[:, :q], e[:, :q], z[:, q:], e[:, q:]).closed(delta)
+    return weight * largest_gains(closed * amplitude)
 
 
 def extrapolated(first: NodeScalings, second: NodeScalings, omega: float) -> NodeScalings:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit import SampledSystem, System
-from lftkit.analysis.eigenvectors import corrected_modes, modes
-from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.analysis.eigenvectors import modal
 from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.trusted.proof import Interval
 
@@ -99,15 +98,3 @@ def loop_model(
 def box_of(system: System) -> tuple[Interval, ...]:
     """Deviations of the parameters from their nominal values, as a box."""
     return tuple((p.lower - p.nominal, p.upper - p.nominal) for p in system.parameters)
-
-
-def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Poles, B and C in coordinates in which A is diagonal."""
-    if not len(A):
-        return np.zeros(0, complex), np.asarray(B, dtype=complex), np.asarray(C, dtype=complex)
-    found = corrected_modes(np.asarray(A), modes(np.asarray(A)))
-    b, c = found.excited(np.asarray(B)).astype(complex), found.observed(np.asarray(C)).astype(complex)
-    for k in np.flatnonzero(found.poles.imag > 0.0):  # a pair has the real and the imaginary part of its vectors
-        b[[k, k + 1]] = 0.5 * (b[k] - 1j * b[k + 1]), 0.5 * (b[k] + 1j * b[k + 1])
-        c[:, k], c[:, k + 1] = c[:, k] + 1j * c[:, k + 1], c[:, k] - 1j * c[:, k + 1]
-    return found.poles, b, c

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
+from lftkit.analysis.lft_response import feedback
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop import coordinates
@@ -42,9 +42,7 @@ class LoopModel(GivenLoop):
         felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
-        returned = np.eye(len(K)) - K @ seen[:y]
-        scale = 1.0 / np.abs(returned).max(axis=1)[:, None]  # angles beside forces: else the angles lose six digits
-        u = linalg.solve(scale * returned, scale * (K @ own[q : q + y] + self.entry))
+        u = feedback((K @ seen[:y])[None], (K @ own[q : q + y] + self.entry)[None], balanced=True)[0]
         hold = (1.0 - 1.0 / z) / (s * self.dt)
         channels = own[:q] + hold * felt @ u
         if self.returned:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from lftkit.analysis.frequency_response import refined_response
+from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.proofs.state_space.corners import CornerSearch, earliest_unstable_corner
@@ -235,13 +236,8 @@ def response_slopes(whole: ComplexArray, delta: FloatArray) -> tuple[float, Floa
     LinAlgError
         The loop is singular.
     """
-    q = len(delta)
-    loop = linalg.solve(np.eye(q) - whole[:q, :q] * delta, whole[:q])
-    seen, through = loop[:, q:], whole[q:, :q] @ (np.eye(q) + delta[:, None] * loop[:, :q])
-    response = whole[q:, q:] + whole[q:, :q] @ (delta[:, None] * seen)
-    left, gains, right = linalg.svd(response, full_matrices=False)
-    slopes = ((left[:, 0].conj() @ through) * (seen @ right[0].conj())).real
-    return float(gains[0]), np.asarray(slopes)
+    found = LftResponse.of(whole[None], len(delta)).gain_slopes(delta[None].astype(complex))
+    return float(found.values[0, 0]), found.slopes[0].real
 
 
 def scaled_box(system: System, box: Sequence[tuple[float, float]], factor: float) -> list[tuple[float, float]]:

@@ -20,7 +20,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lftkit.analysis.batched_linalg import largest_gains, singular_triples, solve
+from lftkit.analysis.batched_linalg import largest_gains, singular_triples
+from lftkit.analysis.lft_response import feedback
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.tuning.responses.blocks import (
     ActiveCommands,
@@ -87,9 +88,8 @@ def close_with(samples: PlantSamples, KP: ComplexArray, rows: ActiveCommands) ->
     held = P[:, :, nw:][:, :, rows.index]
     Pyw, Pyu, Pew, Peu = P[:, :ny, :nw], held[:, :ny], P[:, ny:, :nw], held[:, ny:]
     eye = np.eye(len(rows.commands))
-    returned = np.asarray(eye - KP[:, :, nw:][:, :, rows.index])
     # a product with S is faster than a solution with more right-hand sides
-    S = solve(returned, np.broadcast_to(eye, (len(KP), *eye.shape)).astype(complex))
+    S = feedback(KP[:, :, nw:][:, :, rows.index], np.broadcast_to(eye, (len(KP), *eye.shape)).astype(complex))
     C = S @ KP[:, :, :nw]
     return Closed(S, C, Pew + Peu @ C, Pyw, Pyu, Peu, rows)
 

@@ -39,8 +39,8 @@ from los_design.verification.loop_models import (
 )
 from los_design.verification.noise_certificate import ABOVE, seen_gain
 from los_loop.implemented_loop import ImplementedLoop
+from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 BAND = (200.0, 212.0)

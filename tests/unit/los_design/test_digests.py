@@ -14,9 +14,9 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.certify import model_digest
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.subject import Subject
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import laws
 from titop_plant.interface import DT, MIRROR_STAGES
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.load import load_telescope
@@ -47,7 +47,7 @@ def acts(k_fsm: SampledSystem, k_pma: SampledSystem) -> list[list[Any]]:
     """All numbers of the laws of each stage, with another sensitivity of the telescope than that of the file."""
     found = []
     for stage in MIRROR_STAGES:
-        for law in laws(k_fsm, k_pma, stage, 0.2):
+        for law in ControlLaws(k_fsm, k_pma, stage, 0.2).laws:
             parts = [getattr(law.system, name).tolist() for name in "ABCD"]
             found.append([*parts, law.system.dt, law.gain, law.measured, law.command])
     return found

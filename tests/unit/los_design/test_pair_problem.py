@@ -22,8 +22,8 @@ from los_design.synthesis.pair_problem import (
 )
 from los_design.synthesis.store import continuous, load_designs
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop_norms import noise_covariances, noise_rms
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, combined_level, error_budget

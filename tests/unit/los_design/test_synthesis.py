@@ -12,9 +12,10 @@ from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.rounds import Effort
 from los_design.synthesis.starts import stored_start, zero_controller
 from los_design.synthesis.store import continuous, load_designs
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
 from los_loop.spec import NO_DEVICES
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant
@@ -105,11 +106,13 @@ def test_the_stored_start_stabilises_the_reference_telescope(telescope) -> None:
     options = DesignOptions(nominal=True)
     loop = sampled_loop(
         control_loop_plant(telescope).at({}),
-        *(
-            synthesis._sampled(k, synthesis._state_space(k, M, NO_DEVICES), telescope, options, None)
-            for k, M in zip(PORTS, matrices)
+        ControlLaws(
+            *(
+                synthesis._sampled(k, synthesis._state_space(k, M, NO_DEVICES), telescope, options, None)
+                for k, M in zip(PORTS, matrices)
+            ),
+            "fsm+pma",
         ),
-        loop="fsm+pma",
         frame_ticks=20,
     )
     assert loop.spectral_radius() < 1.0

@@ -26,10 +26,11 @@ from los_design.verification.verification import (
     failures,
     verification_points,
 )
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import change_names
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant
@@ -88,7 +89,7 @@ def test_refined_peaks_are_on_top(three, telescope) -> None:
         for name in ("APE", "mirror"):
             p, rows = check.worst[name], slice(0, 2) if name == "APE" else slice(2, 4)
             plant = small_plant(p.parameters["stiffness"])
-            loop = sampled_loop(plant, *quiet_pair(), loop=check.stage, frame_ticks=20, los_sensitivity=0.1)
+            loop = sampled_loop(plant, ControlLaws(*quiet_pair(), check.stage, 0.1), frame_ticks=20)
             omega = p.omega * np.exp([-1e-4, 0.0, 1e-4])
             response, _ = weighted_gains(loop, plant, telescope, omega)
             gains = np.linalg.norm(response[:, rows], 2, axis=(1, 2)) / p.limit

@@ -22,9 +22,10 @@ from los_design.search.worst_points import (
     store_worst_points,
     worst_of,
 )
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
-from los_loop.sampled_loop import sampled_loop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE, INPUTS
 from titop_plant.interface import FRAME_TICKS
@@ -54,7 +55,7 @@ def known_values(stage: str) -> dict[str, float]:
 def test_the_response_is_that_of_the_periodic_solution(stage: str, system, telescope, pair) -> None:
     loop, values = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), known_values("fsm+pma")
     plant = system.at(values)
-    exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
+    exact = sampled_loop(plant, ControlLaws(*pair, stage, 0.1), frame_ticks=FRAME_TICKS)
     omega = np.array([0.06, 0.3, 3.0, 7.0, 40.0, 145.6, 399.2, 683.9, 1500.0, 2500.0])
     expected = tone_response(exact, plant, omega).fundamental * weight_amplitudes(telescope, omega)[:, None, :]
     rows = (slice(0, 2), slice(2, 4), slice(4, 10))[: {"isolator": 1, "fsm": 2, "fsm+pma": 3}[stage]]
@@ -95,7 +96,7 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pai
 def test_gradients_equal_differences(stage: str, name: str, omega: float, system, telescope, pair) -> None:
     loop, metric = ImplementedLoop(OpenLoop(system, telescope), *pair, stage), loop_metrics(telescope, stage)[name]
     h, point = 1e-5, np.clip(loop.point(known_values("fsm+pma")), 2e-5, 1.0 - 2e-5)
-    value, slope, by_frequency = loop.gain(loop.at(omega), metric, point)
+    value, slope, by_frequency = loop.gain(omega, metric, point)
     both = [loop.gains(loop.at(omega), metric, point + sign * h * np.eye(7)) for sign in (1.0, -1.0)]
     np.testing.assert_allclose(slope, (both[0] - both[1]) / (2.0 * h), atol=1e-4 * np.abs(slope).max())
     beside = [float(loop.gains(loop.at(omega * np.exp(sign * h)), metric, point[None])[0]) for sign in (1.0, -1.0)]
@@ -114,9 +115,9 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     found = search.confirmed(metric, at, where)
     assert found.gamma > gamma - 5e-4
     assert abs(found.omega / omega - 1.0) < 5e-3
-    assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
-    plant = system.at(found.parameters)
-    exact = sampled_loop(plant, *pair, loop=stage, frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
+    assert all(low - 1e-9 <= found.telescope[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
+    plant = system.at(found.telescope)
+    exact = sampled_loop(plant, ControlLaws(*pair, stage, 0.1), frame_ticks=FRAME_TICKS)
     _, relative = weighted_gains(exact, plant, telescope, np.array([found.omega]))
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
 
@@ -136,13 +137,13 @@ class Resonance:
     def at_each(self, omega: np.ndarray) -> Iterator[SimpleNamespace]:
         return (self.at(float(w)) for w in omega)
 
-    def gain(self, closed: SimpleNamespace, _: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
-        x, y = np.log(closed.omega / self.omega) / self.width, point - 0.25
+    def gain(self, omega: float, _: object, point: np.ndarray) -> tuple[float, np.ndarray, float]:
+        x, y = np.log(omega / self.omega) / self.width, point - 0.25
         value = float(1.0 / (1.0 + x**2 + y[0] ** 2))
         return value, -2.0 * y * value**2, float(-2.0 * x / self.width * value**2)
 
     def all_responses(self, closed: SimpleNamespace, points: np.ndarray) -> np.ndarray:
-        gains = [self.gain(closed, None, point)[0] for point in points]
+        gains = [self.gain(closed.omega, None, point)[0] for point in points]
         return np.tile(np.array(gains)[:, None, None], (1, 30, 60))
 
     def scale(self, *_: object) -> float:
@@ -178,8 +179,8 @@ def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> N
     assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
         1.0
     )
-    plant = system.at(found.parameters)
-    exact = sampled_loop(plant, *pair, loop="fsm", frame_ticks=FRAME_TICKS, los_sensitivity=0.1)
+    plant = system.at(found.telescope)
+    exact = sampled_loop(plant, ControlLaws(*pair, "fsm", 0.1), frame_ticks=FRAME_TICKS)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
     caused = response @ (weight_amplitudes(telescope, np.array([0.8]))[0] * found.disturbance)
     np.testing.assert_allclose(caused, found.gamma * found.limit * found.direction, rtol=1e-4)

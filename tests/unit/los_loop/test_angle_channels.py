@@ -7,8 +7,9 @@ import pytest
 
 from lftkit import RealParameter
 from lftkit.analysis.frequency_response import FrequencyResponse
-from los_loop.angle_channels import AngleClosed, half_turn, half_turn_slope, kept_channels
-from los_loop.open_loop import MANY, OpenLoop, closed_lft
+from lftkit.analysis.lft_response import MANY, LftResponse, RepeatedClosed
+from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
+from los_loop.open_loop import OpenLoop
 from titop_plant.blocks.rotation import rotation
 from titop_plant.interface import COMMANDS
 from titop_plant.simulation.build import control_loop_plant
@@ -63,7 +64,7 @@ def test_responses_are_those_of_all_channels_of_the_telescope(omega: float, open
     G = FrequencyResponse.of(system.A, system.B, system.C, system.D).at([omega])[0]
     delta = (open_loop.low + at * open_loop.width - open_loop.nominal)[:, [names.index(c) for c in system.channels]]
     into = slice(q + COMMANDS, None)
-    whole = closed_lft(G[:q, :q], G[q:, :q], G[:q, into], G[q:, into], delta.astype(complex))
+    whole = LftResponse(G[:q, :q], G[q:, :q], G[:q, into], G[q:, into]).closed(delta.astype(complex))
     expected = whole * weight_amplitudes(open_loop.telescope, np.array([omega]))[0]
     found = open_loop.closed_over(open_loop.at(np.array([omega]))[0], at)[:, :, :REFERENCE_CHANNELS]
     for rows in (slice(0, 18), slice(18, 20), slice(20, 22), slice(22, 24)):
@@ -85,12 +86,11 @@ def test_many_points_have_the_responses_of_each(open_loop: OpenLoop) -> None:
 def test_channels_without_a_basis_of_eigenvectors_are_solved_point_by_point(open_loop: OpenLoop) -> None:
     rng, q = np.random.default_rng(0), open_loop.channels
     shapes = ((q, q), (2, q), (q, 3), (2, 3))
-    M, T12, T21, T11 = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in shapes)
-    M[np.ix_(open_loop.angle, open_loop.angle)] = np.eye(16, k=1)
-    assert AngleClosed.of((M, T12, T21, T11), open_loop.angle) is None
+    lft = LftResponse(*(rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in shapes))
+    lft.M[np.ix_(open_loop.angle, open_loop.angle)] = np.eye(16, k=1)
+    assert RepeatedClosed.of(lft, open_loop.angle) is None
     delta = open_loop.delta(points(MANY))
-    found = open_loop.closed(M, T12, T21, T11, delta)
-    np.testing.assert_array_equal(found, closed_lft(M, T12, T21, T11, delta))
+    np.testing.assert_array_equal(lft.closed(delta, open_loop.angle), lft.closed(delta))
 
 
 def test_all_channels_are_kept_where_the_nominal_angle_is_not_zero() -> None:

@@ -96,9 +96,9 @@ def test_slopes_are_those_of_differences(name: str, open_loop: OpenLoop, matrice
     metric, point, omega, h = loop.metrics()[name], np.full(len(open_loop.names), 0.4), 6.1, 1e-6
 
     def value(w: float, at: FloatArray) -> float:
-        return float(loop.gain(loop.at(w), metric, at)[0])
+        return float(loop.gain(w, metric, at)[0])
 
-    _, gradient, slope = loop.gain(loop.at(omega), metric, point)
+    _, gradient, slope = loop.gain(omega, metric, point)
     expected = [
         (value(omega, point + h * e) - value(omega, point - h * e)) / (2 * h) for e in np.eye(len(open_loop.names))
     ]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from los_testbed.campaign.meanings import meaning
 from los_testbed.campaign.member import metric_columns
-from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import ALONE, BOTH, Samples, limits, pair_problem
@@ -19,6 +18,7 @@ from los_design.verification.verification import broken_requirements, check_impl
 from los_loop import figures_of_merit
 from los_loop.figures_of_merit import FIGURES, FigureOfMerit, figure, figures, paper_figures
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
+from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import INDICES
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES
@@ -122,8 +122,8 @@ def test_an_added_row_is_a_column_of_campaigns(monkeypatch, telescope, system) -
     assert set(metric_columns("model", ())) - set(before) == {"force_slow_gain"}
     assert meaning("force_slow_gain") == "force slow gain"
     pair = load_designs("implemented")
-    found = ModelDepth.of(system, telescope, *pair, "fsm+pma").metrics({})
-    assert tuple(found) == model_metrics()
+    found = MemberMetrics.of(system, telescope, *pair, "fsm+pma").metrics({})
+    assert tuple(found) == metric_names()
     loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
     metric = loop_metrics(telescope, "fsm+pma")["force, slow"]
     values = [loop.gains(loop.at(w), metric, loop.point({})[None])[0] for w in np.geomspace(0.01, 85.0, 400)]
@@ -131,4 +131,4 @@ def test_an_added_row_is_a_column_of_campaigns(monkeypatch, telescope, system) -
 
 
 def test_the_columns_of_campaigns_are_those_of_the_table() -> None:
-    assert metric_columns("model", ()) == model_metrics()
+    assert metric_columns("model", ()) == metric_names()

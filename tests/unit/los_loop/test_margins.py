@@ -9,15 +9,17 @@ import pytest
 from small_loop import small_controllers, small_plant
 
 from lftkit.arrays import FloatArray
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
 from los_loop.margins import GAINS, Margins, change_names, changed_loops, delayed, doubtful, scaled, unstable_changes
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import COMMANDS
 
 TICKS = 400
 
 
 def small_loop() -> SampledLoop:
-    return sampled_loop(small_plant(), *small_controllers(), loop="fsm+pma", frame_ticks=20)
+    return sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm+pma"), frame_ticks=20)
 
 
 def simulated(loop: SampledLoop, gains: np.ndarray, late: int) -> np.ndarray:

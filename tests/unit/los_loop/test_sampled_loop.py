@@ -12,7 +12,9 @@ from small_loop import small_controllers, small_plant
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from los_estimator.runtime import LosEstimator
-from los_loop.sampled_loop import Delays, sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.sampled_loop import Delays
 from titop_plant.interface import CAMERA, FSM_ANGLE
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import no_tones
@@ -43,7 +45,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(stage: str, frame
             k_pma, stage, los_sensitivity=basis.get("los_sensitivity", 0.2), fsm_authority=1e9, pma_authority=1e9
         ),
     )
-    loop = sampled_loop(data, k_fsm, k_pma, loop=stage, frame_ticks=frame_ticks, los_sensitivity=0.2)
+    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, stage, 0.2), frame_ticks=frame_ticks)
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, command, los = np.zeros(22), np.zeros(2), np.zeros(8), np.zeros(2)
@@ -73,7 +75,7 @@ def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
     plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
     estimator = LosEstimator(k_fsm)
     controller = FsmPmaController(k_pma, "fsm+pma", los_sensitivity=sensitivity, fsm_authority=1e9, pma_authority=1e9)
-    loop = sampled_loop(data, k_fsm, k_pma, loop="fsm+pma", frame_ticks=20, los_sensitivity=sensitivity, delays=delays)
+    loop = sampled_loop(data, ControlLaws(k_fsm, k_pma, "fsm+pma", sensitivity), frame_ticks=20, delays=delays)
     z: FloatArray = np.zeros(len(loop.hold))
     z[:10] = state
     measured, estimate, los = np.zeros(22), np.zeros(2), np.zeros(2)
@@ -97,9 +99,7 @@ def test_the_matrices_with_delays_step_like_a_rig(delays: Delays) -> None:
 
 def test_a_frame_that_is_later_than_the_next_one_is_refused() -> None:
     with pytest.raises(ValueError, match="20 of 20 ticks"):
-        sampled_loop(
-            small_plant(), *small_controllers(), loop="fsm", frame_ticks=20, los_sensitivity=0.2, delays=Delays(0, 20)
-        )
+        sampled_loop(small_plant(), ControlLaws(*small_controllers(), "fsm", 0.2), frame_ticks=20, delays=Delays(0, 20))
     with pytest.raises(ValueError, match="zero or more"):
         Delays(-1)
 
@@ -111,7 +111,7 @@ def test_spectral_radius_is_the_growth_in_simulation(gain: float, stable: bool, 
     data, (k_fsm, k_pma) = small_plant(), small_controllers()
     D = k_fsm.D.copy()
     D[:, 18:20] *= gain
-    loop = sampled_loop(data, replace(k_fsm, D=D), k_pma, loop="fsm+pma", frame_ticks=frame_ticks)
+    loop = sampled_loop(data, ControlLaws(replace(k_fsm, D=D), k_pma, "fsm+pma"), frame_ticks=frame_ticks)
     z, logarithms = np.random.default_rng(1).standard_normal(len(loop.hold)), []
     for _ in range(40000 // frame_ticks):
         for k in range(frame_ticks):

@@ -11,7 +11,9 @@ from scipy import signal
 from small_loop import DT, small_controllers, small_plant
 
 from los_loop import sampled_loop_norms
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
 from los_loop.tone_model import ToneModel
 from titop_plant.simulation.disturbances import weight_amplitudes
@@ -23,7 +25,7 @@ COMPLETE = 9  # 2 * SIDEBANDS + 1: no sideband is omitted and the response is ex
 
 
 def closed(frame_ticks: int, stage: str = "fsm+pma") -> SampledLoop:
-    return sampled_loop(PLANT, *small_controllers(), loop=stage, frame_ticks=frame_ticks)
+    return sampled_loop(PLANT, ControlLaws(*small_controllers(), stage), frame_ticks=frame_ticks)
 
 
 def model(loop: SampledLoop, omega: float) -> ToneModel:

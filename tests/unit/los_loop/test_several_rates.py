@@ -7,7 +7,9 @@ import pytest
 from scipy import linalg
 
 from los_design.synthesis.store import load_designs
-from los_loop.sampled_loop import SampledLoop, sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import DT
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.telescope.load import load_telescope
@@ -59,7 +61,7 @@ def test_slow_modes_of_a_long_period_are_those_of_its_parts(frame_ticks: int) ->
     """Loops open: modes of telescope and controllers, also where others are alike over a period."""
     plant = control_loop_plant(load_telescope()).at({})
     pair = load_designs("implemented")
-    loop = sampled_loop(plant, *pair, loop="isolator", frame_ticks=frame_ticks, los_sensitivity=0.1)
+    loop = sampled_loop(plant, ControlLaws(*pair, "isolator", 0.1), frame_ticks=frame_ticks)
     poles = np.concatenate([linalg.eigvals(plant.A), *(np.log(linalg.eigvals(K.A)) / DT for K in pair)])
     light = (poles.imag > 0.0) & (poles.imag < HIGHEST) & (-poles.real < DAMPING * np.abs(poles))
     expected = np.sort(poles[light].imag)

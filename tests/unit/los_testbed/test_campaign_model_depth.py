@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
-from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants
-from los_loop.sampled_loop import sampled_loop
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import FRAME_TICKS
@@ -42,7 +43,7 @@ def evaluator() -> MemberEvaluator:
 
 
 @pytest.fixture(scope="module")
-def depth(evaluator: MemberEvaluator) -> ModelDepth:
+def depth(evaluator: MemberEvaluator) -> MemberMetrics:
     return evaluator._model
 
 
@@ -61,7 +62,7 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
     )
     for value, name in pairs:  # the grid of the periodic solution is the coarser one: its peaks are lower bounds
         assert 0.997 * value < found[name] < 1.06 * value, name
-    closed = sampled_loop(plant, *pair, loop="fsm+pma", frame_ticks=FRAME_TICKS)
+    closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
     near = found["rpe_peak_rad_s"] * (1.0 + np.linspace(-1e-3, 1e-3, 41))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
     assert found["rpe_fine_gain"] == pytest.approx(peak, rel=5e-3)
@@ -71,7 +72,7 @@ def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvalua
 
 def test_row_adds_up(evaluator: MemberEvaluator) -> None:
     found = row(evaluator, 3)
-    assert all(np.isfinite(found[name]) and found[name] > 0.0 for name in model_metrics())
+    assert all(np.isfinite(found[name]) and found[name] > 0.0 for name in metric_names())
     worst = max(found["slow_tone_mas"], found["fast_tone_mas"])
     assert found["rpe_fine_gain"] == pytest.approx(worst / 40.0)
     noise, turn = found["noise_rpe_mas_rms"], 0.02 * found["rpe_peak_rad_s"]
@@ -81,7 +82,7 @@ def test_row_adds_up(evaluator: MemberEvaluator) -> None:
     assert row(evaluator, 3) == found
 
 
-def test_responses_are_those_of_the_lft(depth: ModelDepth) -> None:
+def test_responses_are_those_of_the_lft(depth: MemberMetrics) -> None:
     """By the full Delta of 48 channels, at frequencies of the grid that the member is looked at."""
     loop, values = depth.model.loop, point(5)
     W = depth.model.W(values)
@@ -90,8 +91,9 @@ def test_responses_are_those_of_the_lft(depth: ModelDepth) -> None:
     delta = loop.delta(loop.point(values))
     for T, omega in zip(found, depth.model.omega[index]):
         closed = loop.at(float(omega))
-        direct = np.linalg.solve(np.eye(len(delta)) - closed.M * delta, closed.T21)
-        expected = closed.T11 + (closed.T12 * delta) @ direct
+        lft = closed.lft
+        direct = np.linalg.solve(np.eye(len(delta)) - lft.M * delta, lft.T21)
+        expected = lft.T11 + (lft.T12 * delta) @ direct
         assert np.abs(T - expected).max() < 1e-9 * np.abs(expected).max()
 
 
@@ -105,7 +107,7 @@ def test_stability_is_that_of_the_eigenvalues(evaluator: MemberEvaluator, tmp_pa
         found = row(changed, 0)
         pair = changed.controllers["k_fsm"], changed.controllers["k_pma"]
         plant = changed.family.control_loop.at(point(0))
-        radius = sampled_loop(plant, *pair, loop=loop, frame_ticks=FRAME_TICKS).spectral_radius()
+        radius = sampled_loop(plant, ControlLaws(*pair, loop), frame_ticks=FRAME_TICKS).spectral_radius()
         model = changed._model.model
         T = model.at(model.W(point(0)), np.arange(model.omega.size))
         turns = np.unwrap(-np.angle(determinants(T[:, 2:, 22:])))

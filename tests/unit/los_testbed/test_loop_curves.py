@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.summary.loop_curves import broken_loops, loop_curves
+from los_testbed.run.summary.loop_curves import loop_curves
 
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import scaled
+from los_loop.nyquist import BrokenLoop, broken_loops
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.run import Run
-from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
+from pointing_analysis.report.loop_figures import nyquist, sensitivity
 from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
 from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
 
 
@@ -28,7 +30,7 @@ def mirror_loop() -> ImplementedLoop:
     return ImplementedLoop(OpenLoop(control_loop_plant(telescope), telescope), *load_designs("implemented"), "fsm")
 
 
-def gain_margin(curve: LoopCurves) -> float:
+def gain_margin(curve: BrokenLoop) -> float:
     """Smallest factor above 1 that takes a curve through -1: at its crossings of the negative real axis."""
     crossings = []
     for locus in curve.loci.T:
@@ -40,13 +42,13 @@ def gain_margin(curve: LoopCurves) -> float:
 
 
 @pytest.fixture(scope="module")
-def curve(mirror_loop: ImplementedLoop) -> LoopCurves:
+def curve(mirror_loop: ImplementedLoop) -> BrokenLoop:
     (found,) = broken_loops(mirror_loop, mirror_loop.point({}))
     return found
 
 
 def test_the_exact_loop_becomes_unstable_where_the_curve_reaches_the_critical_point(
-    mirror_loop: ImplementedLoop, curve: LoopCurves
+    mirror_loop: ImplementedLoop, curve: BrokenLoop
 ) -> None:
     factor = gain_margin(curve)
     assert 1.9 < factor < 5.0
@@ -59,10 +61,10 @@ def test_the_exact_loop_becomes_unstable_where_the_curve_reaches_the_critical_po
     assert radii[0] < 1.0 < radii[1]
 
 
-def test_the_distance_from_the_critical_point_bounds_the_sensitivity(curve: LoopCurves) -> None:
+def test_the_distance_from_the_critical_point_bounds_the_sensitivity(curve: BrokenLoop) -> None:
     nearest = np.abs(1.0 + curve.loci).min(axis=1)
     assert np.all(curve.sensitivity >= (1.0 - 1e-9) / nearest)
-    assert 1.5 < curve.sensitivity.max() < curve.limit == 2.0
+    assert 1.5 < curve.sensitivity.max() < MAX_SENSITIVITY == 2.0
     assert np.abs(np.diff(curve.loci, axis=0)).max() < 0.5 * np.abs(curve.loci).max(), "columns are curves"
 
 

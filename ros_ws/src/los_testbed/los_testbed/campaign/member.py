@@ -24,8 +24,8 @@ from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_estimator.runtime import LosEstimator
+from los_loop.member_metrics import MemberMetrics, metric_names
 from los_testbed.campaign.meanings import RequirementColumns
-from los_testbed.campaign.model_depth import ModelDepth, model_metrics
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.campaign.verdict import judged, refused
 from los_testbed.config import RunConfig
@@ -102,7 +102,7 @@ def metric_columns(
     source of disturbance that the telescope's parameter file names (:func:`source_columns`).
     """
     if depth == "model":
-        return model_metrics()
+        return metric_names()
     of_requirements = zip(*(RequirementColumns.of(r, exposure).names for r in judged(requirements)))
     of_sources = (name for source in sources for name in source_columns(source))
     return tuple(dict.fromkeys((*COMMON_METRICS, *(name for kind in of_requirements for name in kind), *of_sources)))
@@ -261,10 +261,10 @@ class MemberEvaluator:
         return found
 
     @cached_property
-    def _model(self) -> ModelDepth:
+    def _model(self) -> MemberMetrics:
         """What the members share at depth model: a few seconds, once for a process."""
         k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
-        return ModelDepth.of(self.family.control_loop, self.family.telescope, k_fsm, k_pma, self.base.loop)
+        return MemberMetrics.of(self.family.control_loop, self.family.telescope, k_fsm, k_pma, self.base.loop)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:

@@ -15,7 +15,8 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from los_loop.sampled_loop import SampledLoop, periodic_covariances
+from los_loop.noise import correlation, covariances_in_window
+from los_loop.sampled_loop import SampledLoop
 from los_loop.tone_model import ToneModel
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
@@ -126,43 +127,16 @@ def _noise(path: tuple[str, ...], loop: SampledLoop, telescope: Telescope, unit:
         for rows in (COLUMNS[entry.port.name] for entry in MEASURED_SENSORS if entry.group == name):
             chosen[rows] = sigma[rows]
         with one_thread():
-            correlation = _correlation(loop, chosen, unit)
-        found.append(kinds.gaussian((*path, f"noise, {name}"), correlation(0), _within(correlation), "noise"))
+            correlated = correlation(loop, chosen, unit)
+        found.append(kinds.gaussian((*path, f"noise, {name}"), correlated(0), _within(correlated), "noise"))
     return found
 
 
-def _correlation(loop: SampledLoop, sigma: FloatArray, unit: float) -> Callable[[int], FloatArray]:
-    """Covariance (2, 2) of the line of sight with itself some ticks later, mean over a frame period."""
-    ticks = loop.each_tick(lambda A, N: (A, (N * sigma) @ (N * sigma).T))
-    start = [P @ loop.truth.T for P in periodic_covariances(ticks)]
-    C = loop.truth / unit**2
-
-    @cache
-    def carried(lag: int) -> tuple[FloatArray, ...]:
-        if lag == 0:
-            return tuple(start)
-        before = carried(lag - 1)
-        # The state that began at phase k has reached phase k + lag - 1.
-        return tuple(ticks[(k + lag - 1) % len(ticks)][0] @ state for k, state in enumerate(before))
-
-    def correlation(lag: int) -> FloatArray:
-        for step in range(lag):
-            carried(step)
-        return np.asarray(np.mean([C @ state for state in carried(lag)], axis=0))
-
-    return correlation
-
-
-def _within(correlation: Callable[[int], FloatArray]) -> Callable[[float], FloatArray]:
-    """Covariance of the line of sight less its mean over a window, at each of its ticks."""
+def _within(correlated: Callable[[int], FloatArray]) -> Callable[[float], FloatArray]:
+    """Covariance of the line of sight less its mean over a window [s], at each of its ticks."""
 
     @cache
     def within(window: float) -> FloatArray:
-        n = round(window / DT)
-        lags = [correlation(lag) for lag in range(n)]
-        table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(n)] for i in range(n)])
-        mean = table.mean(axis=1)
-        whole = mean.mean(axis=0)
-        return np.stack([table[i, i] - mean[i] - mean[i].T + whole for i in range(n)])
+        return covariances_in_window(correlated, round(window / DT))
 
     return within

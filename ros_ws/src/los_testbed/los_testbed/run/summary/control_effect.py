@@ -17,10 +17,9 @@ from los_testbed.run.replay import controller_of
 from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import RAD_PER_MAS
-from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary
-from titop_plant.interface import DT, MIRROR_STAGES
+from titop_plant.interface import MIRROR_STAGES
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,7 @@ def control_effect(run: Run, summary: Summary) -> ControlEffect | None:
         controllers = {name: controller_of(run, name)[0] for name in ("k_fsm", "k_pma")}
         with one_thread():
             model = RunParts(replace(config, loop="isolator"), controllers, start).tone_model()
-            amplitude = np.sqrt(np.sum(np.abs(model.settled()) ** 2, axis=0))
+            isolated = model.relative_error(summary.window)
     except (ValueError, OSError, OverflowError):
         return None
-    weights = rpe_discrete(model.omega, max(round(summary.window / DT), 1), DT)
-    return ControlEffect(summary.rpe_rms, float(np.sqrt(np.sum((weights * amplitude) ** 2) / 2.0)) / RAD_PER_MAS)
+    return ControlEffect(summary.rpe_rms, isolated / RAD_PER_MAS)

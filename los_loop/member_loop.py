@@ -1,4 +1,4 @@
-"""The implemented loop of many members at chosen frequencies: the LFT is evaluated, no telescope is assembled.
+"""The implemented loop of many members of a family at chosen frequencies; no telescope is assembled.
 
 :class:`los_loop.implemented_loop.ImplementedLoop` closes the loop of the sampled controllers around the telescope's
 LFT; the response of a member is ``T11 + T12 Delta (I - M Delta)^-1 T21``. The direct part D of M is the same at all
@@ -7,8 +7,9 @@ frequencies, so that with ``W = Delta (I - D Delta)^-1``, real and of order 48, 
     T = T11 + T12 W (I - (M - D) W)^-1 T21
 
 and M - D, T12 and T21 go through fewer signals than there are Delta channels (23 to 27 for the reference telescope):
-``M - D = U N V'``, ``T12 = R V'``, ``T21 = U Q``. N, R, Q and T11 are computed once, on a grid that is fine wherever a
-lightly damped mode of some member can be; a member then costs one small solution at each frequency it is looked at.
+``M - D = U N V'``, ``T12 = R V'``, ``T21 = U Q``. The LFT (N, R, Q, T11) is computed once, on a grid that is fine
+wherever a lightly damped mode of some member can be; a member closes it with its W at the frequencies that it is looked
+at (:meth:`lftkit.analysis.lft_response.LftResponse.closed_with_matrix`).
 """
 
 from __future__ import annotations
@@ -22,13 +23,11 @@ import numpy as np
 from scipy import linalg
 
 from lftkit import SampledSystem, System
-from lftkit.analysis.batched_linalg import solve
+from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.telescope import Telescope
-
-IndexArray = IntArray
 
 COARSE = 1.1
 """Ratio of neighbouring frequencies away from the modes."""
@@ -55,6 +54,9 @@ STILL = 0.2
 
 BATCH = 64
 """Frequencies at which the loop is closed at a time: many small matrices together take half the time of each alone."""
+
+TOGETHER = 32
+"""Frequencies of a member whose matrices are in the cache at once."""
 
 
 def channel_factors(system: System) -> tuple[FloatArray, FloatArray]:
@@ -126,7 +128,7 @@ def _light(poles: ComplexArray) -> BoolArray:
 
 
 @dataclass(frozen=True)
-class ModelLoop:
+class MemberLoop:
     """Responses of the members of one stage on a common grid.
 
     Parameters
@@ -139,8 +141,10 @@ class ModelLoop:
         Grid [rad/s], rising.
     coarse : ndarray of int
         Indices of the grid that every member is looked at.
-    N, Q, R, T11, K : ndarray
-        At each frequency of the grid, see the module; K: commands by measurements (8, 22).
+    reduced : LftResponse
+        N, R, Q and T11 at each frequency of the grid, see the module.
+    control : ndarray, complex, shape (F, 8, 22)
+        Commands by measurements.
     """
 
     loop: ImplementedLoop
@@ -148,17 +152,14 @@ class ModelLoop:
     V: FloatArray
     modes: MovingModes
     omega: FloatArray
-    coarse: IndexArray
-    N: ComplexArray
-    Q: ComplexArray
-    R: ComplexArray
-    T11: ComplexArray
-    K: ComplexArray
+    coarse: IntArray
+    reduced: LftResponse
+    control: ComplexArray
 
     @classmethod
     def of(
         cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
-    ) -> ModelLoop:
+    ) -> MemberLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
         loop = ImplementedLoop(OpenLoop(system, telescope, real=True), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
@@ -169,12 +170,16 @@ class ModelLoop:
         modes = MovingModes.of(system.A, system.B[:, :q] @ V, U.T @ system.C[:q], chosen)
         omega, coarse = _grid(np.concatenate([modes.light(W) for W in chosen]))
         D = system.D[: len(U), : len(U)]
-        parts: list[tuple[ComplexArray, ...]] = []
+        parts: list[LftResponse] = []
+        control = []
         for first in range(0, omega.size, BATCH):
-            for closed in loop.at_each(omega[first : first + BATCH]):
-                reduced = (U.T @ (closed.M - D) @ V, U.T @ closed.T21, closed.T12 @ V)
-                parts.append((*reduced, closed.T11, closed.control))
-        return cls(loop, U, V, modes, omega, coarse, *(np.array(table) for table in zip(*parts)))
+            closed = loop.at_each(omega[first : first + BATCH])
+            lft = closed.lft
+            parts.append(LftResponse(U.T @ (lft.M - D) @ V, lft.T12 @ V, U.T @ lft.T21, lft.T11))
+            control.append(closed.control)
+        names = ("M", "T12", "T21", "T11")
+        reduced = LftResponse(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return cls(loop, U, V, modes, omega, coarse, reduced, np.concatenate(control))
 
     def W(self, values: Mapping[str, float]) -> FloatArray:
         """The real matrix of a member, see the module.
@@ -186,16 +191,15 @@ class ModelLoop:
         """
         return _reduced(self.loop, self.U, self.V, values)
 
-    def at(self, W: FloatArray, index: IndexArray) -> ComplexArray:
-        """Responses at points of the grid, shape (k, 10, 30): as `ClosedAt.T11` for this member."""
-        N = self.N[index]
-        k, c, b = N.shape
-        loop = np.eye(b) - (W @ N.view(float)).view(complex)
-        rows = solve(loop.swapaxes(1, 2), self.R[index].swapaxes(1, 2)).swapaxes(1, 2)
-        through = (rows.reshape(-1, b) @ W).reshape(k, -1, c)
-        return np.asarray(self.T11[index] + through @ self.Q[index])
+    def at(self, W: FloatArray, index: IntArray) -> ComplexArray:
+        """Responses of a member at points of the grid, shape (k, 10, 30): as `ClosedAt.lft.T11` for this member."""
+        found: ComplexArray = np.empty((len(index), *self.reduced.T11.shape[1:]), complex)
+        for first in range(0, len(index), TOGETHER):
+            part = slice(first, first + TOGETHER)
+            found[part] = self.reduced[index[part]].closed_with_matrix(W)
+        return found
 
-    def looked_at(self, W: FloatArray) -> IndexArray:
+    def looked_at(self, W: FloatArray) -> IntArray:
         """Points of the grid at and beside the lightly damped modes of a member, and the coarse ones."""
         near = np.searchsorted(self._middle, self.modes.light(W).imag)
         beside = (near[:, None] + BESIDE).ravel()
@@ -217,7 +221,7 @@ def _reduced(loop: ImplementedLoop, U: FloatArray, V: FloatArray, values: Mappin
     return np.asarray(W)
 
 
-def _grid(poles: ComplexArray) -> tuple[FloatArray, IndexArray]:
+def _grid(poles: ComplexArray) -> tuple[FloatArray, IntArray]:
     """Grid that resolves `poles` of all members, and the indices of its coarse points."""
     decay = -poles.real
     coarse = np.geomspace(LOWEST, HIGHEST, round(np.log(HIGHEST / LOWEST) / np.log(COARSE)) + 1)
@@ -239,3 +243,6 @@ def _grid(poles: ComplexArray) -> tuple[FloatArray, IndexArray]:
 
 
 _CELLS = 20000
+
+
+__all__ = ["MemberLoop", "MovingModes", "channel_factors"]

@@ -1,10 +1,10 @@
-"""Metrics of a member from its matrices: gains, tones, noise, margins and stability, without a simulated run.
+"""Metrics of a member of a family from its responses: gains, tones, noise, margins and stability, without a run.
 
-Everything is read from the responses of :class:`los_testbed.campaign.model_loop.ModelLoop` at about 300 frequencies:
+Everything is read from the responses of :class:`los_loop.member_loop.MemberLoop` at about 300 frequencies:
 
 * **Gains.** Largest singular values; between three points of the grid around a maximum the inverse square of the gain
   is a parabola (exactly so for one mode), whose vertex is the peak. Sidebands of the camera's frame rate are left out.
-* **Noise.** That of the nominal loop is exact (:func:`los_loop.sampled_loop_norms.noise_covariances`); what a member
+* **Noise.** That of the nominal loop is exact (:func:`los_loop.noise.noise_covariances`); what a member
   changes is the integral of the difference of the two power densities.
 * **Stability.** The telescope without fine control is stable, so the loop is stable if the return difference
   ``det(I - K P) = 1 / det(S)`` does not encircle the origin. Where its angle turns by more than :data:`TURN` from one
@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,17 +24,15 @@ from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
-from los_loop.sampled_loop_norms import noise_covariances, noise_rms
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.member_loop import MemberLoop
+from los_loop.noise import noise_covariances, noise_rms
 from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
-from los_testbed.campaign.model_loop import ModelLoop
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import combined_level
-from titop_plant.telescope.requirements import window_probability
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
-
-IndexArray = IntArray
 
 TURN = 2.0
 """Angle [rad] between neighbouring frequencies above which the return difference is not resolved."""
@@ -61,7 +60,7 @@ def gain_column(row: FigureOfMerit) -> str:
     return stem if row.is_sensitivity else f"{stem}_tone_mas" if row.is_error and row.relative else f"{stem}_gain"
 
 
-def model_metrics() -> tuple[str, ...]:
+def metric_names() -> tuple[str, ...]:
     """Columns: the gains of the last stage's figures; noise; the level of the worst tone and the noise."""
     rows = gain_figures(STAGES[-1])
     errors = [gain_column(row) for row in rows if row.is_error]
@@ -72,16 +71,12 @@ def model_metrics() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class ModelDepth:
+class MemberMetrics:
     """Evaluates members of one stage.
 
     Parameters
     ----------
-    model : ModelLoop
-    system : System
-    telescope : Telescope
-    controllers : (SampledSystem, SampledSystem)
-    stage : {"none", "isolator", "fsm", "fsm+pma"}
+    model : MemberLoop
     seen : ndarray, shape (F,)
         Weight of the relative error on the grid.
     sigma : ndarray, shape (22,)
@@ -92,11 +87,7 @@ class ModelDepth:
         Noise of the nominal loop [rad rms].
     """
 
-    model: ModelLoop
-    system: System
-    telescope: Telescope
-    controllers: tuple[SampledSystem, SampledSystem]
-    stage: str
+    model: MemberLoop
     seen: FloatArray
     sigma: FloatArray
     nominal: FloatArray
@@ -105,19 +96,39 @@ class ModelDepth:
     @classmethod
     def of(
         cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
-    ) -> ModelDepth:
-        """Prepare what the members of a family share."""
-        model = ModelLoop.of(system, telescope, k_fsm, k_pma, stage)
+    ) -> MemberMetrics:
+        """Prepare what the members of a family share.
+
+        Parameters
+        ----------
+        system : System
+            Of the family, with its parameters.
+        telescope : Telescope
+            Of the telescope.
+        k_fsm, k_pma : SampledSystem
+        stage : {"none", "isolator", "fsm", "fsm+pma"}
+        """
+        model = MemberLoop.of(system, telescope, k_fsm, k_pma, stage)
         sigma = telescope.noise_of_ticks()
         seen = rpe_weight(model.omega, telescope.weights.rpe_window)
-        noise = _exact_noise(system, telescope, (k_fsm, k_pma), stage, {})
+        noise = _exact_noise(model.loop, {})
         everywhere = np.arange(model.omega.size)
         responses = model.at(model.W({}), everywhere)
-        density = _noise_density(responses, model.K, sigma)
-        return cls(model, system, telescope, (k_fsm, k_pma), stage, seen, sigma, density, noise)
+        density = _noise_density(responses, model.control, sigma)
+        return cls(model, seen, sigma, density, noise)
+
+    @property
+    def telescope(self) -> Telescope:
+        """Of the model."""
+        return self.model.loop.telescope
+
+    @property
+    def stage(self) -> str:
+        """Stage of the loop."""
+        return self.model.loop.stage
 
     def metrics(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Metrics by the names of :func:`model_metrics`; infinite where the loop is unstable.
+        """Metrics by the names of :func:`metric_names`; infinite where the loop is unstable.
 
         Parameters
         ----------
@@ -133,7 +144,7 @@ class ModelDepth:
         index = self.model.looked_at(W)
         T = self.model.at(W, index)
         if self.stage in MIRROR_STAGES and not self._stable(T, values):
-            return {**dict.fromkeys(model_metrics(), float("inf")), "rpe_peak_rad_s": float("nan")}
+            return {**dict.fromkeys(metric_names(), float("inf")), "rpe_peak_rad_s": float("nan")}
         plain, noise = self._noise(T, index, values)
         rows, peaks = gain_figures(STAGES[-1]), self._peaks(W, index, T)
         relative = [peaks[row.name] for row in rows if row.is_error and row.relative]
@@ -149,7 +160,7 @@ class ModelDepth:
             "total_mas": total,
             "rpe_peak_rad_s": at,
         }
-        return {name: float(found[name]) for name in model_metrics()}
+        return {name: float(found[name]) for name in metric_names()}
 
     def _shown(self, row: FigureOfMerit, peak: float) -> float:
         """A gain as its column has it; a sensitivity of a loop that is not closed is zero."""
@@ -157,7 +168,7 @@ class ModelDepth:
             return peak if self.stage in row.stages else 0.0
         return peak / (RAD_PER_MAS if row.is_error and row.relative else row.limit(self.telescope, self.stage))
 
-    def _gains(self, T: ComplexArray, index: IndexArray) -> dict[str, FloatArray]:
+    def _gains(self, T: ComplexArray, index: IntArray) -> dict[str, FloatArray]:
         """Gain of each figure at points of the grid, zero outside of its band."""
         omega, found, plain = self.model.omega[index], {}, dict[tuple[str, ...], FloatArray]()
         for row in gain_figures(STAGES[-1]):
@@ -169,7 +180,7 @@ class ModelDepth:
             found[row.name] = np.where((omega >= row.band[0]) & (omega < row.band[1]), gain, 0.0)
         return found
 
-    def _peaks(self, W: FloatArray, index: IndexArray, T: ComplexArray) -> dict[str, tuple[float, float]]:
+    def _peaks(self, W: FloatArray, index: IntArray, T: ComplexArray) -> dict[str, tuple[float, float]]:
         """Largest gain of each metric and its frequency: from the highest points uphill over the grid."""
         gains = self._gains(T, index)
         for _ in range(CLIMBS):
@@ -187,9 +198,13 @@ class ModelDepth:
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
         """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s], at least `least`."""
-        probability = window_probability(self.telescope.requirements)
+        probability = self._probability
         turn = omega * self.telescope.weights.rpe_window
         return combined_level(tone, noise, probability, turn=turn, least=least)
+
+    @cached_property
+    def _probability(self) -> float:
+        return self.telescope.window_probability
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
         angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
@@ -199,10 +214,10 @@ class ModelDepth:
             return True
         return self.model.loop.sampled_at(values)[1].spectral_radius() < 1.0
 
-    def _noise(self, T: ComplexArray, index: IndexArray, values: Mapping[str, float]) -> tuple[float, float]:
+    def _noise(self, T: ComplexArray, index: IntArray, values: Mapping[str, float]) -> tuple[float, float]:
         if not np.isfinite(self.noise).all():  # the nominal loop is unstable
-            return _exact_noise(self.system, self.telescope, self.controllers, self.stage, values)
-        change = _noise_density(T, self.model.K[index], self.sigma) - self.nominal[index]
+            return _exact_noise(self.model.loop, values)
+        change = _noise_density(T, self.model.control[index], self.sigma) - self.nominal[index]
         omega = self.model.omega[index]
         width = np.diff(omega)
 
@@ -214,14 +229,8 @@ class ModelDepth:
         return plain, relative
 
 
-def _exact_noise(
-    system: System,
-    telescope: Telescope,
-    controllers: tuple[SampledSystem, SampledSystem],
-    stage: str,
-    values: Mapping[str, float],
-) -> tuple[float, float]:
-    return noise_rms(noise_covariances(system.at(values), *controllers, telescope, loop=stage))
+def _exact_noise(loop: ImplementedLoop, values: Mapping[str, float]) -> tuple[float, float]:
+    return noise_rms(noise_covariances(loop.system.at(values), *loop.pair, loop.telescope, loop=loop.stage))
 
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:
@@ -230,7 +239,7 @@ def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> Float
     return np.asarray(np.sum(response.real**2 + response.imag**2, axis=(1, 2)))
 
 
-def _beside_maxima(index: IndexArray, gain: FloatArray) -> IndexArray:
+def _beside_maxima(index: IntArray, gain: FloatArray) -> IntArray:
     """Neighbours on the grid of the local maxima above :data:`NEAR_MAXIMUM` of the largest."""
     padded = np.concatenate([[-1.0], gain, [-1.0]])
     top = (gain >= padded[:-2]) & (gain >= padded[2:]) & (gain > NEAR_MAXIMUM * gain.max())
@@ -253,3 +262,6 @@ def _peak(omega: FloatArray, gain: FloatArray) -> tuple[float, float]:
     at = float(np.clip(-slope / (2.0 * bend), x[0], x[2]))
     depth = min(max(-(slope * at + bend * at**2), 0.0), 0.3)
     return float(gain[k] / np.sqrt(1.0 - depth)), float(omega[k] * (1.0 + at))
+
+
+__all__ = ["MemberMetrics", "gain_column", "metric_names"]

@@ -1,0 +1,181 @@
+"""Sensor noise in the line of sight of the implemented loop: covariances, and their correlation over time.
+
+The loop is periodic, so that the covariance of the line of sight differs from tick to tick of a period; all that is
+given here is the mean over a period. A covariance of a loop that is not stable is infinite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+from scipy import linalg
+
+from lftkit import SampledSystem, System
+from lftkit.arrays import FloatArray
+from lftkit.systems.sampled.sampling import sampled
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.sampled_loop import SampledLoop
+from los_loop.spec import NO_DEVICES, Placed
+from titop_plant.interface import DT, FRAME_TICKS, PLATFORM
+from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import relative_error_weight
+
+
+def noise_covariances(
+    plant: System,
+    k_fsm: SampledSystem,
+    k_pma: SampledSystem,
+    telescope: Telescope,
+    *,
+    loop: str,
+    frame_ticks: int = FRAME_TICKS,
+    sensors: str | None = None,
+    placed: Placed = NO_DEVICES,
+) -> tuple[FloatArray, FloatArray]:
+    """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
+
+    The arguments are those of :func:`los_loop.sampled_loop_norms.sampled_loop_metrics`, with the further sensors and
+    actuators that the plant has; infinite if the loop is unstable.
+    """
+    sensitivity = telescope.fsm.los_sensitivity
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, placed), frame_ticks=frame_ticks)
+    if closed.spectral_radius() < 1.0:
+        return covariances(closed, telescope, sensors, placed)
+    return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
+
+
+def noise_rms(covariances: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
+    """Root mean squares [rad, both axes] of :func:`noise_covariances`."""
+    plain, relative = (float(np.sqrt(max(np.trace(covariance), 0.0))) for covariance in covariances)
+    return plain, relative
+
+
+def largest_part(covariance: FloatArray) -> float:
+    """Largest part of a power that is along one axis: of a covariance (2, 2); NaN without a power.
+
+    Examples
+    --------
+    >>> round(largest_part(np.array([[2.0, 1.0], [1.0, 2.0]])), 3)
+    0.75
+    """
+    total = float(np.trace(covariance))
+    return float(linalg.eigvalsh(covariance)[-1]) / total if np.isfinite(total) and total > 0.0 else np.nan
+
+
+def covariances(
+    loop: SampledLoop, telescope: Telescope, sensors: str | None, placed: Placed = NO_DEVICES
+) -> tuple[FloatArray, FloatArray]:
+    """Covariances (2, 2) of the line of sight of a stable loop [rad^2], plain and with the relative-error weight.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    telescope : Telescope
+        Of the telescope: noise of the sensors, window of the relative error.
+    sensors : {None, "platform"}
+        Noise of all sensors, or of the accelerometers of the payload base only.
+    placed : Placed
+        Sensors of the telescope's file that the loop has.
+    """
+    sigma = np.concatenate([telescope.noise_of_samples, placed.noise])
+    if sensors == "platform":  # the paper's figure
+        sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
+    w = sampled(relative_error_weight(telescope.weights.rpe_window), DT)
+    n, m = loop.hold.shape[0], w.order
+
+    def extended(A: FloatArray, N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        whole = np.block([[A, np.zeros((n, m))], [w.B @ loop.truth, w.A]])
+        drive = np.vstack([N * sigma, np.zeros((m, sigma.size))])
+        return whole, drive @ drive.T
+
+    outputs = (
+        np.hstack([loop.truth, np.zeros((2, m))]),
+        np.hstack([w.D @ loop.truth, w.C]),
+    )
+    ticks = loop.each_tick(extended)
+    power = np.zeros((2, 2, 2))
+    for P in periodic_covariances(ticks):
+        power += [C @ P @ C.T for C in outputs]
+    plain, relative = power / len(ticks)
+    return plain, relative
+
+
+def periodic_covariances(ticks: Sequence[tuple[FloatArray, FloatArray]]) -> list[FloatArray]:
+    """Covariance of the state before each tick of a period, in the steady state.
+
+    Parameters
+    ----------
+    ticks : sequence of (ndarray, ndarray)
+        Matrix A of each tick and covariance Q of the noise it adds, shape (n, n); stable over the period.
+    """
+    size = len(ticks[0][0])
+    period: FloatArray = np.eye(size)
+    added: FloatArray = np.zeros((size, size))
+    for A, Q in ticks:
+        period, added = A @ period, A @ added @ A.T + Q
+    found = [np.asarray(linalg.solve_discrete_lyapunov(period, added), dtype=float)]
+    for A, Q in ticks[:-1]:
+        found.append(A @ found[-1] @ A.T + Q)
+    return found
+
+
+def correlation(loop: SampledLoop, sigma: FloatArray, unit: float = 1.0) -> Callable[[int], FloatArray]:
+    """Covariance (2, 2) of the line of sight with itself some ticks later, a function of these, of a stable loop.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    sigma : ndarray, shape (22,)
+        Standard deviation of a sample of each measured value.
+    unit : float
+        Unit of the line of sight [rad].
+    """
+    ticks = loop.each_tick(lambda A, N: (A, (N * sigma) @ (N * sigma).T))
+    start = [P @ loop.truth.T for P in periodic_covariances(ticks)]
+    C = loop.truth / unit**2
+
+    @cache
+    def carried(lag: int) -> tuple[FloatArray, ...]:
+        if lag == 0:
+            return tuple(start)
+        before = carried(lag - 1)
+        # The state that began at phase k has reached phase k + lag - 1.
+        return tuple(ticks[(k + lag - 1) % len(ticks)][0] @ state for k, state in enumerate(before))
+
+    def at(lag: int) -> FloatArray:
+        for step in range(lag):
+            carried(step)
+        return np.asarray(np.mean([C @ state for state in carried(lag)], axis=0))
+
+    return at
+
+
+def covariances_in_window(correlated: Callable[[int], FloatArray], ticks: int) -> FloatArray:
+    """Covariance of the line of sight less its mean over a window, at each of the window's ticks: (ticks, 2, 2).
+
+    Parameters
+    ----------
+    correlated : callable
+        Of :func:`correlation`.
+    ticks : int
+        Length of the window.
+    """
+    lags = [correlated(lag) for lag in range(ticks)]
+    table = np.array([[lags[j - i] if j >= i else lags[i - j].T for j in range(ticks)] for i in range(ticks)])
+    mean = table.mean(axis=1)
+    whole = mean.mean(axis=0)
+    return np.stack([table[i, i] - mean[i] - mean[i].T + whole for i in range(ticks)])
+
+
+__all__ = [
+    "correlation",
+    "covariances",
+    "covariances_in_window",
+    "largest_part",
+    "noise_covariances",
+    "noise_rms",
+    "periodic_covariances",
+]
