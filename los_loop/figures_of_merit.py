@@ -8,7 +8,7 @@ name                 from         to           kind  value 1 means              
 ===================  ===========  ===========  ====  =====================================================  ===========
 APE                  disturbance  LOS          gain  the limit of the absolute error                        all
 RPE                  disturbance  LOS          gain  that of the relative error, of tones in all bands      the paper's
-slow, fast           disturbance  LOS          gain  the same, of tones below and above 85 rad/s            all
+slow, fast           disturbance  LOS          gain  the same, of tones below and above the edge            all
 noise -> APE         platform     LOS          rms   the limit of the absolute error                        the paper's
 all noise -> APE     sensors      LOS          rms   the noise's share of the budget of the absolute error  fsm, fsm+pma
 noise -> RPE         sensors      LOS          rms   the noise's share of the budget of the relative error  fsm, fsm+pma
@@ -31,17 +31,20 @@ from dataclasses import dataclass, replace
 from los_loop.spec import DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR_STAGES, STAGES
 from titop_plant.telescope.budget import (
-    BAND_EDGE,
     MAX_SENSITIVITY,
     TUNED_FORCE_SENSITIVITY,
     TUNED_SENSITIVITY,
     ErrorBudget,
+    band_edge,
     error_budget,
 )
 from titop_plant.telescope.telescope import Telescope
 
 Limit = Callable[[Telescope, str], float]
-"""From telescope parameters and stage."""
+"""From telescope and stage."""
+
+Edge = float | Callable[[Telescope], float]
+"""End of a band [rad/s], of all telescopes or of each."""
 
 TUNED = 0.985
 """Part of the limits of mirror and force that is tuned for."""
@@ -71,8 +74,8 @@ class FigureOfMerit:
         What is tuned for; default: the allowed part of the limit.
     allowed : float
         Largest value of a design that is accepted.
-    band : (float, float)
-        Frequencies [rad/s] at which it counts.
+    band : (float or callable, float or callable)
+        Frequencies [rad/s] at which it counts; an end may depend on the telescope.
     relative : bool
         Whether the weight of the relative error is applied.
     hard : bool
@@ -92,7 +95,7 @@ class FigureOfMerit:
     paper: tuple[str, ...] = ()
     target: Limit | None = None
     allowed: float = 1.0
-    band: tuple[float, float] = (0.0, math.inf)
+    band: tuple[Edge, Edge] = (0.0, math.inf)
     relative: bool = False
     hard: bool = False
 
@@ -137,9 +140,15 @@ class FigureOfMerit:
             return float(self.target(telescope, stage))
         return self.allowed * float(self.limit(telescope, stage))
 
-    def within(self, low: float, high: float) -> tuple[float, float]:
-        """Its band, within frequencies [rad/s]."""
-        return max(low, self.band[0]), min(high, self.band[1])
+    def band_of(self, telescope: Telescope) -> tuple[float, float]:
+        """Its band for a telescope [rad/s]."""
+        low, high = (edge(telescope) if callable(edge) else edge for edge in self.band)
+        return low, high
+
+    def within(self, telescope: Telescope, low: float, high: float) -> tuple[float, float]:
+        """Its band for a telescope, within frequencies [rad/s]."""
+        own = self.band_of(telescope)
+        return max(low, own[0]), min(high, own[1])
 
 
 def _ape(telescope: Telescope, stage: str) -> float:
@@ -189,7 +198,7 @@ FIGURES = (
         name="slow",
         stages=STAGES,
         paper=(),
-        band=(0.0, BAND_EDGE),
+        band=(0.0, band_edge),
         target=_share(lambda budget: budget.slow, lambda budget: budget.tone),
     ),
     replace(
@@ -197,7 +206,7 @@ FIGURES = (
         name="fast",
         stages=STAGES,
         paper=(),
-        band=(BAND_EDGE, math.inf),
+        band=(band_edge, math.inf),
         target=_share(lambda budget: budget.fast_mirror, lambda budget: budget.fast),
     ),
     FigureOfMerit("noise -> APE", LINE_OF_SIGHT, MEASURED[:1], _ape, paper=FORCE_STAGES),

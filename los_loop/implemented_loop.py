@@ -86,7 +86,7 @@ def loop_metrics(
             placed.rows(row.output),
             placed.columns_of(row.inputs[0]),
             float(row.limit(telescope, stage)),
-            row.within(*within),
+            row.within(telescope, *within),
             row.relative,
         )
         for row in (gain_figures(stage) if rows is None else rows)

@@ -177,7 +177,8 @@ class MemberMetrics:
                 part = T[:, row.rows, row.columns]
                 plain[place] = largest_gains(part) if part.shape[1] <= 2 else gains_above(part, NEAR_PEAK)
             gain = plain[place] * self.seen[index] if row.relative else plain[place]
-            found[row.name] = np.where((omega >= row.band[0]) & (omega < row.band[1]), gain, 0.0)
+            low, high = row.band_of(self.telescope)
+            found[row.name] = np.where((omega >= low) & (omega < high), gain, 0.0)
         return found
 
     def _peaks(self, W: FloatArray, index: IntArray, T: ComplexArray) -> dict[str, tuple[float, float]]:

@@ -10,8 +10,8 @@ index      what is measured
 =========  =========================================================================================================
 ``APE``    line of sight
 ``RPE``    relative error through the weight of the window (20 ms), sidebands of the camera's frame rate included
-``slow``   the same, below 85 rad/s, where the proof-mass actuators have no effect
-``fast``   the same, above 85 rad/s
+``slow``   the same, below the edge of the bands, where the proof-mass actuators have no effect
+``fast``   the same, above it
 =========  =========================================================================================================
 """
 
@@ -181,7 +181,7 @@ def worst_tone(
     def weighted(omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         return _weighted(tone_response(loop, plant, omega, modes, commands=False), telescope, omega, row)
 
-    omega = _band(loop_grid(plant, loop.free, modes=modes), row)
+    omega = _band(loop_grid(plant, loop.free, modes=modes), row.band_of(telescope))
     gains = _gains(weighted(omega)[0])
     for peaks in (PEAKS, *[1] * ZOOMS):
         omega = _around(omega, gains, peaks)
@@ -212,10 +212,10 @@ def _leading(matrix: ComplexArray) -> tuple[float, ComplexArray]:
     return float(values[0]), np.asarray(vector * (np.abs(largest) / largest))
 
 
-def _band(omega: FloatArray, row: FigureOfMerit) -> FloatArray:
-    """Frequencies in the band of a figure, with its edges; of those that differ by rounding alone the lowest."""
-    edges = [edge for edge in row.band if 0.0 < edge < np.inf]
-    found = np.unique(np.append(omega[(omega > row.band[0]) & (omega < row.band[1])], edges))
+def _band(omega: FloatArray, band: tuple[float, float]) -> FloatArray:
+    """Frequencies in a band, with its edges; of those that differ by rounding alone the lowest."""
+    edges = [edge for edge in band if 0.0 < edge < np.inf]
+    found = np.unique(np.append(omega[(omega > band[0]) & (omega < band[1])], edges))
     return np.asarray(found[np.diff(found, prepend=-np.inf) > SAME * found])
 
 

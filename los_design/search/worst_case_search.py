@@ -27,20 +27,18 @@ from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
-from titop_plant.telescope.budget import BAND_EDGE
 
 Pair = tuple[float, FloatArray]
 """Frequency [rad/s] and point of the unit cube."""
 Found = tuple[float, float, FloatArray]
 """Value of a metric, frequency [rad/s] and point of the unit cube."""
-BANDS = (
+BANDS: tuple[float, ...] = (
     LOWEST,
     0.2,
     1.0,
     4.0,
     12.0,
     35.0,
-    BAND_EDGE,
     130.0,
     200.0,
     300.0,
@@ -53,15 +51,16 @@ BANDS = (
     1600.0,
     HIGHEST,
 )
-"""Edges of the frequency bands of a search [rad/s]."""
+"""Edges of the frequency bands of a search [rad/s]; that between slow and fast tones is one, too."""
 
-MODES, MODE_OFFSETS = (0.1, BAND_EDGE), (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e-3)
-"""Band [rad/s] of the telescope's modes that a search starts at, whatever its grid, and the relative distances of the
-starts: the arrays' modes have a damping ratio of 0.1 %."""
+LOWEST_MODE, MODE_OFFSETS = 0.1, (-4e-3, -1.5e-3, -4e-4, 4e-4, 1.5e-3, 4e-3)
+"""Lowest [rad/s] of the telescope's modes, up to the edge of the fast tones, that a search starts at, and the relative
+distances of the starts: the arrays' modes have a damping ratio of 0.1 %."""
 
-PEAKS, PEAK_STEP, PEAK_GROUP = (BAND_EDGE, 640.0), 2e-3, 40
-"""Band [rad/s] in which the peaks of members are looked for, relative step of that axis (half of the width of a peak of
-structural modes with a damping ratio of 0.2 %), and frequencies that a process looks at together."""
+LAST_PEAK, PEAK_STEP, PEAK_GROUP = 640.0, 2e-3, 40
+"""Highest frequency [rad/s] at which the peaks of members are looked for, from the edge of the fast tones on, relative
+step of that axis (half of the width of a peak of structural modes with a damping ratio of 0.2 %), and frequencies that
+a process looks at together."""
 
 AT_AN_EDGE = 1e-6
 """Relative distance from the edge of a band at which an ascent has reached it, and begins beyond it."""
@@ -110,7 +109,7 @@ class SearchOptions:
         takes a quarter of the time of a search. Measured on two designs, it differs by less than 1e-4 of the largest
         value (by the sidebands of the camera).
     members : int
-        Members whose peaks over the fine axis of :data:`PEAKS` are starts, too; 0: there are none.
+        Members whose peaks over a fine axis are starts, too; 0: there are none.
     """
 
     frequencies: int = 500
@@ -142,6 +141,8 @@ class Search:
         self.loop = loop
         self.options = options or SearchOptions()
         self.metrics = loop.metrics()
+        self.edge = loop.telescope.weights.band_edge
+        self.bands = tuple(sorted({*BANDS, self.edge}))
 
     def run(
         self,
@@ -166,7 +167,7 @@ class Search:
         given = list(starts)
         for name in names:
             tried = [(p.omega, self.loop.point(dict(p.parameters))) for p in given if p.requirement == name]
-            pairs = [*tried, *_best(tables[name], self.options.ascents)]
+            pairs = [*tried, *_best(tables[name], self.options.ascents, self.bands)]
             chunks += [(name, pairs[k : k + TOGETHER]) for k in range(0, len(pairs), TOGETHER)]
         climbed: dict[str, list[Found]] = {name: [] for name in names}
         for (name, _), reached in zip(chunks, workers.map(self._climbs, chunks)):
@@ -181,7 +182,7 @@ class Search:
         """For each metric the best points at each frequency of the grid, and points near the telescope's modes."""
         options, size = self.options, len(self.loop.names)
         rng = np.random.default_rng(options.seed)
-        grid = np.geomspace(BANDS[0], HIGHEST, options.frequencies + 1)
+        grid = np.geomspace(self.bands[0], HIGHEST, options.frequencies + 1)
         grid = grid[:-1] * (grid[1] / grid[0]) ** rng.uniform(size=options.frequencies)
         drawn = [(float(omega), _half_corners(rng, options.points, size)) for omega in grid]
         chunks = [(names, drawn[k : k + TOGETHER]) for k in range(0, len(drawn), TOGETHER)]
@@ -211,7 +212,7 @@ class Search:
         """Values of each metric close to the slow modes of a point, which are narrower than the steps of the grid."""
         names, point = item
         tables: dict[str, list[Found]] = {name: [] for name in names}
-        modes = self.loop.open.modes(point, *MODES)
+        modes = self.loop.open.modes(point, LOWEST_MODE, self.edge)
         omega = np.concatenate([modes * (1.0 + offset) for offset in MODE_OFFSETS])
         for closed in self.loop.at_each(np.sort(omega)):
             responses = self.loop.all_responses(closed, point[None])
@@ -227,7 +228,7 @@ class Search:
         members, options = self.options.members, self.options
         if not members:
             return []
-        low, high = PEAKS
+        low, high = self.edge, LAST_PEAK
         axis = np.asarray(np.geomspace(low, high, int(np.log(high / low) / PEAK_STEP)), dtype=float)
         points = _mixed_points(np.random.default_rng([options.seed, members]), members, len(self.loop.names))
         return [(names, axis[k : k + PEAK_GROUP + 2], points) for k in range(0, len(axis) - 2, PEAK_GROUP)]
@@ -259,7 +260,7 @@ class Search:
         """The best points of each band, whether it is one to search around (the first, and leading) or to confirm."""
         best: dict[int, list[Found]] = {}
         for entry in sorted(climbed, key=lambda entry: -entry[0]):
-            own = best.setdefault(int(np.searchsorted(BANDS, entry[1])), [])
+            own = best.setdefault(int(np.searchsorted(self.bands, entry[1])), [])
             if entry[0] > 0.0 and len(own) < self.options.several and all(apart(entry[1:], other[1:]) for other in own):
                 own.append(entry)
         largest = max((own[0][0] for own in best.values() if own), default=0.0)
@@ -304,8 +305,10 @@ class Search:
 
     def _band(self, metric: LoopMetric, omega: float) -> tuple[float, float]:
         """Edges of the band of a frequency, within those of the metric."""
-        n = int(np.searchsorted(BANDS, omega))
-        return max(metric.band[0], BANDS[max(n - 1, 0)]), min(metric.band[1], BANDS[min(n, len(BANDS) - 1)])
+        n = int(np.searchsorted(self.bands, omega))
+        return max(metric.band[0], self.bands[max(n - 1, 0)]), min(
+            metric.band[1], self.bands[min(n, len(self.bands) - 1)]
+        )
 
     def climb(self, metric: LoopMetric, omega: float, point: FloatArray) -> Found:
         """Local ascent: value, frequency and point reached.
@@ -313,7 +316,7 @@ class Search:
         It stays in the band of its start; one that ends at an edge goes on in the band beyond as long as that is up.
         """
         found = self._climb(metric, self._band(metric, omega), omega, point)
-        for _ in BANDS:
+        for _ in self.bands:
             beyond = self._beyond(metric, found[1], omega)
             if beyond is None:
                 break
@@ -326,9 +329,9 @@ class Search:
     def _beyond(self, metric: LoopMetric, reached: float, omega: float) -> float | None:
         """Frequency just beyond the edge that an ascent from `omega` has reached; None within its band."""
         low, high = self._band(metric, omega)
-        if reached >= high * (1.0 - AT_AN_EDGE) and high < min(metric.band[1], BANDS[-1]):
+        if reached >= high * (1.0 - AT_AN_EDGE) and high < min(metric.band[1], self.bands[-1]):
             return high * (1.0 + AT_AN_EDGE)
-        if reached <= low * (1.0 + AT_AN_EDGE) and low > max(metric.band[0], BANDS[0]):
+        if reached <= low * (1.0 + AT_AN_EDGE) and low > max(metric.band[0], self.bands[0]):
             return low * (1.0 - AT_AN_EDGE)
         return None
 
@@ -381,12 +384,12 @@ def _mixed_points(rng: np.random.Generator, count: int, size: int) -> FloatArray
     return np.where(rng.uniform(size=points.shape) < AT_AN_END, np.round(points), points)
 
 
-def _best(table: Sequence[Found], count: int) -> list[Pair]:
-    """The best screened pairs: equal numbers of each band, further ones from the best of all."""
+def _best(table: Sequence[Found], count: int, edges: Sequence[float]) -> list[Pair]:
+    """The best screened pairs: equal numbers of each band between the edges, further ones from the best of all."""
     order = sorted(table, key=lambda entry: -entry[0])
     bands: dict[int, list[Pair]] = {}
     for _, omega, point in order:
-        bands.setdefault(int(np.searchsorted(BANDS, omega)), []).append((omega, point))
+        bands.setdefault(int(np.searchsorted(edges, omega)), []).append((omega, point))
     each = max(1, count // (2 * max(len(bands), 1)))
     chosen = [entry for band in bands.values() for entry in band[:each]]
     known = {omega for omega, _ in chosen}

@@ -11,6 +11,7 @@ the mirror alone have the suffix ``, alone``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -46,7 +47,6 @@ from titop_plant.interface import (
     PLATFORM,
     sample_ticks,
 )
-from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -134,7 +134,12 @@ def blocks(
 
 def tuned_figures(stage: tuple[int, ...]) -> tuple[FigureOfMerit, ...]:
     """Gains of a stage in the order of the tuner: relative errors first, the upper band first."""
-    return tuple(sorted(gain_figures(STAGE_NAMES[stage]), key=lambda row: (not row.relative, -row.band[0])))
+
+    def place(row: FigureOfMerit) -> tuple[bool, float]:
+        low = row.band[0]
+        return not row.relative, -math.inf if callable(low) else -low
+
+    return tuple(sorted(gain_figures(STAGE_NAMES[stage]), key=place))
 
 
 def limits(telescope: Telescope, stage: tuple[int, ...]) -> dict[str, float]:
@@ -149,7 +154,7 @@ def gains(
     window = telescope.weights.rpe_window
 
     def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
-        limit, (low, high) = row.tuned_for(telescope, STAGE_NAMES[stage]), row.within(LOWEST, HIGHEST)
+        limit, (low, high) = row.tuned_for(telescope, STAGE_NAMES[stage]), row.within(telescope, LOWEST, HIGHEST)
 
         def scale(omega: FloatArray) -> FloatArray:
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
@@ -200,12 +205,12 @@ def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantS
     return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), placed.measurements, placed.commands)
 
 
-def grid() -> FloatArray:
-    """Frequencies [rad/s] at which every parameter point is sampled."""
+def grid(edge: float) -> FloatArray:
+    """Frequencies [rad/s] at which every parameter point is sampled; `edge` is that of the bands."""
     low, high = FINE
     parts = [
-        np.geomspace(0.02, BAND_EDGE, 160),
-        np.geomspace(BAND_EDGE, low, 60),
+        np.geomspace(0.02, edge, 160),
+        np.geomspace(edge, low, 60),
         np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
         np.geomspace(high, HIGHEST, 25),
     ]
@@ -232,7 +237,7 @@ class Samples:
 
     def add(self, points: FloatArray) -> None:
         """Parameter points (N, 7), each on the whole grid and at its slow modes."""
-        self._samples.append(sample(self.open_loop, grid(), points))
+        self._samples.append(sample(self.open_loop, grid(self.open_loop.telescope.weights.band_edge), points))
 
         def at_modes(point: FloatArray) -> PlantSamples:
             return sample(self.open_loop, _near_modes(self.open_loop, point, 0.1, FINE[0]), point[None])

@@ -109,7 +109,7 @@ def response_gains(
 
     def gain(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseGain:
         limit = (TUNED if row.hard else 1.0) * float(row.limit(telescope, STAGE_NAMES[stage]))
-        low, high = row.within(LOWEST, np.inf)
+        low, high = row.within(telescope, LOWEST, np.inf)
 
         def scale(omega: FloatArray) -> FloatArray:
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))

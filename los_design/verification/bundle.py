@@ -49,7 +49,7 @@ from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
 from los_design.verification.check_proof_texts import require_plain
-from los_design.verification.error_sum import FAST, PARTS, ErrorSum, window_limit
+from los_design.verification.error_sum import FAST, PART, ErrorSum, window_limit
 from los_design.verification.error_sums import error_sums
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
@@ -386,7 +386,7 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     return tuple(
         bound_text(figure, bundle.proof(stage, figure).level, limits[figure].limit)
         for where, figure in bundle.figures
-        if where == stage and figure not in PARTS
+        if where == stage and not figure.startswith(PART)
     )
 
 
@@ -454,7 +454,7 @@ def requirements_of(telescope: Telescope, figures: Iterable[ProvenFigure], noise
     Others of the telescope, of another stage for instance, are no part of what a bundle says. Of a requirement on the
     relative error at every instant the rms of a window is proven, which is smaller: that is said with it.
     """
-    limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST, *PARTS)}
+    limits = {window_limit(f.stage) for f in figures if f.figure in ("slow", FAST) or f.figure.startswith(PART)}
     limits |= {"ape_limit" for f in figures if f.figure == "APE"}
     limits |= {name for stage in noise for name in ("ape_limit", window_limit(stage))}
     own = telescope.requirements

@@ -12,15 +12,14 @@ from dataclasses import dataclass
 
 from pointing_analysis.rounding import at_most
 from titop_plant.interface import FORCE_STAGES
-from titop_plant.telescope.budget import BAND_EDGE
 from titop_plant.telescope.requirements import design_limits
 from titop_plant.telescope.telescope import Telescope
 
 FAST = "fast"
-NEAR_EDGE = (BAND_EDGE, 126.0, 128.5, 132.0, 138.0, 150.0, 200.0)
-"""Edges of the parts [rad/s]."""
-PARTS = {f"{FAST}, {low:g} to {high:g}": (low, high) for low, high in itertools.pairwise(NEAR_EDGE)}
-"""Band [rad/s] of each part, by name."""
+PART = f"{FAST}, "
+"""Beginning of the name of a part of the fast tones' band."""
+NEAR_EDGE = (1.0, 126.0 / 85.0, 128.5 / 85.0, 132.0 / 85.0, 138.0 / 85.0, 150.0 / 85.0, 200.0 / 85.0)
+"""Edges of the parts over that of the band: closer where tones of the reference telescope are largest."""
 
 WITH_NOISE = {
     "APE, tone of norm 1 and noise": "APE",
@@ -30,6 +29,19 @@ WITH_NOISE = {
 }
 """Sums of tones and noise, and what they are called in a sentence."""
 ABOVE = "bound above the limit"
+
+
+def parts_of_band(telescope: Telescope) -> dict[str, tuple[float, float]]:
+    """Band [rad/s] of each part of the fast tones' band that can have a bound of its own, by name.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> list(parts_of_band(load_telescope()))[:2]
+    ['fast, 85 to 126', 'fast, 126 to 128.5']
+    """
+    edges = [float(f"{telescope.weights.band_edge * ratio:.9g}") for ratio in NEAR_EDGE]
+    return {f"{PART}{low:g} to {high:g}": (low, high) for low, high in itertools.pairwise(edges)}
 
 
 @dataclass(frozen=True)

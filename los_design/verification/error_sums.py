@@ -26,7 +26,7 @@ import numpy as np
 from scipy import optimize
 
 from lftkit.proofs.sampled_loop.noise import NoiseBound
-from los_design.verification.error_sum import FAST, NEAR_EDGE, PARTS, WITH_NOISE, ErrorSum, required_probabilities
+from los_design.verification.error_sum import FAST, WITH_NOISE, ErrorSum, parts_of_band, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.telescope.budget import combined_level, two_tone_level
@@ -50,7 +50,7 @@ def error_sums(
     stage : str
     tones : mapping of str to float
         Bounds of the figures APE, slow and fast [rad], and of parts of the fast tones' band
-        (:data:`los_design.verification.error_sum.PARTS`).
+        (:func:`los_design.verification.error_sum.parts_of_band`).
     noise : (NoiseBound, NoiseBound) or None
         Of the absolute and the relative error [rad].
     """
@@ -88,8 +88,8 @@ def fast_pieces(telescope: Telescope, tones: Mapping[str, float]) -> list[tuple[
     """
     if FAST not in tones:
         return []
-    window, pieces, end = telescope.weights.rpe_window, [], NEAR_EDGE[0]
-    for name, (low, high) in PARTS.items():
+    window, pieces, end = telescope.weights.rpe_window, [], telescope.weights.band_edge
+    for name, (low, high) in parts_of_band(telescope).items():
         if name not in tones:
             break
         pieces.append((low * window, min(tones[name], tones[FAST])))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from los_design.verification.error_sum import PARTS
+from los_design.verification.error_sum import PART
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES
@@ -40,7 +40,7 @@ def bound_text(figure: str, level: float, limit: float) -> str:
         unit, name = 1.0, "N"
     elif row.relative:
         unit, name = RAD_PER_MAS, "mas"
-    name_of = f"{figure} rad/s:" if figure in PARTS else figure
+    name_of = f"{figure} rad/s:" if figure.startswith(PART) else figure
     return f"{name_of} {at_most(level * limit / unit)} of {limit / unit:g} {name}"
 
 

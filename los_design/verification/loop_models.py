@@ -15,7 +15,7 @@ from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.trusted.proof import Interval
-from los_design.verification.error_sum import FAST, PARTS
+from los_design.verification.error_sum import FAST, parts_of_band
 from los_design.verification.frames import IMAGES, SEEN
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
@@ -178,9 +178,9 @@ def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
 
 
 def parts_near_edge(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
-    """Parts of the fast tones' band that can have bounds of their own, by name (:data:`PARTS`)."""
+    """Parts of the fast tones' band that can have bounds of their own, by name."""
     fast = figures_of(telescope, stage)[FAST]
-    return {name: replace(fast, name=name, band=band) for name, band in PARTS.items()}
+    return {name: replace(fast, name=name, band=band) for name, band in parts_of_band(telescope).items()}
 
 
 def frames_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from los_design.verification.error_sum import (
-    PARTS,
+    PART,
     WITH_NOISE,
     ErrorSum,
     probability_text,
@@ -129,7 +129,7 @@ def statement_of(
     shipped = json.loads(SHIPPED.read_text("utf-8"))
     if Subject(**shipped["subject"]).covers(subject, stage):
         rows = [row for row in shipped["figures"] if row["stage"] == stage]
-        found = tuple(str(row["text"]) for row in rows if row["figure"] not in PARTS)
+        found = tuple(str(row["text"]) for row in rows if not str(row["figure"]).startswith(PART))
         levels = {str(row["figure"]): float(row["level"]) * float(row["limit"]) for row in rows}
         sums = _sums(shipped, stage, levels, telescope)
         return Statement(shipped["name"], found, True, relative_error(levels), tuple(sums)) if found else None

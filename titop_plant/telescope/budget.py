@@ -16,9 +16,9 @@ P = sqrt(3) (sinc(x) - cos(x)) / (x sqrt(1 - sinc(x)^2)). The level L with which
 is :func:`combined_level`. The instants of the absolute error have that of a slow tone. Noise has no reason to be the
 same on both axes; the budget assumes :data:`ON_AXIS`, and a verification takes what it is if that is more.
 
-Tones are split at :data:`BAND_EDGE`: below it the proof-mass actuators, with their own mode at 5.3 rad/s and a noisy
-accelerometer, do nothing for the line of sight; above it they act. The two weights of :func:`band_weight` divide a
-requirement at this frequency.
+Tones are split at the edge of the bands (``weights.band_edge``): below it the proof-mass actuators, with their own mode
+at 5.3 rad/s and a noisy accelerometer, do nothing for the line of sight; above it they act. The two weights of
+:func:`band_weight` divide a requirement at this frequency.
 
 The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
 tones, K_PMA for the fast tones that are left. Below the line the sum keeps the limit.
@@ -43,9 +43,6 @@ from titop_plant.telescope.telescope import FIRST_PROBABILITY, Telescope
 if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
     from lftkit import System
     from lftkit.arrays import FloatArray
-
-BAND_EDGE = 85.0
-"""Frequency [rad/s] between slow and fast tones."""
 
 NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.5
 """Shares of the limit: what K_FSM is tuned for, noise (rms), slow tones, fast tones with the mirror alone; fast tones
@@ -319,15 +316,20 @@ def band_error_weight(telescope: Telescope, band: str) -> System:
     from titop_plant.telescope.weights import relative_error_weight
 
     relative = relative_error_weight(telescope.weights.rpe_window).at({})
-    return cascade(relative, band_weight(band).at({}), f"W_RPE, {band}")
+    return cascade(relative, band_weight(band, telescope.weights.band_edge).at({}), f"W_RPE, {band}")
 
 
-def band_weight(band: str, size: int = 2) -> System:
-    """Butterworth filter of order 4 that keeps the ``slow`` or the ``fast`` tones, on each of `size` axes.
+def band_edge(telescope: Telescope) -> float:
+    """Frequency between slow and fast tones [rad/s]."""
+    return telescope.weights.band_edge
+
+
+def band_weight(band: str, edge: float, size: int = 2) -> System:
+    """Butterworth filter of order 4 that keeps the tones below (``slow``) or above an edge [rad/s], on `size` axes.
 
     Examples
     --------
-    >>> slow, fast = (band_weight(band, 1).nominal() for band in ("slow", "fast"))
+    >>> slow, fast = (band_weight(band, 85.0, 1).nominal() for band in ("slow", "fast"))
     >>> [round(float(abs(slow(1j * w))), 2) for w in (10, 60, 145)]
     [1.0, 0.97, 0.12]
     >>> [round(float(abs(fast(1j * w))), 2) for w in (60, 145, 400)]
@@ -340,10 +342,10 @@ def band_weight(band: str, size: int = 2) -> System:
     from lftkit import Port, state_space
 
     denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
-    A = np.diag(np.full(BAND_ORDER - 1, BAND_EDGE), -1)
-    A[0] = -BAND_EDGE * denominator[1:]
-    B = np.eye(BAND_ORDER)[:, :1] * BAND_EDGE
-    C, D = (np.eye(BAND_ORDER)[-1:], 0.0) if band == "slow" else (A[:1] / BAND_EDGE, 1.0)
+    A = np.diag(np.full(BAND_ORDER - 1, edge), -1)
+    A[0] = -edge * denominator[1:]
+    B = np.eye(BAND_ORDER)[:, :1] * edge
+    C, D = (np.eye(BAND_ORDER)[-1:], 0.0) if band == "slow" else (A[:1] / edge, 1.0)
     each = np.eye(size)
     ports = [Port("relative_error", size)], [Port(f"{band}_error", size)]
     return state_space(np.kron(each, A), np.kron(each, B), np.kron(each, C), D * each, *ports)

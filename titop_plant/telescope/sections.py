@@ -15,6 +15,9 @@ Matrix = tuple[Vector, ...]
 
 Table = TypeVar("Table")
 
+FIRST_BAND_EDGE = 85.0
+"""Edge between slow and fast tones [rad/s] of telescopes whose stored tables do not say it."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -180,7 +183,8 @@ class DesignScenarioTable:
 class WeightTable:
     """Weights of the synthesis: limits of the errors [rad], window [s], amplitudes of the disturbances.
 
-    The first four are made of the requirements, see :mod:`titop_plant.telescope.requirements`.
+    The first four are made of the requirements, see :mod:`titop_plant.telescope.requirements`. Tones below the edge of
+    the bands [rad/s] are slow, those above are fast.
     """
 
     ape_limit: float
@@ -190,6 +194,7 @@ class WeightTable:
     wheel_imbalance: Vector
     wheel_imbalance_zero: float
     wheel_imbalance_pole: float
+    band_edge: float = FIRST_BAND_EDGE
 
 
 @dataclass(frozen=True)

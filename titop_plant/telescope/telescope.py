@@ -35,6 +35,7 @@ from titop_plant.telescope.devices import (
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import (
+    FIRST_BAND_EDGE,
     AttitudeTable,
     BodyTable,
     CameraTable,
@@ -110,6 +111,10 @@ class Telescope:
     def to_mapping(self) -> dict[str, Any]:
         """All values as plain tables, as a parameter file has them; a copy."""
         return copy.deepcopy(self._tables)
+
+    def named_values(self) -> dict[str, Any]:
+        """All values that tell telescopes apart: the edge of the bands only where it is not the first one."""
+        return {**self.to_mapping(), "weights": without_first_edge(self._tables["weights"])}
 
     def changed(self, values: Mapping[str, Any]) -> Telescope:
         """A telescope with other values.
@@ -533,6 +538,7 @@ class Telescope:
         """
         known = layout.without_sources(self.without_images())
         content = {key: value for key, value in known.items() if key not in ("requirement", SOURCES, "sensor")}
+        content["weights"] = without_first_edge(content["weights"])
         parts = {"window_probability": self.window_probability, "instant_probability": self.instant_probability}
         content.update({name: part for name, part in parts.items() if part != FIRST_PROBABILITY})
         for name in OWN_BODIES:
@@ -541,6 +547,11 @@ class Telescope:
             if isinstance(content.get(name), list):
                 content[name] = [_with_digest(table) for table in content[name]]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def without_first_edge(weights: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of the weights without an edge of the bands that is the first one, as it was stored before."""
+    return {key: value for key, value in weights.items() if key != "band_edge" or value != FIRST_BAND_EDGE}
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

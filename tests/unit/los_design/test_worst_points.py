@@ -115,8 +115,8 @@ def test_the_ascent_reaches_the_known_worst_cases(stage: str, system, telescope,
     found = search.confirmed(metric, at, where)
     assert found.gamma > gamma - 5e-4
     assert abs(found.omega / omega - 1.0) < 5e-3
-    assert all(low - 1e-9 <= found.telescope[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
-    plant = system.at(found.telescope)
+    assert all(low - 1e-9 <= found.parameters[n] <= high + 1e-9 for n, (low, high) in telescope.box.items())
+    plant = system.at(found.parameters)
     exact = sampled_loop(plant, ControlLaws(*pair, stage, 0.1), frame_ticks=FRAME_TICKS)
     _, relative = weighted_gains(exact, plant, telescope, np.array([found.omega]))
     assert relative[0] == pytest.approx(found.gamma * found.limit, rel=1e-9)
@@ -179,7 +179,7 @@ def test_the_vectors_are_those_of_the_largest_gain(system, telescope, pair) -> N
     assert np.linalg.norm(found.disturbance) == pytest.approx(1.0) and np.linalg.norm(found.direction) == pytest.approx(
         1.0
     )
-    plant = system.at(found.telescope)
+    plant = system.at(found.parameters)
     exact = sampled_loop(plant, ControlLaws(*pair, "fsm", 0.1), frame_ticks=FRAME_TICKS)
     response = tone_response(exact, plant, np.array([0.8])).fundamental[0, :2]
     caused = response @ (weight_amplitudes(telescope, np.array([0.8]))[0] * found.disturbance)

@@ -33,6 +33,7 @@ POSITIVE = {
     "rpe_limit_fine",
     "rpe_window",
     "washout",
+    "band_edge",
     "E",
     "G",
     "density",

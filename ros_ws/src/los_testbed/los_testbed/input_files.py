@@ -104,7 +104,7 @@ def telescope_digest(telescope: Telescope) -> str:
     ValueError
         A file that cannot be read.
     """
-    content = map_files(telescope.to_mapping(), content_digest)
+    content = map_files(telescope.named_values(), content_digest)
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()
 
 

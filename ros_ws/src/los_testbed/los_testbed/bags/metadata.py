@@ -135,7 +135,7 @@ def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
 
 def _budget(telescope: Telescope, loop: str) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
-    from titop_plant.telescope.budget import BAND_EDGE, error_budget
+    from titop_plant.telescope.budget import error_budget
 
     budget = error_budget(telescope)
     shares = {}
@@ -143,7 +143,8 @@ def _budget(telescope: Telescope, loop: str) -> dict[str, float]:
         shares = {"noise": budget.noise, "slow": budget.slow, "fast": budget.fast_mirror}
     if loop in FORCE_STAGES:
         shares = {"noise": budget.total_noise, "slow": budget.tone, "fast": budget.fast, "total": budget.limit}
-    return {**{part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}, BUDGET_EDGE: BAND_EDGE}
+    allowances = {part: float(f"{share / RAD_PER_MAS:.4g}") for part, share in shares.items()}
+    return {**allowances, BUDGET_EDGE: telescope.weights.band_edge}
 
 
 def final_metadata(

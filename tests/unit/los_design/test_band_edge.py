@@ -1,0 +1,91 @@
+"""The edge between slow and fast tones is a value of the telescope: figures, tuner, search, proofs, weights have it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from los_design.search.worst_case_search import Search
+from los_design.synthesis.pair_problem import BOTH, gains, grid
+from los_design.synthesis.store import load_designs
+from los_design.verification.error_sum import parts_of_band
+from los_design.verification.error_sums import fast_pieces
+from los_design.verification.loop_models import provable
+from los_loop.closing import sampled_loop
+from los_loop.control_laws import ControlLaws
+from los_loop.figures_of_merit import error_names, figure
+from los_loop.implemented_loop import ImplementedLoop
+from los_loop.member_metrics import MemberMetrics
+from los_loop.open_loop import OpenLoop
+from los_loop.worst_tone import worst_tone
+from titop_plant.interface import FRAME_TICKS
+from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.telescope.budget import band_error_weight
+from titop_plant.telescope.load import differences, load_telescope
+from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import rpe_weight
+
+EDGE, STAGE = 40.0, "fsm+pma"
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Telescope:
+    file = tmp_path_factory.mktemp("edge") / "mission.toml"
+    file.write_text(f"[weights]\nband_edge = {EDGE}\n")
+    assert differences(file) == [f"weights.band_edge = {EDGE:g}, reference 85"]
+    return load_telescope(file)
+
+
+def test_it_is_in_the_name_unless_it_is_that_of_before(own: Telescope) -> None:
+    reference = load_telescope()
+    assert own.parameters_hash != reference.parameters_hash
+    assert own.changed({"weights": {"band_edge": reference.weights.band_edge}}).digest == reference.digest
+
+
+def test_figures_tuner_and_proofs_are_split_there(own: Telescope) -> None:
+    assert figure("slow").band_of(own) == (0.0, EDGE) and figure("fast").band_of(own) == (EDGE, math.inf)
+    around = np.array([EDGE * (1.0 - 1e-9), EDGE])
+    seen = {gain.name.split(" ")[-1]: gain.scale(around) > 0.0 for gain in gains(own, (BOTH,))}
+    assert seen["slow"].tolist() == [True, False] and seen["fast"].tolist() == [False, True]
+    assert EDGE in grid(own.weights.band_edge)
+    figures = provable(own, STAGE)
+    assert (figures["slow"].band[1], figures["fast"].band[0]) == (EDGE, EDGE)
+    first, *_ = parts = parts_of_band(own)
+    assert parts[first][0] == EDGE and set(parts) < set(figures)
+    assert fast_pieces(own, {"fast": 0.5, first: 0.1})[0] == (EDGE * own.weights.rpe_window, 0.1)
+
+
+def test_the_weight_of_a_band_halves_the_power_there(own: Telescope) -> None:
+    whole = float(rpe_weight(EDGE, own.weights.rpe_window))
+    for band in ("slow", "fast"):
+        gain = abs(complex(band_error_weight(own, band).at({})(1j * EDGE)[0, 0]))
+        assert gain == pytest.approx(whole * math.sqrt(0.5), rel=1e-9)
+
+
+def test_search_worst_tone_and_members_look_in_its_bands(own: Telescope, system) -> None:
+    pair = load_designs("implemented")
+    search = Search(ImplementedLoop(OpenLoop(system, own), *pair, STAGE))
+    assert EDGE in search.bands and search.metrics["fast"].band[0] == EDGE
+    plant = ModalPlant.of(system.at({}))
+    loop = sampled_loop(plant, ControlLaws(*pair, STAGE), frame_ticks=FRAME_TICKS)
+    found = {index: worst_tone(loop, plant, own, index=index, stage=STAGE).omega for index in error_names()}
+    assert found["slow"] <= EDGE <= found["fast"]
+    above = own.changed({"weights": {"band_edge": 150.0}})
+    first, other = (MemberMetrics.of(system, one, *pair, STAGE).metrics({}) for one in (load_telescope(), above))
+    assert 85.0 < first["rpe_peak_rad_s"] < 150.0
+    assert other["slow_tone_mas"] == pytest.approx(first["fast_tone_mas"]) and other["fast_tone_mas"] < 18.0
+
+
+def test_a_run_and_its_budget_of_tones_have_it(own: Telescope, tmp_path: Path) -> None:
+    from los_testbed.config import RunConfig
+    from los_testbed.loop.simulate import run_in_process
+
+    from pointing_analysis.read.run import Run
+
+    file = tmp_path / "mission.toml"
+    file.write_text(f"[weights]\nband_edge = {EDGE}\n")
+    run_in_process(RunConfig(mode="inprocess", duration=0.2, loop=STAGE, parameters=str(file)), tmp_path / "bag")
+    assert Run.open(tmp_path / "bag").parameters["rpe_budget_mas"]["band_edge_rad_s"] == EDGE
