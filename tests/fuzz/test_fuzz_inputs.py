@@ -231,7 +231,9 @@ def as_toml(value: object) -> str:
 
 REFERENCE = load_telescope()
 ENTRIES = [
-    (table, key) for table, content in REFERENCE.items() for key in (content if isinstance(content, dict) else ())
+    (table, key)
+    for table, content in REFERENCE.to_mapping().items()
+    for key in (content if isinstance(content, dict) else ())
 ]
 
 

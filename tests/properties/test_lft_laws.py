@@ -175,7 +175,7 @@ def test_the_same_name_moves_together(one: int, two: int, nu_k: float, nu_m: flo
     a, b = (random_system(seed, {"u": 2}, {"y": 2}) for seed in (one, two))
     both = us.parallel(a, b, -1.0)
     close_to(transfer(both, values), transfer(a, values) - transfer(b, values))
-    assert both.occurrences() == {"k": 4, "m": 2} and len(both.telescope) == 2
+    assert both.occurrences() == {"k": 4, "m": 2} and len(both.parameters) == 2
     apart = us.parallel(a, b.renamed(elements={"k": "k2"}))
     close_to(transfer(apart, {**values, "k2": 0.9}), transfer(a, values) + transfer(b, {**values, "k": 0.9}))
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lftkit.analysis.lft_response import feedback
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop import coordinates
@@ -42,6 +41,8 @@ class LoopModel(GivenLoop):
         felt = (self.C[:q] / (s - self.poles)) @ self.B[:, q + d :] + self.D[:q, q + d :]
         K = ((self.K_C / (z - self.K_poles)) @ self.K_B + self.K_D) / z
         K = K * np.array([np.mean(z ** -np.arange(n)) for n in self.frame])
+        from lftkit.analysis.lft_response import feedback  # what reads a proof does without
+
         u = feedback((K @ seen[:y])[None], (K @ own[q : q + y] + self.entry)[None], balanced=True)[0]
         hold = (1.0 - 1.0 / z) / (s * self.dt)
         channels = own[:q] + hold * felt @ u

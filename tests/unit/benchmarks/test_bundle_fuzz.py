@@ -25,7 +25,7 @@ SPEC.loader.exec_module(script)
 
 STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
 NAME = bundles.member_of(STAGE, FIGURE)
-PATCHED = ((checker, ["stable_below"]), (bundles, ["OpenLoop", "build_telescope", "control_loop_plant"]))
+PATCHED = ((checker, ["stable_below"]), (bundles, ["OpenLoop", "control_loop_plant"]))
 """What the script replaces."""
 
 

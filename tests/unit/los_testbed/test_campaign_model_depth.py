@@ -51,7 +51,7 @@ def depth(evaluator: MemberEvaluator) -> MemberMetrics:
 def test_gains_and_noise_are_those_of_the_assembled_loop(evaluator: MemberEvaluator, index: int) -> None:
     found = row(evaluator, index)
     assert found["status"] == "ok"
-    plant, telescope = evaluator.family.control_loop.at(point(index)), evaluator.family.parameters
+    plant, telescope = evaluator.family.control_loop.at(point(index)), evaluator.family.telescope
     pair = evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]
     exact = sampled_loop_metrics(plant, *pair, telescope, loop="fsm+pma", frame_ticks=FRAME_TICKS)
     pairs = (

@@ -60,7 +60,7 @@ def changed(value: Any, path: tuple[Any, ...]) -> Any:
 def user_file(path: Path, number: tuple[Any, ...]) -> Path:
     """A user's parameter file in which this number is another one."""
     depth = next((i for i, key in enumerate(number) if isinstance(key, int)), len(number))
-    value: Any = REFERENCE
+    value: Any = REFERENCE.to_mapping()
     for key in number[:depth]:
         value = value[key]
     path.write_text(f"{'.'.join(number[:depth])} = {toml(changed(value, number[depth:]))}\n")
@@ -104,7 +104,7 @@ def test_the_optics_of_images_are_in_no_design(tmp_path: Path) -> None:
     """Another aperture or detector leaves the hash, the plant and the stored designs as they are."""
     (tmp_path / "user.toml").write_text("[optics]\naperture_diameter = 2.4\npixel_mas = 50.0\nobscuration = 0.0\n")
     telescope = load_telescope(tmp_path / "user.toml")
-    assert telescope.optics.aperture_diameter == 2.4
+    assert telescope.image_optics.aperture_diameter == 2.4
     assert telescope.design_basis == REFERENCE.design_basis
     assert set(IMAGE_OPTICS) < set(REFERENCE.to_mapping()["optics"])
 

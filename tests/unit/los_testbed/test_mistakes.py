@@ -284,7 +284,7 @@ def test_a_partial_list_of_tables_in_a_parameter_file_does_not_replace_the_defau
     reference = load_telescope()
     lists = [
         (table, key, value)
-        for table, content in reference.items()
+        for table, content in reference.to_mapping().items()
         for key, value in (content.items() if isinstance(content, dict) else ())
         if isinstance(value, list) and isinstance(value[0], dict)
     ]

@@ -21,7 +21,7 @@ from titop_plant.telescope.guide_camera import STORED_CURVES, star_camera
 from titop_plant.telescope.load import load_telescope
 
 REFERENCE = load_telescope()
-STAR = star_camera(REFERENCE, "reference.toml")
+STAR = star_camera(REFERENCE.image_optics, REFERENCE.camera, "reference.toml")
 
 
 def user(folder: Path, camera: str = "", optics: str = "") -> Path:
@@ -73,7 +73,8 @@ def test_the_camera_of_the_loop_has_the_measured_noise(tmp_path: Path) -> None:
 @pytest.mark.parametrize("changed", ["magnitude = 17.0", "read_noise = 4.0", 'centroid = "moments"', "exposure = 0.01"])
 def test_without_a_curve_it_is_the_bound(changed: str, tmp_path: Path) -> None:
     file = user(tmp_path, changed)
-    assert noise_of(file) == noise_equivalent_angle(star_camera(load_telescope(file), str(file)))
+    own = load_telescope(file)
+    assert noise_of(file) == noise_equivalent_angle(star_camera(own.image_optics, own.camera, str(file)))
 
 
 def test_a_command_measures_the_curve_of_another_detector(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
