@@ -338,12 +338,12 @@ class RunParts:
         config = self.config
         if config.plant:
             return _user_plant(config)
-        with one_thread():
+        with one_thread():  # of all parts: their bits depend on the number of threads
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
             telescope = self.sensed_family.build(self.physical, state)
-        own = config.disturbance_source if config.disturbance else None
-        driven = telescope if own is None else self._driven(telescope, own)
-        return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
+            own = config.disturbance_source if config.disturbance else None
+            driven = telescope if own is None else self._driven(telescope, own)
+            return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
 
     @cached_property
     def sensed_family(self) -> PlantFamily:
