@@ -54,9 +54,9 @@ from titop_plant.simulation.kernel_arrays import (
     ControllerArrays,
     Course,
     ObserverArrays,
-    Record,
     SensorArrays,
     StepArrays,
+    TickRecord,
 )
 
 BLOCK, ODD = 1000, 30
@@ -152,7 +152,7 @@ def by_kernel(laws: FlightLaws, setting: Setting, measurement: FloatArray) -> tu
     assert isinstance(law, SampledSystem)
     parts = np.array([0, *(part.stop for part in HELD_PARTS.values())])
     widths = (MEASUREMENTS, TRUTH, ESTIMATES, COMMANDS)
-    record = Record(*(np.empty((rows, width)) for width in widths))
+    record = TickRecord(*(np.empty((rows, width)) for width in widths))
     compiled.loop(
         step,
         values,

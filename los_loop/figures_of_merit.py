@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 
 from los_loop.spec import DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
 from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR_STAGES, STAGES
-from titop_plant.telescope.budget import (
+from titop_plant.telescope.error_budget import (
     MAX_SENSITIVITY,
     TUNED_FORCE_SENSITIVITY,
     TUNED_SENSITIVITY,

@@ -32,7 +32,7 @@ GAINS = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
-class Margins:
+class GuaranteedMargins:
     """What a peak of the sensitivity at one point of the loop guarantees.
 
     Parameters

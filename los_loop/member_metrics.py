@@ -30,7 +30,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
-from titop_plant.telescope.budget import combined_level
+from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -198,7 +198,7 @@ class MemberMetrics:
         return {name: _peak(self.model.omega[index], gain) for name, gain in gains.items()}
 
     def level(self, tone: float, noise: float, omega: float, least: float = 0.0) -> float:
-        """:func:`titop_plant.telescope.budget.combined_level` of the windows with a tone [rad/s], at least `least`."""
+        """:func:`titop_plant.telescope.error_budget.combined_level` of windows with a tone [rad/s], `least` or more."""
         probability = self._probability
         turn = omega * self.telescope.weights.rpe_window
         return combined_level(tone, noise, probability, turn=turn, least=least)

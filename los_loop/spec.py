@@ -58,7 +58,7 @@ APPLIED = slice(OUTPUTS[LINE_OF_SIGHT].stop, OUTPUTS[COMMAND_PORTS[-1].name].sto
 """Columns and rows of all commands."""
 
 
-class WithPorts(Protocol):
+class ControllerWithPorts(Protocol):
     """A controller with its ports."""
 
     @property
@@ -92,7 +92,7 @@ class Placed:
     units: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, telescope: Telescope, *controllers: WithPorts) -> Placed:
+    def of(cls, telescope: Telescope, *controllers: ControllerWithPorts) -> Placed:
         """All of a telescope; with controllers the actuators that they command, and nothing if they use nothing.
 
         Examples

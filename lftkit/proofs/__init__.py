@@ -10,24 +10,24 @@ from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
     from lftkit.proofs.blocks.structure import UncertaintyBlock, complex_block, full_block, real_block
+    from lftkit.proofs.checked_proof import CheckedProof
     from lftkit.proofs.checking import check_proof
     from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
     from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
-    from lftkit.proofs.state_space.bounds import Bounds
+    from lftkit.proofs.state_space.bounds import ProvenBounds
     from lftkit.proofs.structured.bounds import MuBounds, mu
     from lftkit.proofs.structured.certificate import MuCertificate, check_mu
     from lftkit.proofs.trusted.proof import ProofError
-    from lftkit.proofs.verdict import CheckedProof
 
 __all__ = [
-    "Bounds",
     "CheckedProof",
     "DiskMarginBounds",
     "MuBounds",
     "MuCertificate",
     "Profile",
     "ProofError",
+    "ProvenBounds",
     "UncertaintyBlock",
     "check_mu",
     "check_proof",
@@ -53,7 +53,7 @@ __getattr__ = names_on_demand(
         "blocks.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
-        "state_space.bounds": ("Bounds",),
+        "state_space.bounds": ("ProvenBounds",),
         "trusted.proof": ("ProofError",),
         "verdict": ("CheckedProof",),
     },

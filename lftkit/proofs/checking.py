@@ -9,6 +9,7 @@ from typing import Any
 from lftkit.proofs.axis.checker import check_axis_proof
 from lftkit.proofs.axis.proof import FORMAT as AXIS
 from lftkit.proofs.axis.proof import AxisProof
+from lftkit.proofs.checked_proof import CheckedProof
 from lftkit.proofs.entries import file_content
 from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
 from lftkit.proofs.sampled_loop.files import read_loop_proof
@@ -20,7 +21,6 @@ from lftkit.proofs.state_space.checker import check_proof as check_cells
 from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
 from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.proof import ProofError
-from lftkit.proofs.verdict import CheckedProof
 
 FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.proofs.robustness import worst_case_gain
-from lftkit.proofs.state_space.bounds import Bounds
+from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
 
@@ -29,7 +29,7 @@ class DiskMarginBounds:
         Gains by which the loop of every member may be multiplied, from `lower`.
     phase_margin : float
         Phase [rad] by which it may be turned, either way, from `lower`.
-    gain_bounds : Bounds
+    gain_bounds : ProvenBounds
         Of the norm of ``S + (skew - 1) / 2``, one over the margin, with its proof.
     """
 
@@ -37,7 +37,7 @@ class DiskMarginBounds:
     upper: float
     gain_margins: tuple[float, float]
     phase_margin: float
-    gain_bounds: Bounds
+    gain_bounds: ProvenBounds
 
 
 def worst_case_disk_margin(

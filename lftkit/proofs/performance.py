@@ -20,9 +20,9 @@ from lftkit.proofs.axis.bounds import gain_over_axis
 from lftkit.proofs.state_space.bounds import (
     SHARE,
     WHOLE,
-    Bounds,
     DiskGainByCells,
     GainByCells,
+    ProvenBounds,
     factor_of,
     named_member,
 )
@@ -46,7 +46,7 @@ Box = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class Performance:
+class PerformanceProblem:
     """The question: a system in continuous time, with the channels of its real elements first, and a level.
 
     Parameters
@@ -77,7 +77,7 @@ class Performance:
         """Complex and dynamic elements."""
         return disks_of(self.system)
 
-    def bounds(self, largest: float, gap: float, until: float) -> Bounds:
+    def bounds(self, largest: float, gap: float, until: float) -> ProvenBounds:
         """Bounds of the factor, up to `largest`, as near as `gap`; ``time.monotonic()`` ends it.
 
         Raises
@@ -112,14 +112,14 @@ class Performance:
         closed = proof is not None and (upper <= (1.0 + gap) * lower or (worst is None and lower >= largest))
         return self._named(lower, upper, member, proof, "closed" if closed else "out_of_time")
 
-    def _named(self, lower: float, upper: float, member: Member, proof: object, status: str) -> Bounds:
+    def _named(self, lower: float, upper: float, member: Member, proof: object, status: str) -> ProvenBounds:
         named = named_member(self.system, member) if np.isfinite(upper) else {}
-        return Bounds(lower, upper, named, member.frequency if named else 0.0, proof, status)
+        return ProvenBounds(lower, upper, named, member.frequency if named else 0.0, proof, status)
 
     def _scaled(self, factor: float) -> tuple[System, Box]:
         return scaled_elements(self.system, factor), scaled_box(self.system, self.box, factor)
 
-    def _attempt(self, factor: float, gap: float, seconds: float) -> tuple[Bounds, Member]:
+    def _attempt(self, factor: float, gap: float, seconds: float) -> tuple[ProvenBounds, Member]:
         """Try to prove the level for a factor; the bounds and the worst member."""
         scaled, ends = self._scaled(factor)
         if self.over_axis:

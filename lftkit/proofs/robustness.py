@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
-from lftkit.proofs.performance import Performance
+from lftkit.proofs.performance import PerformanceProblem
 from lftkit.proofs.state_space.bounds import (
     WHOLE,
-    Bounds,
     DiskGainByCells,
     GainByCells,
+    ProvenBounds,
     checked_band,
     intervals_of,
     require_nominal,
@@ -41,7 +41,7 @@ def worst_case_gain(
     seed: int = 0,
     progress: bool = False,
     method: str | None = None,
-) -> Bounds:
+) -> ProvenBounds:
     """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
 
     Parameters
@@ -72,7 +72,7 @@ def worst_case_gain(
 
     Returns
     -------
-    Bounds
+    ProvenBounds
         `lower` is reached at `point` and `frequency`; `upper` is proven: ``check_proof(bounds.proof)``.
 
     Raises
@@ -129,7 +129,7 @@ def robust_stability(
     seed: int = 0,
     progress: bool = False,
     method: str | None = None,
-) -> Bounds:
+) -> ProvenBounds:
     """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
 
     Above 1 the box itself is stable. Factors up to `largest` are looked at: `upper` is infinite if no unstable member
@@ -145,7 +145,7 @@ def robust_stability(
 
     Returns
     -------
-    Bounds
+    ProvenBounds
         `lower` is proven, ``check_proof(bounds.proof)``; the member at `point`, on the surface of the box `upper`
         times as large, is unstable.
 
@@ -187,7 +187,7 @@ def robust_performance(
     gap: float = 0.05,
     wall_limit: float = 600.0,
     seed: int = 0,
-) -> Bounds:
+) -> ProvenBounds:
     """Largest factor by which the box, scaled about the nominal values, keeps the worst-case gain below a level.
 
     Disks of complex elements and bounds of dynamics are scaled by the same factor.
@@ -207,7 +207,7 @@ def robust_performance(
 
     Returns
     -------
-    Bounds
+    ProvenBounds
         `lower` is a factor for which the level is proven; the member at `point`, on the surface of the box `upper`
         times as large, exceeds the level at `frequency` or is unstable. Status ``violated``: the nominal member does.
 
@@ -238,4 +238,4 @@ def robust_performance(
     ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
     over_axis = (chosen.order > FEW_STATES or not disks_of(chosen)) and axis_takes(chosen, ends)
     with one_thread():
-        return Performance(chosen, ends, level, seed, over_axis).bounds(largest, gap, until)
+        return PerformanceProblem(chosen, ends, level, seed, over_axis).bounds(largest, gap, until)

@@ -15,7 +15,7 @@ from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
-from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
+from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, LoopSpectrum, extended_plant, h2_value, spectrum
 from lftkit.tuning.gains.plant_responses import PlantResponses
 from lftkit.tuning.pieces import Piece
 from lftkit.tuning.requirements import (
@@ -240,7 +240,7 @@ class Problem:
         largest = GAINS_OVER_LIMIT * float(np.max(self.limit)) if np.size(self.limit) else np.inf
         return not (np.isfinite(size) and size <= largest)
 
-    def closed(self, k: int, K: FloatArray) -> ClosedLoop:
+    def closed(self, k: int, K: FloatArray) -> ClosedLoopMatrices:
         """Closed loop of model k with the gain matrix `K`, without inputs and outputs."""
         return self._bare[k].closed(K)
 
@@ -422,11 +422,11 @@ def delay_radius(delay: float, order: int) -> float:
     return 0.7 * float(np.abs(scipy.linalg.eigvals(pade_delay(delay, order).A)).min())
 
 
-def _alone(K: FloatArray, n: int) -> ClosedLoop:
+def _alone(K: FloatArray, n: int) -> ClosedLoopMatrices:
     """The controller itself as a closed loop: ``dA = dK[:n, :n]``."""
     left, right = np.eye(n, K.shape[0]), np.eye(K.shape[1], n)
     empty = np.zeros((0, 0))
-    return ClosedLoop(K[:n, :n], empty, empty, empty, left, empty, right, empty)
+    return ClosedLoopMatrices(K[:n, :n], empty, empty, empty, left, empty, right, empty)
 
 
 def _active(pieces: list[Piece], band: float, max_pieces: int = 80) -> list[Piece]:

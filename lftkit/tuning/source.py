@@ -90,7 +90,7 @@ class Look(Protocol):
 L = TypeVar("L", bound=Look)
 
 
-class Source(Protocol[L]):
+class DescentSource(Protocol[L]):
     """A tuning problem as a descent sees it, with the memory of what earlier working sets had missed."""
 
     def begin(self, x: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import LOOP_DELAY, MIRROR
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import assembled_telescope
-from titop_plant.telescope.budget import MAX_SENSITIVITY
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
@@ -52,7 +52,7 @@ TITLES = {
 
 
 @dataclass(frozen=True)
-class Designed:
+class DesignedTelescope:
     """What is drawn: a telescope, its controllers, and the worst points that were found for them.
 
     Parameters
@@ -71,7 +71,7 @@ class Designed:
     worst: Mapping[str, Mapping[str, WorstPoint]]
 
     @classmethod
-    def of(cls, designs: Path | None = None) -> Designed:
+    def of(cls, designs: Path | None = None) -> DesignedTelescope:
         """Of a folder of `design all`; None: the stored designs of the reference telescope.
 
         Raises
@@ -145,7 +145,7 @@ def draw(
         raise ValueError(f"names must be of {', '.join(known)}, got {unknown[0]!r}")
     if samples < 0:
         raise ValueError(f"samples must not be negative, got {samples}")
-    designed = Designed.of(designs)
+    designed = DesignedTelescope.of(designs)
     output.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     settings: Any = STYLE
@@ -165,7 +165,7 @@ def draw(
     return paths
 
 
-def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
+def _stages(designed: DesignedTelescope, title: str, members: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
     """Line of sight (left) and relative error (right) of each stage, the largest of its members at each frequency."""
     figure = LaidOutFigure(figsize=(9.6, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -199,7 +199,7 @@ def _stages(designed: Designed, title: str, members: Mapping[str, Sequence[Mappi
     return figure
 
 
-def _controllers(designed: Designed) -> Figure:
+def _controllers(designed: DesignedTelescope) -> Figure:
     (k_fsm, k_pma), forces = designed.pair, len(designed.telescope.mirror_stages) > 1
     figure = LaidOutFigure(figsize=(7.2 if forces else 3.6, 3.2), layout="constrained")
     left, *others = figure.subplots(1, 1 + forces, squeeze=False)[0]
@@ -232,7 +232,7 @@ def _force_law(right: Axes, k_pma: SampledSystem, omega: FloatArray) -> None:
     )
 
 
-def _sensitivities(designed: Designed, samples: int, seed: int) -> Figure:
+def _sensitivities(designed: DesignedTelescope, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair, worst = designed.system, designed.pair, designed.worst
     placed, rng = designed.placed, np.random.default_rng(seed)

@@ -49,8 +49,8 @@ from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
 from los_design.verification.check_proof_texts import require_plain
+from los_design.verification.combined_bounds import error_sums
 from los_design.verification.error_sum import FAST, PART, ErrorSum, window_limit
-from los_design.verification.error_sums import error_sums
 from los_design.verification.figure_texts import bound_text
 from los_design.verification.frames import frames_share
 from los_design.verification.loop_models import box_of, provable
@@ -124,7 +124,7 @@ class CheckedBundle:
     requirements : tuple of str
         Of the telescope those that a limit of a proven figure, or of noise, is made of.
     name : str
-        :attr:`Bundle.name`.
+        :attr:`ProofBundle.name`.
     frames : mapping of str to float
         Of stages that are proven stable and whose nominal loop is so with the camera's frames, the part of a sample
         that comes back by its images (:mod:`los_design.verification.frames`); below 1 all members are stable with them.
@@ -146,7 +146,7 @@ class CheckedBundle:
 
 
 @dataclass(frozen=True)
-class Bundle:
+class ProofBundle:
     """Content of a bundle whose hashes are right.
 
     Parameters
@@ -273,7 +273,7 @@ def write_bundle(
 
 
 @contextmanager
-def open_bundle(path: Path) -> Iterator[Bundle]:
+def open_bundle(path: Path) -> Iterator[ProofBundle]:
     """Read a bundle; its members are files of a temporary folder as long as it is open.
 
     Raises
@@ -292,7 +292,7 @@ def open_bundle(path: Path) -> Iterator[Bundle]:
         yield bundle
 
 
-def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
+def _read(members: Mapping[str, bytes], folder: Path) -> ProofBundle:
     text = members[MANIFEST]
     _check_hashes(parsed(text, MANIFEST), {name: data for name, data in members.items() if name != MANIFEST})
     for name, data in members.items():
@@ -306,7 +306,7 @@ def _read(members: Mapping[str, bytes], folder: Path) -> Bundle:
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in (K_FSM, K_PMA))
     k_fsm.require(K_FSM_INPUTS, K_FSM_OUTPUTS, DT)
     k_pma.require(K_PMA_INPUTS, K_PMA_OUTPUTS, DT)
-    return Bundle(folder, frozenset(members), telescope, k_fsm, k_pma)
+    return ProofBundle(folder, frozenset(members), telescope, k_fsm, k_pma)
 
 
 def _refused(error: BaseException) -> ProofError:
@@ -380,7 +380,7 @@ def _check_limits(content: Mapping[str, Any]) -> None:
             )
 
 
-def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
+def figures_proven(bundle: ProofBundle, stage: str) -> tuple[str, ...]:
     """Each figure of a stage with its bound and its limit, as a bundle says without a check."""
     limits = provable(bundle.telescope, stage)
     return tuple(
@@ -390,7 +390,7 @@ def figures_proven(bundle: Bundle, stage: str) -> tuple[str, ...]:
     )
 
 
-def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
+def levels_proven(bundle: ProofBundle, stage: str) -> dict[str, float]:
     """Bound of each figure of a stage in its own unit, as a bundle says without a check."""
     limits = provable(bundle.telescope, stage)
     return {
@@ -400,12 +400,12 @@ def levels_proven(bundle: Bundle, stage: str) -> dict[str, float]:
     }
 
 
-def check_bundle(bundle: Bundle, each: Callable[..., Iterable[int | str]] = map) -> CheckedBundle:
+def check_bundle(bundle: ProofBundle, each: Callable[..., Iterable[int | str]] = map) -> CheckedBundle:
     """Verify all proofs of a bundle with models made anew of its telescope and controllers.
 
     Parameters
     ----------
-    bundle : Bundle
+    bundle : ProofBundle
     each : callable
         Maps a function over the strips of a proof; they may be checked in several processes.
 
@@ -465,7 +465,7 @@ def requirements_of(telescope: Telescope, figures: Iterable[ProvenFigure], noise
 
 
 def checked_noise(
-    bundle: Bundle, loop: ImplementedLoop, each: Callable[..., Iterable[int | str]], stable: dict[str, float]
+    bundle: ProofBundle, loop: ImplementedLoop, each: Callable[..., Iterable[int | str]], stable: dict[str, float]
 ) -> tuple[NoiseBound, NoiseBound]:
     """Bounds of a stage's noise; of unstable members there are none."""
     stage = loop.stage

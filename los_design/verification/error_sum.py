@@ -1,8 +1,8 @@
 """One bound that others make together, against its limit, and the parts of a band that it is made of.
 
 A window of the relative error is short beside fast tones near their edge to the slow ones, so that most of their error
-adds up with that of slow tones and of noise (:mod:`titop_plant.telescope.budget`): sums need the bound of each part.
-Names are those of proofs and of their files.
+adds up with that of slow tones and of noise (:mod:`titop_plant.telescope.error_budget`): sums need the bound of each
+part. Names are those of proofs and of their files.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ def _sums(
     if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in found):
         return found
     from lftkit.proofs.sampled_loop.noise import NoiseBound
-    from los_design.verification.error_sums import error_sums
+    from los_design.verification.combined_bounds import error_sums
 
     absolute, relative = (NoiseBound(**bound) for bound in shipped["noise"][stage])
     return [row for row in error_sums(telescope, stage, levels, (absolute, relative)) if row.name in WITH_NOISE]

@@ -22,13 +22,13 @@ from los_design.verification.stage_check import StageCheck, check_stages, grid
 from los_estimator.problem import observer_plant
 from los_loop.figures_of_merit import figure, gain_figures
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.margins import Margins, delay_margins, rounded
+from los_loop.margins import GuaranteedMargins, delay_margins, rounded
 from los_loop.noise import largest_part, noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
-from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
+from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
 from titop_plant.telescope.requirements import instant_probability, window_probability
 from titop_plant.telescope.telescope import Telescope
 
@@ -206,10 +206,10 @@ class ImplementedCheck:
         k = int(found.argmax())
         return (20.0 * math.log10(found[k]) if found[k] > 0.0 else -math.inf), float(omega[k])
 
-    def margins(self) -> dict[str, Margins]:
+    def margins(self) -> dict[str, GuaranteedMargins]:
         """What the peaks of the sensitivities guarantee."""
         return {
-            name: Margins(MAX_SENSITIVITY * check.worst[metric].gamma, self.delay[name])
+            name: GuaranteedMargins(MAX_SENSITIVITY * check.worst[metric].gamma, self.delay[name])
             for name, (stage, metric, _) in CLOSINGS.items()
             if (check := self.checks.get(stage)) is not None and metric in check.worst
         }

@@ -18,7 +18,7 @@ import numpy as np
 from pointing_analysis.arrays import ComplexArray, FloatArray
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.source_table import read_sources
-from pointing_analysis.budget.sources import ENSEMBLE, TIME, BudgetError, Source
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource, PointingBudgetError
 from pointing_analysis.budget.table_files import ENDINGS
 from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
@@ -27,7 +27,7 @@ from pointing_analysis.requirements.text import Requirement, RequirementError, p
 from pointing_analysis.units import ANGLES
 
 Entry = Mapping[str, Any]
-Testbed = Callable[[tuple[str, ...], Entry, float], list[Source]]
+Testbed = Callable[[tuple[str, ...], Entry, float], list[ErrorSource]]
 """Sources of the testbed's own closed loop: (path, table, unit [rad]) -> sources in that unit."""
 OfTestbed = Callable[[Entry], Sequence[Requirement]]
 """Requirements of the telescope of such a table."""
@@ -48,7 +48,7 @@ class TotalRule:
 
 
 @dataclass(frozen=True)
-class Budget:
+class PointingBudget:
     """A pointing budget.
 
     Attributes
@@ -69,14 +69,14 @@ class Budget:
     summation: str
     draws: int
     seed: int
-    sources: tuple[Source, ...]
+    sources: tuple[ErrorSource, ...]
     requirements: tuple[Requirement, ...]
     totals: tuple[TotalRule, ...]
 
 
 def load_budget(
     path: str | os.PathLike[str], testbed: Testbed | None = None, of_testbed: OfTestbed | None = None
-) -> Budget:
+) -> PointingBudget:
     """Read a budget.
 
     Parameters
@@ -88,17 +88,17 @@ def load_budget(
 
     Raises
     ------
-    BudgetError
+    PointingBudgetError
         A file that cannot be read, or an entry that cannot be used.
     """
     file = Path(path)
     content = read_content(file)
     try:
         return _budget(content, file, testbed, of_testbed)
-    except BudgetError:
+    except PointingBudgetError:
         raise
     except (ValueError, TypeError) as error:
-        raise BudgetError(f"{file}: {error}") from None
+        raise PointingBudgetError(f"{file}: {error}") from None
 
 
 def read_content(file: Path) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def read_content(file: Path) -> dict[str, Any]:
 
     Raises
     ------
-    BudgetError
+    PointingBudgetError
         A file that cannot be read.
     """
     try:
@@ -114,37 +114,37 @@ def read_content(file: Path) -> dict[str, Any]:
             return read_sources(file)
         return dict(load_toml(read_text(file), file))
     except StructuredTextError as error:
-        raise BudgetError(str(error)) from None
+        raise PointingBudgetError(str(error)) from None
 
 
-def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> Budget:
+def _budget(content: Entry, file: Path, testbed: Testbed | None, of_testbed: OfTestbed | None) -> PointingBudget:
     unknown = set(content) - TOP
     if unknown:
-        raise BudgetError(f"{file}: keys must be of {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
+        raise PointingBudgetError(f"{file}: keys must be of {', '.join(sorted(TOP))}, got {', '.join(sorted(unknown))}")
     unit, axes = content.get("unit"), tuple(content.get("axes", ("x", "y")))
     if unit not in ANGLES:
-        raise BudgetError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
+        raise PointingBudgetError(f"{file}: unit must be one of {', '.join(ANGLES)}, got {unit!r}")
     summation = content.get("summation", "distribution")
     if summation not in ("distribution", "rss"):
-        raise BudgetError(f"{file}: summation must be distribution or rss, got {summation!r}")
+        raise PointingBudgetError(f"{file}: summation must be distribution or rss, got {summation!r}")
     reader = _Reader(file, ANGLES[unit], len(axes), testbed)
     sources = tuple(reader.tree(content.get("sources", {}), ()))
     if not sources:
-        raise BudgetError(f"{file}: sources must hold at least one source, got none")
+        raise PointingBudgetError(f"{file}: sources must hold at least one source, got none")
     requirements = tuple(_requirement(file, entry, len(axes)) for entry in content.get("requirement", ()))
     totals = tuple(_total(file, entry) for entry in content.get("total", ()))
     table = testbed_table(content.get("sources", {}))
     if not requirements and not totals and of_testbed is not None and table is not None:
         requirements = tuple(replace(r, of_windows=False) for r in of_testbed(table) if r.index in INDICES)
     if not requirements and not totals:
-        raise BudgetError(f"{file}: must hold a list requirement or total, got neither")
+        raise PointingBudgetError(f"{file}: must hold a list requirement or total, got neither")
     draws, seed = int(content.get("draws", 50_000)), int(content.get("seed", 1))
     if not 1000 <= draws <= MOST_DRAWS:
-        raise BudgetError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
+        raise PointingBudgetError(f"{file}: draws must be 1000 to {MOST_DRAWS}, got {draws}")
     if summation == "distribution":
         _check_draws(file, draws, requirements)
     title = str(content.get("title", file.stem))
-    return Budget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
+    return PointingBudget(title, unit, axes, summation, draws, seed, sources, requirements, totals)
 
 
 def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) -> None:
@@ -153,9 +153,13 @@ def _check_draws(file: Path, draws: int, requirements: Sequence[Requirement]) ->
         needed = BEYOND / (1.0 - requirement.probability) * (1.0 - 1e-9)
         if needed > MOST_DRAWS:
             most = f"at most {1.0 - BEYOND / MOST_DRAWS:.8g} of a distribution"
-            raise BudgetError(f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}')
+            raise PointingBudgetError(
+                f'{file}: share must be {most} (summation = "rss" has no such limit), got {requirement}'
+            )
         if draws < needed:
-            raise BudgetError(f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}")
+            raise PointingBudgetError(
+                f"{file}: draws must be {math.ceil(needed)} or more for {requirement}, got {draws}"
+            )
 
 
 def testbed_table(table: Entry) -> Entry | None:
@@ -168,27 +172,27 @@ def testbed_table(table: Entry) -> Entry | None:
 
 def _requirement(file: Path, entry: Any, axes: int) -> Requirement:
     if not isinstance(entry, dict) or "text" not in entry or set(entry) - {"text", "name"}:
-        raise BudgetError(f"{file}: requirement must have the keys text and name, got {entry!r}")
+        raise PointingBudgetError(f"{file}: requirement must have the keys text and name, got {entry!r}")
     try:
         found = parse(str(entry["text"]), str(entry.get("name", "")))
     except RequirementError as error:
-        raise BudgetError(f"{file}: {error}") from None
+        raise PointingBudgetError(f"{file}: {error}") from None
     if found.index not in INDICES:
-        raise BudgetError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
+        raise PointingBudgetError(f"{file}: index must be one of {', '.join(INDICES)} in a budget, got {found.index}")
     if found.of_windows:
         instants = replace(found, of_windows=False).quantity
-        raise BudgetError(
+        raise PointingBudgetError(
             f"{file}: requirement must be on {instants} in a budget, which is of every instant and has no rms of "
             f"windows, got {found.quantity!r}"
         )
     if axes != 2:
-        raise BudgetError(f"{file}: axes must be two where there are requirements, got {axes}")
+        raise PointingBudgetError(f"{file}: axes must be two where there are requirements, got {axes}")
     return found
 
 
 def _total(file: Path, entry: Any) -> TotalRule:
     if not isinstance(entry, dict) or entry.get("index") not in INDICES or set(entry) - {"index", "window", "factor"}:
-        raise BudgetError(
+        raise PointingBudgetError(
             f"{file}: total must have an index, {' or '.join(INDICES)}, a window and a factor, got {entry!r}"
         )
     window = _positive(file, "window", entry.get("window")) if entry["index"] == "RPE" else None
@@ -197,7 +201,7 @@ def _total(file: Path, entry: Any) -> TotalRule:
 
 def _positive(file: Path, name: str, value: Any) -> float:
     if not is_number(value) or not 0 < value < math.inf:
-        raise BudgetError(f"{file}: {name} must be a positive number, got {value!r}")
+        raise PointingBudgetError(f"{file}: {name} must be a positive number, got {value!r}")
     return float(value)
 
 
@@ -206,7 +210,7 @@ class _Reader:
 
     def __init__(self, file: Path, scale: float, axes: int, testbed: Testbed | None) -> None:
         self.file, self.scale, self.axes, self.testbed = file, scale, axes, testbed
-        self.kinds: dict[str, tuple[set[str], Callable[[tuple[str, ...], Entry, list[Any]], list[Source]]]] = {
+        self.kinds: dict[str, tuple[set[str], Callable[[tuple[str, ...], Entry, list[Any]], list[ErrorSource]]]] = {
             "constant": ({"value", "half_range", "sigma", "random"}, self._constant),
             "random": ({"sigma", "correlation_time"}, self._random),
             "periodic": ({"amplitude", "frequency", "phase"}, self._periodic),
@@ -217,10 +221,10 @@ class _Reader:
             "testbed": ({"part", "loop", "scenario", "seed", "settings"}, self._testbed),
         }
 
-    def tree(self, table: Entry, path: tuple[str, ...], above: tuple[Any, ...] = ()) -> Iterator[Source]:
+    def tree(self, table: Entry, path: tuple[str, ...], above: tuple[Any, ...] = ()) -> Iterator[ErrorSource]:
         """All sources of a table and of the tables in it."""
         if not isinstance(table, dict):
-            raise BudgetError(f"{self.file}: {' / '.join(path)} must be a table, got {table!r}")
+            raise PointingBudgetError(f"{self.file}: {' / '.join(path)} must be a table, got {table!r}")
         gains = [*above, table["transfer"]] if "transfer" in table else list(above)
         if "type" not in table:
             for name, entry in table.items():
@@ -236,8 +240,8 @@ class _Reader:
             raise self.wrong(path, f"keys must be of {', '.join(sorted(known))}", ", ".join(sorted(unknown)))
         yield from make(path, table, gains)
 
-    def wrong(self, path: tuple[str, ...], what: str, got: object) -> BudgetError:
-        return BudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
+    def wrong(self, path: tuple[str, ...], what: str, got: object) -> PointingBudgetError:
+        return PointingBudgetError(f"{self.file}: {' / '.join(path)}: {what}, got {got!r}")
 
     def vector(self, path: tuple[str, ...], name: str, value: Any) -> FloatArray:
         """A value for each axis; one number stands for all of them."""
@@ -289,7 +293,7 @@ class _Reader:
             raise self.wrong(path, "transfer must be a number for this type (give a spectrum)", transfers[-1])
         return self.steady(path, transfers)
 
-    def _constant(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _constant(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         names = ("value", "half_range", "sigma")
         value, half, sigma = (self.vector(path, name, table.get(name, 0.0)) for name in names)
         random = table.get("random", ENSEMBLE)
@@ -301,7 +305,7 @@ class _Reader:
             )
         return [kinds.constant(path, value, half, sigma, random).scaled(self.steady(path, transfers))]
 
-    def _random(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _random(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         sigma = self.vector(path, "sigma", table.get("sigma"))
         if np.any(sigma < 0):
             raise self.wrong(path, "sigma must be zero or more", table["sigma"])
@@ -311,12 +315,12 @@ class _Reader:
         tau = _positive(self.file, f"{' / '.join(path)}: correlation_time", time)
         return [kinds.correlated(path, sigma, tau).scaled(gain)]
 
-    def _periodic(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _periodic(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         return self._tones(
             path, {"tones": [{k: v for k, v in table.items() if k not in ("type", "transfer")}]}, transfers
         )
 
-    def _tones(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _tones(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         hertz, phasors = [], []
         for entry in table.get("tones", ()):
             hertz.append(_positive(self.file, f"{' / '.join(path)}: frequency", entry.get("frequency")))
@@ -330,12 +334,12 @@ class _Reader:
         f = np.array(hertz)
         return [kinds.tones(path, 2 * np.pi * f, np.array(phasors).T * self.gain(path, transfers, f))]
 
-    def _drift(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _drift(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         duration = _positive(self.file, f"{' / '.join(path)}: duration", table.get("duration"))
         rate = self.vector(path, "rate", table.get("rate"))
         return [kinds.drift(path, rate, duration).scaled(self.steady(path, transfers))]
 
-    def _spectrum(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _spectrum(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         f = np.asarray(table.get("frequency", ()), dtype=float)
         density = np.asarray(table.get("psd", ()), dtype=float)
         density = np.repeat(density[:, None], self.axes, axis=1) if density.ndim == 1 else density
@@ -358,7 +362,7 @@ class _Reader:
         power = np.exp((level[1:] + level[:-1]) / 2) * slope * steps[:, None]
         return [kinds.spectrum(path, middle, power * self.gain(path, transfers, middle)[:, None] ** 2)]
 
-    def _measured(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _measured(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         if "bag" not in table:
             raise self.wrong(path, "bag must name a bag or a table", None)
         bag = self.file.parent / str(table["bag"])
@@ -368,7 +372,7 @@ class _Reader:
         series = performance_error(run, table.get("transient"))
         return [kinds.measured(path, series.values / self.scale, series.dt).scaled(self.fixed(path, transfers))]
 
-    def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[Source]:
+    def _testbed(self, path: tuple[str, ...], table: Entry, transfers: list[Any]) -> list[ErrorSource]:
         if self.testbed is None:
             raise self.wrong(path, "type testbed needs the command los-testbed budget", "testbed")
         gain = self.fixed(path, transfers)

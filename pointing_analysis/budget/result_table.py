@@ -15,19 +15,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from pointing_analysis.budget.file import Budget
-from pointing_analysis.budget.total import BudgetVerdict
+from pointing_analysis.budget.file import PointingBudget
+from pointing_analysis.budget.total import PointingBudgetVerdict
 
 NO_MEMBERS: Mapping[str, tuple[str, float]] = MappingProxyType({})
 
 
-def name_of(verdict: BudgetVerdict) -> str:
+def name_of(verdict: PointingBudgetVerdict) -> str:
     """Name of the requirement of a verdict, its text where it has none."""
     return verdict.requirement.name or str(verdict.requirement)
 
 
 def result_rows(
-    budget: Budget, verdicts: Sequence[BudgetVerdict], worst: Mapping[str, tuple[str, float]] = NO_MEMBERS
+    budget: PointingBudget,
+    verdicts: Sequence[PointingBudgetVerdict],
+    worst: Mapping[str, tuple[str, float]] = NO_MEMBERS,
 ) -> list[dict[str, str]]:
     """Rows of the results: each source of each requirement, then its totals.
 

@@ -1,7 +1,7 @@
 r"""Error sources of a pointing budget: what each one contributes to an index, as a distribution and as sigma.
 
-A source is drawn at a random instant: `Source.draw` gives its error at n instants, for the APE as it is, for the RPE
-less its mean over the window in which the instant has the position u (0 to 1, uniform). So all sources of a budget
+A source is drawn at a random instant: `ErrorSource.draw` gives its error at n instants, for the APE as it is, for the
+RPE less its mean over the window in which the instant has the position u (0 to 1, uniform). So all sources of a budget
 share one window, and the total is the distribution of their sum, with no assumption about its shape.
 """
 
@@ -25,12 +25,12 @@ POSITIONS = 40
 TIME, ENSEMBLE = "time", "ensemble"
 
 
-class BudgetError(ValueError):
+class PointingBudgetError(ValueError):
     """A budget that cannot be read; the message says what it must be and what it is."""
 
 
 @dataclass(frozen=True)
-class Source:
+class ErrorSource:
     """One error source, after its transfer.
 
     Attributes
@@ -57,7 +57,7 @@ class Source:
         """Path as text."""
         return " / ".join(self.path)
 
-    def scaled(self, gain: float) -> Source:
+    def scaled(self, gain: float) -> ErrorSource:
         """The source behind a constant gain, which may be negative."""
         draw, sigma, worst = self.draw, self.sigma, self.worst
         return replace(
@@ -71,7 +71,7 @@ class Source:
 
 def constant(
     path: tuple[str, ...], mean: ArrayLike, half_range: ArrayLike, sigma: ArrayLike, random: str = ENSEMBLE
-) -> Source:
+) -> ErrorSource:
     """Error that is constant in time: known (`mean`), uniform within `half_range`, Gaussian with `sigma`."""
     m, h, s = (np.asarray(x, dtype=float) for x in (mean, half_range, sigma))
     spread = np.sqrt(h**2 / 3 + s**2)
@@ -85,10 +85,10 @@ def constant(
     def largest(window: float | None) -> FloatArray:
         return zero if window is not None else np.where(s > 0, np.inf, h)
 
-    return Source(path, "constant", random, m, draw, lambda w: zero if w is not None else spread, largest)
+    return ErrorSource(path, "constant", random, m, draw, lambda w: zero if w is not None else spread, largest)
 
 
-def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float | None = None) -> Source:
+def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float | None = None) -> ErrorSource:
     """Sum of tones of unknown phase.
 
     Parameters
@@ -125,7 +125,7 @@ def tones(path: tuple[str, ...], omega: ArrayLike, phasor: ArrayLike, dt: float 
             peaks = np.array([np.abs(_relative(one, u, window, dt)).max() for one in w])
         return np.asarray((np.abs(p) * peaks).sum(axis=1))
 
-    return Source(path, "tones", TIME, np.zeros(len(p)), draw, sigma, largest)
+    return ErrorSource(path, "tones", TIME, np.zeros(len(p)), draw, sigma, largest)
 
 
 def _relative(omega: float, u: FloatArray, window: float, dt: float | None) -> ComplexArray:
@@ -140,7 +140,9 @@ def _relative(omega: float, u: FloatArray, window: float, dt: float | None) -> C
     return np.asarray(1 - mean)
 
 
-def gaussian(path: tuple[str, ...], covariance: FloatArray, within: Callable[[float], FloatArray], kind: str) -> Source:
+def gaussian(
+    path: tuple[str, ...], covariance: FloatArray, within: Callable[[float], FloatArray], kind: str
+) -> ErrorSource:
     """Gaussian process.
 
     Parameters
@@ -167,7 +169,7 @@ def gaussian(path: tuple[str, ...], covariance: FloatArray, within: Callable[[fl
     def largest(window: float | None) -> FloatArray:
         return np.where(sigma(window) > 0, np.inf, 0.0)
 
-    return Source(path, kind, TIME, np.zeros(k), draw, sigma, largest)
+    return ErrorSource(path, kind, TIME, np.zeros(k), draw, sigma, largest)
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -176,7 +178,7 @@ def _root(matrix: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
 
 
-def spectrum(path: tuple[str, ...], hertz: FloatArray, power: FloatArray) -> Source:
+def spectrum(path: tuple[str, ...], hertz: FloatArray, power: FloatArray) -> ErrorSource:
     r"""Gaussian process with independent axes, from its power at many frequencies.
 
     Parameters
@@ -210,7 +212,7 @@ def _one_less_sinc(turns: FloatArray) -> FloatArray:
     return np.asarray(np.where(square < 1e-2, square / 6 * (1 - square / 20 * (1 - square / 42)), 1 - np.sinc(turns)))
 
 
-def correlated(path: tuple[str, ...], sigma: ArrayLike, time: float) -> Source:
+def correlated(path: tuple[str, ...], sigma: ArrayLike, time: float) -> ErrorSource:
     r"""Gaussian process with independent axes and the autocovariance :math:`\sigma^2 e^{-|\tau| / T_c}`.
 
     Parameters
@@ -239,13 +241,13 @@ def _decorrelation(x: float) -> FloatArray:
     return np.asarray(half + half[::-1])
 
 
-def white(path: tuple[str, ...], sigma: ArrayLike) -> Source:
+def white(path: tuple[str, ...], sigma: ArrayLike) -> ErrorSource:
     """Gaussian noise that is independent from instant to instant; its mean over a window is zero."""
     matrix = np.diag(np.square(np.asarray(sigma, dtype=float)))
     return gaussian(path, matrix, lambda window: matrix[None], "random")
 
 
-def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
+def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> ErrorSource:
     """Linear drift from zero over `duration` [s], at `rate` [unit/s], instant unknown."""
     r = np.asarray(rate, dtype=float)
 
@@ -256,7 +258,7 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
     def length(window: float | None) -> float:
         return duration if window is None else window
 
-    return Source(
+    return ErrorSource(
         path,
         "drift",
         TIME,
@@ -267,7 +269,7 @@ def drift(path: tuple[str, ...], rate: ArrayLike, duration: float) -> Source:
     )
 
 
-def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> Source:
+def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> ErrorSource:
     """Recorded error (n, 2): its mean, and its own samples as the distribution of the rest.
 
     For the RPE the window must be a whole number of samples, and the recording have one without gaps; else a
@@ -301,4 +303,4 @@ def measured(path: tuple[str, ...], error: FloatArray, dt: float) -> Source:
     def largest(window: float | None) -> FloatArray:
         return np.asarray(np.abs(present if window is None else table(window).reshape(-1, 2)).max(axis=0))
 
-    return Source(path, "measured", TIME, mean, draw, sigma, largest)
+    return ErrorSource(path, "measured", TIME, mean, draw, sigma, largest)

@@ -11,7 +11,7 @@ from typing import Any
 
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import LINES, TEXT
-from pointing_analysis.budget.sources import BudgetError
+from pointing_analysis.budget.sources import PointingBudgetError
 from pointing_analysis.files.atomic_output import atomic_file, write_text
 from pointing_analysis.files.structured_text import read_text
 from pointing_analysis.read.tables.table import TableError, check_unpacked
@@ -32,7 +32,7 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
 
     Raises
     ------
-    BudgetError
+    PointingBudgetError
         A workbook that cannot be read, a head that stands twice; of the rows: a cell that no head is above of.
     StructuredTextError
         A CSV file that cannot be read.
@@ -42,11 +42,11 @@ def read_rows(path: Path) -> tuple[list[str], Iterator[tuple[str, dict[str, str]
     else:
         text = read_text(path).lstrip("\ufeff")
         if text.count("\n") > LINES:
-            raise BudgetError(f"{path} must have at most {LINES} lines, got more")
+            raise PointingBudgetError(f"{path} must have at most {LINES} lines, got more")
         lines = list(csv.reader(io.StringIO(text), skipinitialspace=True))
     heads = [cell.strip() for cell in lines[0]] if lines else []
     if twice := [head for head in heads if head and heads.count(head) > 1]:
-        raise BudgetError(f"{path}: columns must stand once, got {twice[0]!r} {heads.count(twice[0])} times")
+        raise PointingBudgetError(f"{path}: columns must stand once, got {twice[0]!r} {heads.count(twice[0])} times")
     return heads, _filled(path, heads, lines[1:])
 
 
@@ -57,7 +57,9 @@ def _filled(path: Path, heads: list[str], lines: list[list[str]]) -> Iterator[tu
             head = heads[column - 1] if column <= len(heads) else ""
             if cell and not head:
                 hint = "" if path.suffix.lower() == WORKBOOK else "; a text with commas stands in quotes"
-                raise BudgetError(f"{where}: cells must be in a column with a head, got {cell!r} in {column}{hint}")
+                raise PointingBudgetError(
+                    f"{where}: cells must be in a column with a head, got {cell!r} in {column}{hint}"
+                )
             if cell:
                 cells[head] = cell
         if cells:
@@ -76,15 +78,15 @@ def _lines_of_workbook(path: Path) -> list[list[str]]:
             lines = [["" if cell is None else _text(cell) for cell in row] for row in rows]
         finally:
             book.close()
-    except (BudgetError, MemoryError):
+    except (PointingBudgetError, MemoryError):
         raise
     except TableError as error:
-        raise BudgetError(str(error)) from None
+        raise PointingBudgetError(str(error)) from None
     except OSError as error:
-        raise BudgetError(f"cannot read {path}: {error.strerror or error}") from None
+        raise PointingBudgetError(f"cannot read {path}: {error.strerror or error}") from None
     except Exception as error:  # of a damaged file openpyxl raises a dozen kinds
         text = " ".join(str(error).split())
-        raise BudgetError(f"{path} must be a workbook (.xlsx), got {type(error).__name__}: {text}") from None
+        raise PointingBudgetError(f"{path} must be a workbook (.xlsx), got {type(error).__name__}: {text}") from None
     while lines and not any(lines[-1]):
         lines.pop()
     return lines
@@ -102,7 +104,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, str]], columns: Sequence[
 
     Raises
     ------
-    BudgetError
+    PointingBudgetError
         A workbook, and openpyxl is not installed.
     OSError
         The file cannot be written.
@@ -143,7 +145,7 @@ def require_writable(path: Path) -> None:
 
     Raises
     ------
-    BudgetError
+    PointingBudgetError
         It is not.
     """
     if path.suffix.lower() == WORKBOOK:
@@ -154,5 +156,5 @@ def _openpyxl(path: Path) -> Any:
     try:
         import openpyxl
     except ModuleNotFoundError:
-        raise BudgetError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
+        raise PointingBudgetError(f"{path}: openpyxl must be installed: pip install 'los-testbed[xlsx]'") from None
     return openpyxl

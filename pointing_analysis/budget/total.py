@@ -19,9 +19,9 @@ import numpy as np
 from scipy import integrate, optimize, special
 
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.budget.file import Budget, TotalRule
+from pointing_analysis.budget.file import PointingBudget, TotalRule
 from pointing_analysis.budget.lines import Total, combine, contribution
-from pointing_analysis.budget.sources import ENSEMBLE, TIME, Source
+from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource
 from pointing_analysis.indices import confidence
 from pointing_analysis.requirements.text import Requirement
 from pointing_analysis.units import ANGLES
@@ -43,7 +43,7 @@ class Share:
     share : part of the sum of the variances of the judged axes (0 to 1)
     """
 
-    source: Source
+    source: ErrorSource
     mean: FloatArray
     sigma: FloatArray
     level: float
@@ -51,7 +51,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class BudgetVerdict:
+class PointingBudgetVerdict:
     """A requirement against the budget; lengths in the unit of the budget.
 
     Attributes
@@ -121,7 +121,7 @@ def norm_quantile(mean: FloatArray, sigma: FloatArray, probability: float) -> fl
     return float(optimize.brentq(lambda radius: inside(radius) - probability, 1e-12 * top, top, xtol=1e-12 * top))
 
 
-def evaluate(budget: Budget) -> tuple[BudgetVerdict, ...]:
+def evaluate(budget: PointingBudget) -> tuple[PointingBudgetVerdict, ...]:
     """Every requirement of a budget against its total."""
     return tuple(_evaluate(budget, requirement) for requirement in budget.requirements)
 
@@ -131,12 +131,12 @@ def _worst(requirement: Requirement) -> str:
     return {"temporal": ENSEMBLE, "ensemble": TIME, "mixed": ""}[requirement.interpretation]
 
 
-def _largest(source: Source, window: float | None, factor: float) -> FloatArray:
+def _largest(source: ErrorSource, window: float | None, factor: float) -> FloatArray:
     bound = source.worst(window)
     return np.where(np.isfinite(bound), bound, factor * source.sigma(window))
 
 
-def _draw(sources: list[Source], budget: Budget, window: float | None, k: int) -> FloatArray:
+def _draw(sources: list[ErrorSource], budget: PointingBudget, window: float | None, k: int) -> FloatArray:
     """Errors (draws, k) of some sources together, means left out."""
     rng, parts = np.random.default_rng(budget.seed), []
     for start in range(0, budget.draws, BLOCK):
@@ -148,7 +148,7 @@ def _draw(sources: list[Source], budget: Budget, window: float | None, k: int) -
     return np.concatenate(parts)
 
 
-def _evaluate(budget: Budget, requirement: Requirement) -> BudgetVerdict:
+def _evaluate(budget: PointingBudget, requirement: Requirement) -> PointingBudgetVerdict:
     window = requirement.times[0] if requirement.times else None
     axes = [budget.axes.index(requirement.axis)] if requirement.axis else [0, 1]
     p, factor = requirement.probability, axis_factor(requirement.probability)
@@ -158,7 +158,7 @@ def _evaluate(budget: Budget, requirement: Requirement) -> BudgetVerdict:
     offset = sum((means[s.path] for s in budget.sources), np.zeros(len(budget.axes)))
     largest = sum((_largest(s, window, factor) for s in fixed), np.zeros(len(budget.axes)))
 
-    def radius(sources: list[Source], mean: FloatArray, worst: FloatArray) -> FloatArray:
+    def radius(sources: list[ErrorSource], mean: FloatArray, worst: FloatArray) -> FloatArray:
         error = _draw(sources, budget, window, len(budget.axes)) + mean
         return np.asarray(np.sqrt(np.square((np.abs(error) + worst)[:, axes]).sum(axis=1)))
 
@@ -171,12 +171,12 @@ def _evaluate(budget: Budget, requirement: Requirement) -> BudgetVerdict:
     limit = requirement.limit / ANGLES[budget.unit]
     shares = _shares(budget, drawn, window, axes, p, factor, means)
     uncertainty = max(found.upper - found.value, found.value - found.lower)
-    return BudgetVerdict(requirement, limit, shares, rss, found.value, uncertainty, total, limit - total)
+    return PointingBudgetVerdict(requirement, limit, shares, rss, found.value, uncertainty, total, limit - total)
 
 
 def _shares(
-    budget: Budget,
-    drawn: list[Source],
+    budget: PointingBudget,
+    drawn: list[ErrorSource],
     window: float | None,
     axes: list[int],
     probability: float,
@@ -200,14 +200,14 @@ def _shares(
     return tuple(sorted(shares, key=lambda share: (-share.level, share.source.path)))
 
 
-def axis_total(budget: Budget, rule: TotalRule) -> Total:
+def axis_total(budget: PointingBudget, rule: TotalRule) -> Total:
     """Total of each axis by the rule of ECSS-E-ST-60-10C: mean plus a number of standard deviations."""
     means = [np.zeros_like(s.mean) if rule.window is not None else s.mean for s in budget.sources]
     parts = [contribution(s.name, s.sigma(rule.window), mean=m) for s, m in zip(budget.sources, means)]
     return combine(parts, "APE", rule.factor)
 
 
-def as_dict(budget: Budget, verdicts: tuple[BudgetVerdict, ...]) -> dict[str, object]:
+def as_dict(budget: PointingBudget, verdicts: tuple[PointingBudgetVerdict, ...]) -> dict[str, object]:
     """Budget and verdicts for JSON."""
     return {
         "title": budget.title,

@@ -15,7 +15,7 @@ from pointing_analysis.report.figures import RunView
 from pointing_analysis.requirements.rows import css_class, digits
 from pointing_analysis.requirements.summary import Summary
 from pointing_analysis.requirements.text import time_text
-from pointing_analysis.spectra.spectra import Line
+from pointing_analysis.spectra.spectra import SpectralLine
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report
 LINES_SHOWN = 12
@@ -73,7 +73,7 @@ def _line_rows(v: RunView) -> list[dict[str, str]]:
     ]
 
 
-def _origin(line: Line) -> str:
+def _origin(line: SpectralLine) -> str:
     """Where a line is known from."""
     if line.found is None:
         return "named"
@@ -82,7 +82,7 @@ def _origin(line: Line) -> str:
     return f"found, {line.found.level:.0f} dB above the noise"
 
 
-def _amplitude(line: Line, axis: int) -> str:
+def _amplitude(line: SpectralLine, axis: int) -> str:
     """Amplitude of an axis [mas]; of a found line with the larger distance of its bounds."""
     value = float(line.amplitude[axis])
     text = digits(value / RAD_PER_MAS)

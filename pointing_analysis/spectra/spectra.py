@@ -110,7 +110,7 @@ def psd(error: ArrayLike, dt: float, segment: float = 4.0) -> Spectrum:
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A disturbance line in the error.
 
     Attributes
@@ -219,7 +219,9 @@ def exceeds(error: ArrayLike, rest: ArrayLike, powers: Sequence[float], dt: floa
     return left + sum(powers) > LEAK**2 * whole
 
 
-def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool | None = None) -> tuple[Line, ...]:
+def lines(
+    error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: bool | None = None
+) -> tuple[SpectralLine, ...]:
     """Least-squares amplitudes of known tones in the error, and the RPE each causes.
 
     All tones are fitted together with a constant. Tones that the run is too short to tell apart are fitted as one.
@@ -263,14 +265,14 @@ def lines(error: ArrayLike, dt: float, omegas: ArrayLike, window: float, taper: 
     rpe = rms * weights.rpe_discrete(centre, metrics.samples_or_one(window, dt), dt)
     order = np.argsort(-rpe, kind="stable")
     return tuple(
-        Line(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
+        SpectralLine(float(centre[i]), read_only(amplitude[i].copy()), float(rms[i]), float(rpe[i]), len(groups[i]))
         for i in order
     )
 
 
 def found_lines(
-    found: Sequence[FoundLine], known: Sequence[Line], run: float, window: float, dt: float
-) -> tuple[Line, ...]:
+    found: Sequence[FoundLine], known: Sequence[SpectralLine], run: float, window: float, dt: float
+) -> tuple[SpectralLine, ...]:
     """Lines that were found, with the RPE each causes, beside those that are known.
 
     Parameters
@@ -288,7 +290,8 @@ def found_lines(
     weight = weights.rpe_discrete(np.array([line.omega for line in new]), metrics.samples_or_one(window, dt), dt)
     rms = [float(np.sqrt(line.power)) for line in new]
     return tuple(
-        Line(line.omega, read_only(line.amplitude), r, float(r * w), found=line) for line, r, w in zip(new, rms, weight)
+        SpectralLine(line.omega, read_only(line.amplitude), r, float(r * w), found=line)
+        for line, r, w in zip(new, rms, weight)
     )
 
 

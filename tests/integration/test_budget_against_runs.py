@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.run.summary.budget_sources import testbed_requirements as requirements_of_the_testbed
-from los_testbed.run.summary.budget_sources import testbed_sources as sources_of_the_testbed
+from los_testbed.run.summary.pointing_budget_sources import testbed_requirements as requirements_of_the_testbed
+from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_the_testbed
 
 import pointing_analysis
 from pointing_analysis.budget.file import load_budget

@@ -30,10 +30,10 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, noise_bound
 from lftkit.proofs.trusted.strips import windows_of
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
-from los_design.verification.bundle import Bundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
+from los_design.verification.bundle import ProofBundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
 from los_design.verification.certify import nominal_stable
+from los_design.verification.combined_bounds import error_sums
 from los_design.verification.error_sum import PART, ErrorSum
-from los_design.verification.error_sums import error_sums
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED
@@ -111,14 +111,14 @@ def test_the_proof_passes(figure: str, proofs: dict[str, Path]) -> None:
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bundle]:
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProofBundle]:
     path = tmp_path_factory.mktemp("bundle") / "bundle.zip"
     write_shipped_bundle(path)
     with open_bundle(path) as found:
         yield found
 
 
-def test_shipped_statements_are_those_of_the_stored_proofs(bundle: Bundle) -> None:
+def test_shipped_statements_are_those_of_the_stored_proofs(bundle: ProofBundle) -> None:
     said = json.loads(SHIPPED.read_text("utf-8"))
     assert said["name"] == bundle.name and said["subject"] == asdict(bundle.subject)
     for row in said["figures"]:
@@ -145,7 +145,7 @@ def test_shipped_sums_are_those_of_the_shipped_bounds(stage: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_bundle_passes_and_says_what_is_shipped(bundle: Bundle) -> None:
+def test_the_bundle_passes_and_says_what_is_shipped(bundle: ProofBundle) -> None:
     """With the models made anew; the numbers of windows depend on the processor's rounding."""
     found, said = as_mapping(check_bundle(bundle)), json.loads(SHIPPED.read_text("utf-8"))
     for one in (found, said):

@@ -42,7 +42,7 @@ LATE_IMPORTS = (
     "rosidl_generator_py",
     "service_msgs.msg",
     "std_srvs.srv",
-    "titop_plant.telescope.budget",
+    "titop_plant.telescope.error_budget",
     "type_description_interfaces.srv",
 )
 """Modules that nodes import when they have begun."""

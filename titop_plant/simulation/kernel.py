@@ -19,9 +19,9 @@ from titop_plant.simulation.kernel_arrays import (
     ControllerArrays,
     Course,
     ObserverArrays,
-    Record,
     SensorArrays,
     StepArrays,
+    TickRecord,
 )
 
 
@@ -192,7 +192,7 @@ def loop(
     sensors: SensorArrays,
     observer: ObserverArrays,
     controller: ControllerArrays,
-    record: Record,
+    record: TickRecord,
 ) -> None:
     """Ticks of plant, observer and controller; a row of each array of `record` for each of them.
 
@@ -207,7 +207,7 @@ def loop(
     sensors : SensorArrays
     observer : ObserverArrays
     controller : ControllerArrays
-    record : Record
+    record : TickRecord
     """
     # arrays are taken from their tuples once: to do so counts references
     pairs, own, cross, driven, block, outputs, factors, nodes = step

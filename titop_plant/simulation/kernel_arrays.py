@@ -122,7 +122,7 @@ class ControllerArrays(NamedTuple):
     command: FloatArray
 
 
-class Record(NamedTuple):
+class TickRecord(NamedTuple):
     """Signals of some consecutive ticks, a row for each; all are written.
 
     Parameters
@@ -138,4 +138,4 @@ class Record(NamedTuple):
     command: FloatArray
 
 
-__all__ = ["ControllerArrays", "Course", "ObserverArrays", "Record", "SensorArrays", "StepArrays"]
+__all__ = ["ControllerArrays", "Course", "ObserverArrays", "SensorArrays", "StepArrays", "TickRecord"]

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
-from titop_plant.simulation.profiles import PROFILES, Profile, linear_profile, read_profile, trapezoidal_profile
+from titop_plant.simulation.profiles import PROFILES, MotionProfile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.telescope import Telescope
 
@@ -59,7 +59,7 @@ def parameter_values(config: PlantConfig, telescope: Telescope, time: float = 0.
     return values_along(config, motion(config, telescope), time, telescope)
 
 
-def values_along(config: PlantConfig, profile: Profile, time: float, telescope: Telescope) -> dict[str, float]:
+def values_along(config: PlantConfig, profile: MotionProfile, time: float, telescope: Telescope) -> dict[str, float]:
     """:func:`parameter_values` with the profile at hand."""
     values = {f"wheel_{i}.speed": float(s) for i, s in enumerate(profile.speeds(time), start=1)}
     values |= frequencies(config, telescope)
@@ -101,7 +101,7 @@ def steady(telescope: Telescope) -> tuple[float, ...]:
     return (0.0,) * len(telescope.wheels)
 
 
-def motion(config: PlantConfig, telescope: Telescope) -> Profile:
+def motion(config: PlantConfig, telescope: Telescope) -> MotionProfile:
     """Array angle and wheel speeds over the run.
 
     Raises
@@ -114,7 +114,7 @@ def motion(config: PlantConfig, telescope: Telescope) -> Profile:
     if config.profile not in PROFILES:
         return read_profile(Path(config.profile), len(telescope.wheels))
     if not config.ramps:
-        return Profile(np.zeros(1), np.array([config.array_angle]), np.array([speed], dtype=float))
+        return MotionProfile(np.zeros(1), np.array([config.array_angle]), np.array([speed], dtype=float))
     make = linear_profile if config.profile == "linear" else trapezoidal_profile
     gains = config.wheel_acceleration or steady(telescope)
     return make(config.array_angle, config.theta_rate, speed, gains, config.ramp_duration)

@@ -40,7 +40,7 @@ def columns(wheels: int = REFERENCE_WHEELS) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Profile:
+class MotionProfile:
     """Array angle and wheel speeds over time.
 
     Parameters
@@ -54,7 +54,7 @@ class Profile:
 
     Examples
     --------
-    >>> wheels = Profile(np.array([0.0, 2.0]), np.zeros(2), np.array([[-1.0] * 4, [3.0] * 4]))
+    >>> wheels = MotionProfile(np.array([0.0, 2.0]), np.zeros(2), np.array([[-1.0] * 4, [3.0] * 4]))
     >>> wheels.speeds(0.5).tolist(), wheels.turned([1.0, 2.0, 3.0])[:, 0].tolist()
     ([0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 5.0])
     """
@@ -99,14 +99,16 @@ class Profile:
         return table
 
 
-def linear_profile(theta: float, rate: float, speed: ArrayLike, acceleration: ArrayLike, duration: float) -> Profile:
+def linear_profile(
+    theta: float, rate: float, speed: ArrayLike, acceleration: ArrayLike, duration: float
+) -> MotionProfile:
     """Constant rates [rad/s, rad/s2] for `duration` seconds."""
     return _moved(np.array([0.0, duration]), np.array([0.0, duration]), theta, rate, speed, acceleration)
 
 
 def trapezoidal_profile(
     theta: float, rate: float, speed: ArrayLike, acceleration: ArrayLike, duration: float
-) -> Profile:
+) -> MotionProfile:
     """The same mean rates and ends as :func:`linear_profile`; the rates rise and fall linearly in a quarter each.
 
     Examples
@@ -124,8 +126,8 @@ def trapezoidal_profile(
 
 def _moved(
     time: FloatArray, passed: FloatArray, theta: float, rate: float, speed: ArrayLike, acceleration: ArrayLike
-) -> Profile:
-    return Profile(time, theta + rate * passed, np.asarray(speed) + np.outer(passed, np.asarray(acceleration)))
+) -> MotionProfile:
+    return MotionProfile(time, theta + rate * passed, np.asarray(speed) + np.outer(passed, np.asarray(acceleration)))
 
 
 def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], list[list[str]]]:
@@ -158,7 +160,7 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
     return [name.strip() for name in lines[0]] if lines else [], lines[1:]
 
 
-def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> Profile:
+def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> MotionProfile:
     """Profile of a CSV file with the header :func:`columns` for so many wheels.
 
     Raises
@@ -181,4 +183,4 @@ def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> Profile:
     values = np.array(rows).reshape(-1, len(known))
     if len(values) < 2 or values[0, 0] != 0.0 or not (np.diff(values[:, 0]) > 0.0).all():
         raise ValueError(f"{path}: time must rise from 0 over two lines or more, got {len(values)} lines")
-    return Profile(values[:, 0], values[:, 1], values[:, 2:])
+    return MotionProfile(values[:, 0], values[:, 1], values[:, 2:])

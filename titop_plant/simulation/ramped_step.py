@@ -31,7 +31,7 @@ from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.kernel_arrays import Course, StepArrays
 from titop_plant.simulation.plant_step import whole_step
-from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.profiles import MotionProfile
 
 SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 """Largest change of a wheel speed [rad/s] and of the array angle [rad] from one node to the next."""
@@ -52,12 +52,12 @@ class MovingTones:
 
     Parameters
     ----------
-    profile : Profile
+    profile : MotionProfile
     unit : Tones
         Tones of the wheels at 1 rad/s, turning in the positive sense, and tones of fixed frequency.
     """
 
-    profile: Profile
+    profile: MotionProfile
     unit: Tones
 
     def at(self, speed: FloatArray) -> Tones:
@@ -82,7 +82,7 @@ class MovingTones:
         return replace(signed, frequency=np.abs(signed.frequency), amplitude=mirrored)
 
 
-def node_interval(profile: Profile, dt: float, finer: float = 1.0) -> int:
+def node_interval(profile: MotionProfile, dt: float, finer: float = 1.0) -> int:
     """Ticks between nodes of a profile."""
     theta, speed = profile.steepest()
     seconds = min(LONGEST, ANGLE_STEP / max(theta, 1e-12), SPEED_STEP / max(speed, 1e-12)) / finer
@@ -90,7 +90,7 @@ def node_interval(profile: Profile, dt: float, finer: float = 1.0) -> int:
 
 
 def node_matrices(
-    profile: Profile, interval: int, dt: float, matrices: Callable[[float], FloatArray]
+    profile: MotionProfile, interval: int, dt: float, matrices: Callable[[float], FloatArray]
 ) -> list[FloatArray]:
     """Step matrices (of `step_matrix`, phasors of size 1) at the nodes; `matrices` gives them at a time [s]."""
     count = math.ceil(profile.duration / (interval * dt) - 1e-9) + 1

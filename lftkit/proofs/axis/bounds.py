@@ -20,7 +20,7 @@ from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
 from lftkit.proofs.sampled_loop.bounds import prove_level
-from lftkit.proofs.state_space.bounds import SHARE, WHOLE, Bounds, least_level, named_member, smallest_unstable
+from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
@@ -176,7 +176,7 @@ def gain_over_axis(
     gap: float,
     wall_limit: float,
     seed: int,
-) -> tuple[Bounds, Member]:
+) -> tuple[ProvenBounds, Member]:
     """Worst-case gain of a system with sorted channels, and the worst member found.
 
     `box` has intervals in the order of the parameters, which may leave their ranges.
@@ -191,10 +191,10 @@ def gain_over_axis(
     worst = DiskSearch(system, box, band, seed).worst_member() if disks else worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
 
-    def bounds(upper: float, status: str) -> tuple[Bounds, Member]:
+    def bounds(upper: float, status: str) -> tuple[ProvenBounds, Member]:
         proof = axis.finished(upper) if axis is not None and np.isfinite(upper) else None
         left = axis.uncovered() if axis is not None and proof is None and status == "out_of_time" else ()
-        return Bounds(worst.gain, upper, named_member(system, worst), worst.frequency, proof, status, left), worst
+        return ProvenBounds(worst.gain, upper, named_member(system, worst), worst.frequency, proof, status, left), worst
 
     if axis is None:
         return bounds(np.inf, "unstable")
@@ -238,12 +238,12 @@ def _improved(system: System, box: list[Interval], band: Interval, seed: int, me
 
 def stability_over_axis(
     system: System, box: list[Interval], largest: float, gap: float, until: float, seed: int
-) -> Bounds:
+) -> ProvenBounds:
     """Factor of the box that stays stable; system, box and errors as for :func:`gain_over_axis`."""
     nominal = np.array([p.nominal for p in system.parameters])
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):
-        return Bounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
+        return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
     factor, worst = smallest_unstable(system, box, largest, seed)
     point = named_member(system, worst)
     aim = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
@@ -257,9 +257,9 @@ def stability_over_axis(
             lower = part * aim
             closed = (np.isinf(factor) and part == 1.0) or factor <= (1.0 + gap) * lower
             status = "closed" if closed else "out_of_time"
-            return Bounds(lower, factor, point, worst.frequency, axis.finished(None), status)
+            return ProvenBounds(lower, factor, point, worst.frequency, axis.finished(None), status)
         left = axis.uncovered()
-    return Bounds(0.0, factor, point, worst.frequency, None, "out_of_time", left)
+    return ProvenBounds(0.0, factor, point, worst.frequency, None, "out_of_time", left)
 
 
 def modal_form(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

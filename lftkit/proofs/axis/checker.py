@@ -18,10 +18,10 @@ import numpy as np
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
+from lftkit.proofs.checked_proof import CheckedProof
 from lftkit.proofs.trusted.premises import indices, require_strip
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.strips import check_strip
-from lftkit.proofs.verdict import CheckedProof
 
 
 def check_axis_proof(proof: AxisProof | Path, each: Callable[..., Iterable[int | str]] = map) -> CheckedProof:

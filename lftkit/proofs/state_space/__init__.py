@@ -9,30 +9,30 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.proofs.state_space.bounds import Bounds
+    from lftkit.proofs.checked_proof import CheckedProof
+    from lftkit.proofs.state_space.bounds import ProvenBounds
     from lftkit.proofs.state_space.cells import Cell
     from lftkit.proofs.state_space.checker import check_proof
     from lftkit.proofs.state_space.proof import Proof
     from lftkit.proofs.trusted.proof import ProofError
-    from lftkit.proofs.verdict import CheckedProof
 
 __all__ = [
-    "Bounds",
     "Cell",
     "CheckedProof",
     "Proof",
     "ProofError",
+    "ProvenBounds",
     "check_proof",
 ]
 
 __getattr__ = names_on_demand(
     __name__,
     {
-        "bounds": ("Bounds",),
+        "bounds": ("ProvenBounds",),
         "cells": ("Cell",),
         "checker": ("check_proof",),
         "proof": ("Proof",),
-        "lftkit.proofs.verdict": ("CheckedProof",),
+        "lftkit.proofs.checked_proof": ("CheckedProof",),
         "lftkit.proofs.trusted.proof": ("ProofError",),
     },
 )

@@ -50,7 +50,7 @@ RAISED = (1.25, 2.0, 5.0, 20.0, 1000.0)
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ProvenBounds:
     """Two-sided bound.
 
     Parameters
@@ -227,7 +227,7 @@ class GainByCells:
     def __post_init__(self) -> None:
         self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
 
-    def run(self) -> Bounds:
+    def run(self) -> ProvenBounds:
         """The bounds, with the proof of the upper one."""
         start = time.monotonic()
         self.worst = self.searched()
@@ -282,9 +282,9 @@ class GainByCells:
             self.worst = member
         return bool(np.isinf(self.worst.gain)) or self._violated()
 
-    def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> Bounds:
+    def _bounds(self, upper: float, proof: Proof | None, status: str, uncovered: tuple[Cell, ...] = ()) -> ProvenBounds:
         worst, left = reached(self.system, self.worst), cells_of_system(self.system, uncovered)
-        return Bounds(worst.gain, upper, named_member(self.system, worst), worst.frequency, proof, status, left)
+        return ProvenBounds(worst.gain, upper, named_member(self.system, worst), worst.frequency, proof, status, left)
 
 
 class DiskGainByCells(GainByCells):
@@ -309,7 +309,7 @@ def stability_by_cells(
     max_tests: int,
     seed: int,
     progress: bool,
-) -> Bounds:
+) -> ProvenBounds:
     """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it.
 
     Raises
@@ -321,7 +321,7 @@ def stability_by_cells(
     nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
-        return Bounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
+        return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
     factor, worst = smallest_unstable(axis, box, largest, seed)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
@@ -356,7 +356,7 @@ def stability_by_cells(
             target *= 0.7
     status = "closed" if proof is not None and (np.isinf(factor) or factor <= (1.0 + gap) * lower) else "out_of_time"
     worst, left = reached(system, worst), cells_of_system(system, () if proof else left)
-    return Bounds(lower, factor, named_member(system, worst), worst.frequency, proof, status, left)
+    return ProvenBounds(lower, factor, named_member(system, worst), worst.frequency, proof, status, left)
 
 
 def smallest_unstable(axis: System, box: list[tuple[float, float]], largest: float, seed: int) -> tuple[float, Member]:
@@ -386,7 +386,7 @@ def factor_of(system: System, box: list[tuple[float, float]], point: FloatArray)
 
 
 def named_member(system: System, member: Member) -> dict[str, Any]:
-    """Values of a member's elements by name, as in :attr:`Bounds.point`."""
+    """Values of a member's elements by name, as in :attr:`ProvenBounds.point`."""
     values: dict[str, Any] = {p.name: float(v) for p, v in zip(system.parameters, member.point)}
     for e in system.elements:
         if isinstance(e, RealParameter):

@@ -44,11 +44,11 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.checked_proof import CheckedProof
 from lftkit.proofs.entries import each, file_content, fixed, index, mapping, maybe, number, pair, record, table, text
 from lftkit.proofs.trusted.definite import positive
 from lftkit.proofs.trusted.polynomials import TINY
 from lftkit.proofs.trusted.proof import ProofError, uncovered
-from lftkit.proofs.verdict import CheckedProof
 
 FORMAT = "los-testbed proof 1"
 DISCRETE = "los-testbed proof in discrete time 1"

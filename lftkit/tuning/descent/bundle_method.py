@@ -20,7 +20,7 @@ from scipy import linalg
 from lftkit.arrays import FloatArray, Matrix
 from lftkit.tuning.descent.curvature import LagrangianCurvature
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
-from lftkit.tuning.descent.minimax.bundle import Bundle
+from lftkit.tuning.descent.minimax.bundle import LinearisationBundle
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.minimax.simplex_qp import simplex_minimum
 from lftkit.tuning.pieces import Oracle, OracleResult
@@ -119,7 +119,7 @@ class _Running:
         self._first_value = self._metric_value = max(abs(self.result.objective), 1e-12)
         self._metric = metric_source(x, self.result)
         self._curvature = LagrangianCurvature(len(x))
-        self._bundle = Bundle()
+        self._bundle = LinearisationBundle()
         self._proximity = self._first_proximity()
         self._accepted_values: list[float] = []
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, Matrix
-from lftkit.tuning.gains.loop import ClosedLoop, eigenvectors
+from lftkit.tuning.gains.loop import ClosedLoopMatrices, eigenvectors
 from lftkit.tuning.problem import Evaluation, Problem
 
 REACH = 0.05  # relative change of the parameters: poles that it brings to the limit are followed
@@ -99,7 +99,7 @@ class DecayLimit:
             p for k in range(len(self._problem.models)) for p in self._near_of(x, k, self._problem.closed(k, K))
         )
 
-    def _near_of(self, x: FloatArray, k: int, loop: ClosedLoop) -> list[FollowedPole]:
+    def _near_of(self, x: FloatArray, k: int, loop: ClosedLoopMatrices) -> list[FollowedPole]:
         values, left, right = eigenvectors(loop.A)
         size = np.abs(x) + 0.1 * float(np.sqrt(np.mean(x**2)))
         near: list[tuple[float, FollowedPole]] = []
@@ -127,7 +127,7 @@ class DecayLimit:
             found.append(new)
         return tuple(found)
 
-    def _followed_to(self, x: FloatArray, pole: FollowedPole, loop: ClosedLoop) -> FollowedPole:
+    def _followed_to(self, x: FloatArray, pole: FollowedPole, loop: ClosedLoopMatrices) -> FollowedPole:
         shift: Any = pole.value if pole.value.imag else pole.value.real
         shift = shift + 1e-9 * max(abs(shift), self._problem.min_decay)  # not the eigenvalue itself
         factor = linalg.lu_factor(cast("Matrix", loop.A - shift * np.eye(len(loop.A))), check_finite=False)
@@ -143,7 +143,7 @@ class DecayLimit:
         return self._pole(x, pole.model, loop, value, left, right)
 
     def _pole(
-        self, x: FloatArray, k: int, loop: ClosedLoop, value: complex, left: ComplexArray, right: ComplexArray
+        self, x: FloatArray, k: int, loop: ClosedLoopMatrices, value: complex, left: ComplexArray, right: ComplexArray
     ) -> FollowedPole:
         slope = np.real(np.outer(loop.left.T @ left.conj() / _scale(left, right), loop.right @ right))
         gradient = np.asarray(self._problem.structure.pullback(x, slope), dtype=float)

@@ -16,7 +16,7 @@ from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.algebraic_loop import WellPosedness
-from lftkit.tuning.gains.loop import ClosedLoop, ExtendedPlant, extended_plant
+from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.sector_gain import SectorGain
@@ -125,7 +125,7 @@ class ExactValue:
         return worst, np.asarray(self._structure.pullback(x, slope), dtype=float)
 
 
-def _peak(loop: ClosedLoop, limit: float, near: FloatArray) -> tuple[float, float, FloatArray] | None:
+def _peak(loop: ClosedLoopMatrices, limit: float, near: FloatArray) -> tuple[float, float, FloatArray] | None:
     """Largest gain, its frequency and those of its rivals [rad/s]; None where the loop is not stable.
 
     `near`: frequencies [rad/s] of the peaks of a similar loop.
@@ -160,7 +160,7 @@ def _modal(form: FrequencyResponse, omega: FloatArray) -> ComplexArray:
     return np.asarray(response.reshape(-1, *form.D.shape) + form.D)
 
 
-def _response(loop: ClosedLoop, poles: ComplexArray, vectors: FloatArray) -> FrequencyResponse:
+def _response(loop: ClosedLoopMatrices, poles: ComplexArray, vectors: FloatArray) -> FrequencyResponse:
     lu, pivots, info = lapack.dgetrf(vectors)
     if info or lapack.dgecon(lu, np.sqrt(len(vectors)))[0] < 1e3 * len(vectors) * EPS:
         return FrequencyResponse.of(loop.A, loop.B, loop.C, loop.D)
@@ -178,7 +178,7 @@ def _frequencies(poles: ComplexArray) -> FloatArray:
     return np.concatenate([[0.0, 0.3 * own[0]], own, np.sqrt(own[:-1] * own[1:]), [3.0 * own[-1]]])
 
 
-def _slope(loop: ClosedLoop, omega: float) -> FloatArray:
+def _slope(loop: ClosedLoopMatrices, omega: float) -> FloatArray:
     """Gradient of the largest singular value at `omega` [rad/s] with respect to the gain matrix."""
     if not np.isfinite(omega):
         U, _, Vh = scipy.linalg.svd(loop.D)

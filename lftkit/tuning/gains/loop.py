@@ -46,11 +46,11 @@ class ExtendedPlant:
     def _through(self) -> bool:
         return bool(self.D22.any())
 
-    def closed(self, K: FloatArray) -> ClosedLoop:
+    def closed(self, K: FloatArray) -> ClosedLoopMatrices:
         """Closed loop with the gain matrix K (n_K + u, n_K + y)."""
         if not self._through:
             left, right = self.B2 @ K, K @ self.C2
-            return ClosedLoop(
+            return ClosedLoopMatrices(
                 self.A + left @ self.C2,
                 self.B1 + left @ self.D21,
                 self.C1 + self.D12 @ right,
@@ -65,7 +65,7 @@ class ExtendedPlant:
         left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
         left_z = self.D12 + self.D12 @ KS @ self.D22
         right, right_w = inner @ self.C2, inner @ self.D21
-        return ClosedLoop(
+        return ClosedLoopMatrices(
             self.A + self.B2 @ KS @ self.C2,
             self.B1 + self.B2 @ KS @ self.D21,
             self.C1 + self.D12 @ KS @ self.C2,
@@ -78,7 +78,7 @@ class ExtendedPlant:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class ClosedLoopMatrices:
     """Matrices of the closed loop and the factors of their derivatives: ``dA = left dK right`` and so on."""
 
     A: FloatArray
@@ -173,7 +173,7 @@ class LoopSpectrum:
         return [(float(self.poles[i].real), np.real(self.gradient(int(i)))) for i in order if reach[i] > 0]
 
 
-def spectrum(loop: ClosedLoop, *, derivatives: bool) -> LoopSpectrum:
+def spectrum(loop: ClosedLoopMatrices, *, derivatives: bool) -> LoopSpectrum:
     """Poles of the closed loop, with derivatives if asked for; the abscissa is the same either way, bit for bit.
 
     Eigenvalues that come with eigenvectors differ by rounding from those that come alone: near the limit a loop would
@@ -199,7 +199,7 @@ def eigenvectors(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArra
     return cast("tuple[ComplexArray, ComplexArray, ComplexArray]", found)
 
 
-def h2_value(loop: ClosedLoop, need_gradient: bool) -> tuple[float, FloatArray | None]:
+def h2_value(loop: ClosedLoopMatrices, need_gradient: bool) -> tuple[float, FloatArray | None]:
     """H2 norm of a stable closed loop with D = 0, and its gradient with respect to the gain matrix.
 
     With P and X the controllability and observability Gramians, ``d trace(C P C') = 2 <X P, dA> + 2 <X B, dB> +

@@ -11,8 +11,8 @@ import pytest
 from los_design.search.worst_case_search import Search
 from los_design.synthesis.pair_problem import BOTH, gains, grid
 from los_design.synthesis.store import load_designs
+from los_design.verification.combined_bounds import fast_pieces
 from los_design.verification.error_sum import parts_of_band
-from los_design.verification.error_sums import fast_pieces
 from los_design.verification.loop_models import provable
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
@@ -23,7 +23,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import worst_tone
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.telescope.budget import band_error_weight
+from titop_plant.telescope.error_budget import band_error_weight
 from titop_plant.telescope.load import differences, load_telescope
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight

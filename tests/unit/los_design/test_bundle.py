@@ -30,7 +30,7 @@ from los_design.verification.bundle import (
     MANIFEST,
     OF_WINDOWS,
     TELESCOPE,
-    Bundle,
+    ProofBundle,
     ProvenFigure,
     as_mapping,
     check_bundle,
@@ -170,7 +170,7 @@ def test_modal_data_of_mounted_bodies_go_with_it(
         assert found == ["content 0\n", "content 1\n"] and "modal_data" not in first
 
 
-def members_of(bundle: Bundle) -> dict[str, bytes]:
+def members_of(bundle: ProofBundle) -> dict[str, bytes]:
     return {name: (bundle.folder / name).read_bytes() for name in bundle.names}
 
 

@@ -26,7 +26,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.build import control_loop_plant
-from titop_plant.telescope.budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
+from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
 
 
 @pytest.fixture(scope="module")

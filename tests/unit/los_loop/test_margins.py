@@ -11,7 +11,16 @@ from small_loop import small_controllers, small_plant
 from lftkit.arrays import FloatArray
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
-from los_loop.margins import GAINS, Margins, change_names, changed_loops, delayed, doubtful, scaled, unstable_changes
+from los_loop.margins import (
+    GAINS,
+    GuaranteedMargins,
+    change_names,
+    changed_loops,
+    delayed,
+    doubtful,
+    scaled,
+    unstable_changes,
+)
 from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import COMMANDS
 
@@ -130,8 +139,8 @@ def test_changes_that_make_the_loop_unstable_are_named() -> None:
 
 
 def test_margins_of_a_peak_of_two() -> None:
-    margins = Margins(2.0, 1e-3)
+    margins = GuaranteedMargins(2.0, 1e-3)
     assert margins.gain_db == pytest.approx(6.0206, abs=1e-4)
     assert margins.phase_deg == pytest.approx(28.955, abs=1e-3)
     assert margins.to_mapping() == {"sensitivity": 2.0, "gain_db": 6.021, "phase_deg": 28.96, "delay_ms": 1.0}
-    assert Margins(1.0, 1.0).gain_db == math.inf
+    assert GuaranteedMargins(1.0, 1.0).gain_db == math.inf

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from fuzz.record_mutations import put_together, taken_apart
-from los_testbed.bags.check import BagCheck, Row, check_bag
+from los_testbed.bags.check import BagCheck, BagCheckRow, check_bag
 from support.forged_bags import cut_short, places, with_metadata
 
 from pointing_analysis.read.mcap.records import OP_STATISTICS
@@ -21,7 +21,7 @@ from pointing_analysis.requirements.summary import summarise
 Call = Callable[..., tuple[int, str, str]]
 
 
-def row_of(found: BagCheck, name: str) -> Row:
+def row_of(found: BagCheck, name: str) -> BagCheckRow:
     (row,) = [row for row in found.rows if row.name == name]
     return row
 
@@ -45,7 +45,7 @@ def with_yaml(bag: Path, **entries: Any) -> None:
 
 def test_a_whole_run_ends_by_its_plan(bag: Path) -> None:
     found = check_bag(bag)
-    assert row_of(found, "end of the run") == Row("end of the run", "agrees", "by its plan, after 3000 ticks")
+    assert row_of(found, "end of the run") == BagCheckRow("end of the run", "agrees", "by its plan, after 3000 ticks")
     assert found.code == 0 and Run.open(bag).covered_ticks == 3000
     assert row_of(found, "counts").found.endswith("topics, as in metadata.yaml and the summary")
 
@@ -55,7 +55,7 @@ def test_messages_that_end_before_the_record_of_the_run_are_told(bag: Path, tmp_
     cut = cut_short(bag, tmp_path / "cut", 2.0)
     found = check_bag(cut)
     said = "the run's record says that it ended by its plan, after 3000 ticks, but the messages cover 2000 of them"
-    assert row_of(found, "end of the run") == Row("end of the run", "early", said)
+    assert row_of(found, "end of the run") == BagCheckRow("end of the run", "early", said)
     counts = row_of(found, "counts")
     assert counts.state == "contradicts" and counts.found.startswith("the run's record counts")
     assert found.code == 5 and not found.losses
@@ -103,7 +103,7 @@ def test_the_total_of_the_summary_must_be_that_of_the_messages(bag: Path, more: 
     with_summary(bag, lambda body: struct.pack("<Q", total + more) + body[8:])
     found = check_bag(bag)
     said = f"the summary counts {total + more} messages in all, {total} can be read"
-    assert row_of(found, "counts") == Row("counts", "contradicts", said)
+    assert row_of(found, "counts") == BagCheckRow("counts", "contradicts", said)
     assert found.code == 5 and f"counts: {said}" in found.contradictions
 
 
@@ -113,7 +113,7 @@ def test_the_total_of_metadata_yaml_must_be_that_of_the_messages(bag: Path, more
     with_yaml(bag, message_count=total + more)
     found = check_bag(bag)
     said = f"metadata.yaml counts {total + more} messages in all, {total} can be read"
-    assert row_of(found, "counts") == Row("counts", "contradicts", said)
+    assert row_of(found, "counts") == BagCheckRow("counts", "contradicts", said)
     assert found.code == 5 and f"counts: {said}" in found.contradictions
 
 

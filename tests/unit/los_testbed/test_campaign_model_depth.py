@@ -22,7 +22,7 @@ from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.telescope.budget import combined_level
+from titop_plant.telescope.error_budget import combined_level
 
 BASE = RunConfig(mode="inprocess")
 DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")

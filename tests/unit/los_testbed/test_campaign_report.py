@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign import page as campaign_page
+from los_testbed.campaign.campaign_verdict import verdicts
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import first_order_index, influences, pair_effects, yield_curve
 from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
-from los_testbed.campaign.verdict import verdicts
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from support import axe, headless_browser

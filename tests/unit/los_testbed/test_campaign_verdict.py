@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.campaign import verdict as module
-from los_testbed.campaign.meanings import RequirementColumns
-from los_testbed.campaign.verdict import (
+from los_testbed.campaign import campaign_verdict as module
+from los_testbed.campaign.campaign_verdict import (
     CampaignVerdict,
     judged,
     model_verdicts,
@@ -18,6 +17,7 @@ from los_testbed.campaign.verdict import (
     refused,
     verdicts,
 )
+from los_testbed.campaign.meanings import RequirementColumns
 
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
 from pointing_analysis.requirements.text import Requirement, parse

@@ -6,7 +6,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from los_testbed.bags.check import BagCheck, Row, check_bag
+from los_testbed.bags.check import BagCheck, BagCheckRow, check_bag
 from mcap.writer import CompressionType, Writer
 
 from pointing_analysis.read.mcap.records import OP_DATA_END, RECORD
@@ -44,7 +44,7 @@ def damaged(file: Path) -> None:
     file.write_bytes(content)
 
 
-def checksums(found: BagCheck) -> Row:
+def checksums(found: BagCheck) -> BagCheckRow:
     return next(row for row in found.rows if row.name == "checksums")
 
 

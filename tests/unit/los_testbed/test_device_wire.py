@@ -8,7 +8,7 @@ from los_testbed.config import RunConfig
 from los_testbed.device.clock_map import ClockMap
 from los_testbed.device.driver import PacketRig, secret_of
 from los_testbed.device.emulator import key_of
-from los_testbed.device.serial import BAUD, Frames, line_of
+from los_testbed.device.serial import BAUD, PacketSplitter, line_of
 from los_testbed.device.udp import address_of, other_machine
 from los_testbed.device.wire import Kind, Reader, encode, fits
 
@@ -154,7 +154,7 @@ PACKETS = [encode(Kind.FAST, k, 5, np.full(k % 7, 1.5), KEY) for k in range(20)]
 
 
 def frames():
-    return Frames(lambda packet: fits(packet, KEY))
+    return PacketSplitter(lambda packet: fits(packet, KEY))
 
 
 @given(st.lists(st.one_of(st.integers(0, 19), st.binary(max_size=40)), max_size=30), st.integers(1, 200))

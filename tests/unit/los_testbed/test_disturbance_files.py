@@ -12,7 +12,7 @@ import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import Run
+from los_testbed.disturbance_kinds import RunConditions
 from los_testbed.factories import RunParts
 from scipy import io
 
@@ -20,7 +20,7 @@ from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
-RUN = Run((200.0, -210.0, 220.0, -230.0), 2.0, 1)
+RUN = RunConditions((200.0, -210.0, 220.0, -230.0), 2.0, 1)
 RATE, N = 2000.0, 6000
 T = np.arange(N) / RATE
 WRENCH = 0.1 * np.random.default_rng(1).standard_normal((N, 6))
@@ -82,7 +82,7 @@ def test_what_has_no_effect_is_said(tmp_path: Path, header: str, rows: str, rema
     (tmp_path / "a.csv").write_text(f"{header}\n" + rows.replace(";", "\n") + "\n")
     entries = entries_of([f"{tmp_path / 'a.csv'}@wheel_2"])
     for _ in range(2):
-        (found,) = make_sources(entries, load_telescope(), Run(RUN.speeds, 0.001, 1))
+        (found,) = make_sources(entries, load_telescope(), RunConditions(RUN.speeds, 0.001, 1))
         assert tuple(text for text in found.remarks if "columns" in text) == remarks
 
 
@@ -233,9 +233,11 @@ def test_mistakes_are_one_line(tmp_path: Path, text: str, message: str) -> None:
 def test_a_record_that_is_too_short_says_what_to_do(tmp_path: Path) -> None:
     csv(tmp_path / "a.csv")
     with pytest.raises(ValueError, match=r"as long as the run, 60 s, got 3 s \(repeat = true repeats it\)"):
-        make_sources(entries_of([str(tmp_path / "a.csv")]), load_telescope(), Run(RUN.speeds, 60.0, 1))
+        make_sources(entries_of([str(tmp_path / "a.csv")]), load_telescope(), RunConditions(RUN.speeds, 60.0, 1))
     (tmp_path / "b.toml").write_text('[[disturbance]]\nname = "b"\nkind = "series"\nfile = "a.csv"\nrepeat = true\n')
-    (found,) = make_sources(entries_of([str(tmp_path / "b.toml")]), load_telescope(), Run(RUN.speeds, 60.0, 1))
+    (found,) = make_sources(
+        entries_of([str(tmp_path / "b.toml")]), load_telescope(), RunConditions(RUN.speeds, 60.0, 1)
+    )
     assert len(found.signal.values) == 6000, "noise fits to itself"  # type: ignore[attr-defined]
     assert found.remarks == ("record repeated every 3 s, as it is",)
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import Run
+from los_testbed.disturbance_kinds import RunConditions
 
 from titop_plant.simulation.sources.drive import INSTANTS
 from titop_plant.telescope.load import load_telescope
 
-RUN = Run((200.0, -210.0, 220.0, -230.0), 2.0, 1)
+RUN = RunConditions((200.0, -210.0, 220.0, -230.0), 2.0, 1)
 T = np.arange(1000) / 1000.0
 HARMONIC = 'kind = "harmonics"\nplace = "wheel_1"\nharmonics = [{order = %s, force = [1e-7, 0.0, 0.0]}]'
 PULSES = 'kind = "pulses"\nforce = [1.0, 0.0, 0.0]\nperiod = 1.0\nwidth = 0.1\n'
@@ -29,7 +29,7 @@ def waterfall(path: Path, *changed: tuple[int, str]) -> None:
 
 def source(folder: Path, text: str, duration: float = 2.0) -> Any:
     (folder / "a.toml").write_text(f'[[disturbance]]\nname = "a"\n{text}\n')
-    run = Run(RUN.speeds, duration, 1)
+    run = RunConditions(RUN.speeds, duration, 1)
     (found,) = make_sources(entries_of([str(folder / "a.toml")]), load_telescope(), run)
     return found
 

@@ -11,7 +11,7 @@ from los_testbed.cli.options.live_options import check_live
 from los_testbed.cli.run import with_lone_options
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from los_testbed.live.frames import Frames
+from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
 from los_testbed.run.processes.viewers import Live
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
@@ -31,7 +31,7 @@ def feed(history, ticks, topic=TRUTH_LOS, value=lambda tick: tick):
 
 
 def frames(**values):
-    return Frames(RunConfig(**values), (5.3e-3, 31.6))
+    return ViewerFrames(RunConfig(**values), (5.3e-3, 31.6))
 
 
 def test_a_viewer_that_keeps_up_gets_every_tick_once():
@@ -137,7 +137,7 @@ def test_viewers_need_nodes():
 
 
 def test_the_last_exposure_comes_five_times_a_second():
-    view, topic, got = Frames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), []
+    view, topic, got = ViewerFrames(RunConfig(), (5.3e-3, 31.6), window=7), image_topic(7), []
     seen: dict[str, int] = {}
     codec = codec_for(topic)
     for tick in range(0, 1000, 20):

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.campaign.campaign_verdict import judged, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
 from los_testbed.campaign.sampling import COLUMNS
-from los_testbed.campaign.verdict import judged, model_verdicts, not_judged, verdicts
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import KINDS, Run
+from los_testbed.disturbance_kinds import KINDS, RunConditions
 
 from lftkit.arrays import FloatArray
 from titop_plant.interface import DT
-from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.profiles import MotionProfile
 from titop_plant.simulation.sources.mechanisms import mechanism_sources
 from titop_plant.simulation.sources.signals import JointSignal, SampledSignal, Signal
 from titop_plant.telescope.load import load_telescope
 
 SECONDS = 20.0
 SPEED = 200.0
-RUN = Run((SPEED, 210.0, 220.0, 230.0), SECONDS, 5)
+RUN = RunConditions((SPEED, 210.0, 220.0, 230.0), SECONDS, 5)
 T = np.arange(40_000) / 2000.0
 MIDDLE, WEIGHT = np.polynomial.legendre.leggauss(6)
 INSTANTS, SHARES = 0.5 * (MIDDLE + 1.0), 0.5 * WEIGHT
@@ -204,7 +204,7 @@ MECHANISMS = Path(__file__).parents[3] / "examples" / "spacecraft" / "moving_rot
 @cache
 def mechanism(name: str) -> Signal:
     telescope = load_telescope(str(MECHANISMS))
-    still = Profile(np.zeros(1), np.zeros(1), np.array([RUN.speeds]))
+    still = MotionProfile(np.zeros(1), np.zeros(1), np.array([RUN.speeds]))
     found = mechanism_sources(telescope, still, SECONDS, 5)
     return next(one.signal for one in found if one.name == name)
 

@@ -14,7 +14,7 @@ from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settin
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.summary.budget_sources import testbed_sources as sources_of_table
+from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_table
 from los_testbed.run.summary.source_shares import source_shares
 
 from pointing_analysis.read.run import Run

@@ -16,7 +16,7 @@ from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.result_table import result_rows
 from pointing_analysis.budget.source_table import COLUMNS
 from pointing_analysis.budget.total import evaluate
-from pointing_analysis.report import budget_page
+from pointing_analysis.report import pointing_budget_page
 
 HEAD = "source, type, unit, value, half_range, sigma, amplitude, frequency, correlation_time, rate, duration, random"
 TABLE = f"""{HEAD}, transfer, text
@@ -275,9 +275,9 @@ def test_every_source_has_a_bar_that_is_seen(tmp_path: Path, monkeypatch: pytest
     sources = "".join(f'[sources.s{k}]\ntype = "random"\nsigma = {100.0 / 10**k}\n' for k in range(3))
     (tmp_path / "budget.toml").write_text(text + sources)
     (verdict,) = evaluate(load_budget(tmp_path / "budget.toml"))
-    monkeypatch.setattr(budget_page, "picture", lambda *parts: parts[-1])
+    monkeypatch.setattr(pointing_budget_page, "picture", lambda *parts: parts[-1])
     drawn = Figure()
-    budget_page.contributions(verdict, "mas")(drawn)  # type: ignore[operator]
+    pointing_budget_page.contributions(verdict, "mas")(drawn)  # type: ignore[operator]
     (axis,) = drawn.axes
     low, high = np.log(axis.get_xlim())
     ends = [np.log(bar.get_x() + bar.get_width()) for bar in axis.patches if isinstance(bar, Rectangle)]

@@ -15,7 +15,7 @@ from pointing_analysis.budget.total import evaluate
 HEAD = 'unit = "mas"\n[[requirement]]\ntext = "prob(|RPE(1 s)| < 20 mas) >= 0.997 at 95 % confidence"\n'
 
 
-def source(tmp_path: Path, text: str) -> kinds.Source:
+def source(tmp_path: Path, text: str) -> kinds.ErrorSource:
     """The one source of a budget."""
     (tmp_path / "budget.toml").write_text(f"{HEAD}[sources.a]\n{text}\n")
     return load_budget(tmp_path / "budget.toml").sources[0]

@@ -18,7 +18,7 @@ from titop_plant.simulation.disturbances import imbalance_tones, no_tones
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import motion, parameter_values, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
-from titop_plant.simulation.profiles import Profile, linear_profile, read_profile, trapezoidal_profile
+from titop_plant.simulation.profiles import MotionProfile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
@@ -141,7 +141,7 @@ def test_phases_are_the_integrals_of_the_speeds() -> None:
         phasor = tones.phasors(float(time[k]))[3]
         expected = float(profile.speeds(time[k])[0]) ** 2 * np.exp(1j * unit.harmonic[3] * turned[k] * 1e-5)
         assert phasor == pytest.approx(expected, rel=1e-6)
-    still = MovingTones(Profile(np.zeros(1), np.zeros(1), np.array([[-70.0, 80.0, -90.0, 100.0]])), unit).start()
+    still = MovingTones(MotionProfile(np.zeros(1), np.zeros(1), np.array([[-70.0, 80.0, -90.0, 100.0]])), unit).start()
     same = imbalance_tones(telescope, np.array([70.0, 80.0, 90.0, 100.0]), np.random.default_rng(0))
     np.testing.assert_allclose(still.frequency, same.frequency, rtol=1e-12)
     np.testing.assert_allclose(np.abs(still.amplitude), np.abs(same.amplitude), rtol=1e-12)

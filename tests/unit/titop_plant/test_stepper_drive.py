@@ -15,7 +15,7 @@ from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import DriveRotor, on_revolute_joint
 from titop_plant.blocks.stepper import Stepper
 from titop_plant.interface import DT
-from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.profiles import MotionProfile
 from titop_plant.simulation.sources.drive import INSTANTS
 from titop_plant.simulation.sources.mechanisms import (
     ON_ARRAY,
@@ -198,7 +198,7 @@ def with_mechanisms(**stepper: Any) -> Telescope:
 
 def test_sources_of_the_telescope_have_a_row_each_and_their_density() -> None:
     """One-sided density of 20 s of each wheel's noise; wheels and axes are independent; the seed gives the bits."""
-    still = Profile(np.zeros(1), np.zeros(1), np.full((1, 4), 200.0))
+    still = MotionProfile(np.zeros(1), np.zeros(1), np.full((1, 4), 200.0))
     noise, drive = mechanism_sources(with_mechanisms(detent_torque=0.01), still, 20.0, 5)
     assert (noise.name, drive.name) == ("wheel broadband", "array drive")
     assert (noise.matrix.shape[1], drive.matrix.shape[1]) == (24, 12)
@@ -215,7 +215,7 @@ def test_sources_of_the_telescope_have_a_row_each_and_their_density() -> None:
 
 
 def test_the_drive_follows_a_profile_that_turns_the_array() -> None:
-    turning = Profile(np.array([0.0, 10.0]), np.array([0.2, 0.25]), np.full((2, 4), 200.0))
+    turning = MotionProfile(np.array([0.0, 10.0]), np.array([0.2, 0.25]), np.full((2, 4), 200.0))
     drive = mechanism_sources(with_mechanisms(detent_torque=0.01), turning, 10.0, 5)[1]
     assert not drive.signal.lines.size
     part = drive.signal.parts[0]  # type: ignore[attr-defined]

@@ -12,7 +12,7 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.interface import DT
 from titop_plant.simulation.disturbances import sadm_tones
-from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.profiles import MotionProfile
 from titop_plant.simulation.sources.mechanisms import ARRAY_DRIVE, AngleSignal, mechanism_sources
 from titop_plant.simulation.sources.places import source_ports
 from titop_plant.simulation.sources.signals import JointSignal
@@ -52,7 +52,7 @@ def stepper_lines(telescope: Telescope, seed: int = 0) -> DriveLines:
     ports = source_ports(telescope)
     whole = build_telescope(telescope, loads=telescope.loaded_nodes, motors=True).system
     plant = whole.select(inputs=[port.name for port in ports], outputs=[LOS]).at({})
-    still = Profile(np.zeros(1), np.zeros(1), np.array([telescope.default_speeds], dtype=float))
+    still = MotionProfile(np.zeros(1), np.zeros(1), np.array([telescope.default_speeds], dtype=float))
     found = mechanism_sources(telescope, still, 1.0, seed, DT)
     source = next(one for one in found if one.name == ARRAY_DRIVE)
     assert isinstance(source.signal, JointSignal)

@@ -23,7 +23,7 @@ from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.blocks.stepper import Stepper
 from titop_plant.interface import DT
-from titop_plant.simulation.profiles import Profile
+from titop_plant.simulation.profiles import MotionProfile
 from titop_plant.simulation.sources.drive import PlacedSource
 from titop_plant.simulation.sources.places import place_matrix, source_ports
 from titop_plant.simulation.sources.signals import NO_LINES, JointSignal, Signal, noise_of_density
@@ -80,7 +80,7 @@ class AngleSignal:
 
 
 def mechanism_sources(
-    telescope: Telescope, profile: Profile, duration: float, seed: int, dt: float = DT
+    telescope: Telescope, profile: MotionProfile, duration: float, seed: int, dt: float = DT
 ) -> tuple[PlacedSource, ...]:
     """Sources of the telescope's own tables, those that it has.
 
@@ -88,7 +88,7 @@ def mechanism_sources(
     ----------
     telescope : Telescope
         Of the telescope.
-    profile : Profile
+    profile : MotionProfile
         Motion of the run.
     duration : float
         Of the run [s].
@@ -132,7 +132,7 @@ def _broadband(wheel: WheelOnBoard, duration: float, dt: float, rng: np.random.G
 
 
 def _drive(
-    telescope: Telescope, index: int, profile: Profile, dt: float, rng: np.random.Generator
+    telescope: Telescope, index: int, profile: MotionProfile, dt: float, rng: np.random.Generator
 ) -> tuple[FloatArray, Signal]:
     """Where the torques of a stepper act, and the torques."""
     array, ports = telescope.motors[index], source_ports(telescope)

@@ -31,7 +31,7 @@ class Plane:
 
 
 @dataclass
-class Bundle:
+class LinearisationBundle:
     """Linearisations that are kept beside the pieces of the present point.
 
     Parameters

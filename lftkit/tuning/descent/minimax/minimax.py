@@ -16,7 +16,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.minimax.prox_linear import FIRST_WEIGHT, REJECTED, prox_linear
-from lftkit.tuning.source import Look, Merit, Source, lower
+from lftkit.tuning.source import DescentSource, Look, Merit, lower
 from lftkit.tuning.status import TuningStatus
 
 VISIBLE = 1e-3
@@ -50,8 +50,9 @@ class DescentOptions:
     retries : int
         Looks in a row at which the steps before are taken back, beyond which it is ``stalled``.
     confirm : bool
-        Where it would be ``stalled``, try what the source knows for it (:meth:`lftkit.tuning.source.Source.trials`);
-        it goes on where that lowers the value by 0.1 %, and is ``converged`` where nothing does.
+        Where it would be ``stalled``, try what the source knows for it
+        (:meth:`lftkit.tuning.source.DescentSource.trials`); it goes on where that lowers the value by 0.1 %, and is
+        ``converged`` where nothing does.
     """
 
     iterations: int = 300
@@ -117,7 +118,7 @@ class DescentState:
 
 
 def descend(
-    source: Source[L],
+    source: DescentSource[L],
     x: FloatArray,
     options: DescentOptions | None = None,
     report: Callable[[int, L], None] = lambda iteration, look: None,
@@ -128,7 +129,7 @@ def descend(
 
     Parameters
     ----------
-    source : Source
+    source : DescentSource
     x : ndarray, shape (size,)
     options : DescentOptions, optional
     report : callable
@@ -162,7 +163,7 @@ def descend(
             run.go_on_at(found)
 
 
-def lower_point(source: Source[L], best: L) -> FloatArray | None:
+def lower_point(source: DescentSource[L], best: L) -> FloatArray | None:
     """The first of a source's trials with a visibly lower value (size,); None where there is none."""
     for x in source.trials(best):
         merit = source.look(x).merit
@@ -174,7 +175,9 @@ def lower_point(source: Source[L], best: L) -> FloatArray | None:
 class _Run(Generic[L]):
     """The running descent."""
 
-    def __init__(self, source: Source[L], x: FloatArray, options: DescentOptions, goes_on: DescentState | None) -> None:
+    def __init__(
+        self, source: DescentSource[L], x: FloatArray, options: DescentOptions, goes_on: DescentState | None
+    ) -> None:
         self.options, self._source = options, source
         self._now = replace(goes_on, history=list(goes_on.history)) if goes_on else DescentState(x, x.copy())
         if goes_on is not None:

@@ -86,7 +86,7 @@ def start(context):
         )
         for name in names
     }
-    end = RunEnd({name: RESPAWNS if again[name] else 0 for name in names})
+    end = LaunchEnd({name: RESPAWNS if again[name] else 0 for name in names})
     handlers = [
         RegisterEventHandler(OnProcessExit(target_action=node, on_exit=end.handler(name)))
         for name, node in nodes.items()
@@ -119,7 +119,7 @@ def settings(file, given, record):
     return {**values, "use_sim_time": values["mode"] == "lockstep", "wait_for_recorder": record}
 
 
-class RunEnd:
+class LaunchEnd:
     """Ends the run with the plant, or with a node that cannot be started again; fails if a node failed."""
 
     def __init__(self, respawns):

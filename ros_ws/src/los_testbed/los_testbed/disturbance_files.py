@@ -31,7 +31,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from los_testbed.config import RunConfig
-from los_testbed.disturbance_kinds import KINDS, Entry, Run
+from los_testbed.disturbance_kinds import KINDS, DisturbanceTable, RunConditions
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
 
 
-def entries_of(items: Sequence[str]) -> list[Entry]:
+def entries_of(items: Sequence[str]) -> list[DisturbanceTable]:
     """Tables of the files that options ``--disturbance`` name.
 
     Raises
@@ -63,25 +63,25 @@ def entries_of(items: Sequence[str]) -> list[Entry]:
         else:
             table: dict[str, Any] = {"name": path.stem, "file": path.name, **({"place": place} if place else {})}
             table["kind"] = _kind_of(read_table(path))
-            found.append(Entry(table, path.parent, str(path)))
+            found.append(DisturbanceTable(table, path.parent, str(path)))
     return found
 
 
-def sources_of(config: RunConfig, telescope: Telescope) -> list[Entry]:
+def sources_of(config: RunConfig, telescope: Telescope) -> list[DisturbanceTable]:
     """Tables of all sources of a run: those of its files, then those of its telescope; none without disturbance."""
     if not config.disturbance or config.other_plant:
         return []
-    own = [Entry(table, Path(table[FOLDER]), str(config.parameters)) for table in telescope.sources]
+    own = [DisturbanceTable(table, Path(table[FOLDER]), str(config.parameters)) for table in telescope.sources]
     own = [replace(one, table={k: v for k, v in one.table.items() if k != FOLDER}) for one in own]
     return entries_of(config.files_of_disturbance) + own
 
 
-def entries_in(path: Path, content: Mapping[str, Any]) -> list[Entry]:
+def entries_in(path: Path, content: Mapping[str, Any]) -> list[DisturbanceTable]:
     """Tables ``[[disturbance]]`` of a file that was read."""
     tables = content.get("disturbance")
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ValueError(f"{path} must hold tables [[disturbance]], got none")
-    return [Entry(table, path.parent, str(path)) for table in tables]
+    return [DisturbanceTable(table, path.parent, str(path)) for table in tables]
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def _kind_of(table: Table) -> str:
     return "series"
 
 
-def digest(entries: Sequence[Entry], mechanisms: Sequence[tuple[str, Mapping[str, Any]]] = ()) -> str:
+def digest(entries: Sequence[DisturbanceTable], mechanisms: Sequence[tuple[str, Mapping[str, Any]]] = ()) -> str:
     """SHA-256 of the tables, of the files that they name, and of those of the telescope's wheels and drives."""
     total = hashlib.sha256()
     for name, table in mechanisms:
@@ -110,7 +110,9 @@ def digest(entries: Sequence[Entry], mechanisms: Sequence[tuple[str, Mapping[str
     return total.hexdigest()
 
 
-def make_sources(entries: Sequence[Entry], telescope: Telescope, run: Run) -> tuple[PlacedSource, ...]:
+def make_sources(
+    entries: Sequence[DisturbanceTable], telescope: Telescope, run: RunConditions
+) -> tuple[PlacedSource, ...]:
     """Sources of a run.
 
     Raises
@@ -128,7 +130,7 @@ def make_sources(entries: Sequence[Entry], telescope: Telescope, run: Run) -> tu
     return found
 
 
-def _source(entry: Entry, telescope: Telescope, run: Run) -> PlacedSource:
+def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -> PlacedSource:
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.simulation.sources.places import place_matrix
 

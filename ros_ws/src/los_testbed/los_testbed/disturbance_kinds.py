@@ -43,7 +43,7 @@ SAME_RATE = 1e-3
 
 
 @dataclass(frozen=True)
-class Run:
+class RunConditions:
     """What of a run its sources depend on: wheel speeds [rad/s], length [s], seed, names of the wheels."""
 
     speeds: tuple[float, ...]
@@ -58,7 +58,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Entry:
+class DisturbanceTable:
     """One table ``[[disturbance]]`` with the folder of its file."""
 
     table: Mapping[str, Any]
@@ -117,12 +117,12 @@ class Entry:
         return (*rows, *([f"columns not used: {', '.join(names)}"] if names else []))
 
 
-def _rng(entry: Entry, run: Run) -> np.random.Generator:
+def _rng(entry: DisturbanceTable, run: RunConditions) -> np.random.Generator:
     key = zlib.crc32(str(entry.table["name"]).encode())
     return np.random.default_rng(np.random.SeedSequence(run.seed, spawn_key=(98, key)))
 
 
-def _axes(entry: Entry, table: Table, n: int, units: WrenchUnits = FORCE) -> FloatArray:
+def _axes(entry: DisturbanceTable, table: Table, n: int, units: WrenchUnits = FORCE) -> FloatArray:
     """Values (n, 6) of a table, in SI units; of an array of six columns the unit may be two, ``N, Nm``."""
     values = np.zeros((n, 6))
     bases = {split_unit(name)[0].lower(): name for name in table.of_length(n)}
@@ -146,7 +146,7 @@ def _axes(entry: Entry, table: Table, n: int, units: WrenchUnits = FORCE) -> Flo
     return values
 
 
-def _scaled(entry: Entry, table: Table, column: str, units: Units, unit: str) -> FloatArray:
+def _scaled(entry: DisturbanceTable, table: Table, column: str, units: Units, unit: str) -> FloatArray:
     """Values of a column in SI units."""
     scale = units.scale(unit)
     if scale is None:
@@ -154,7 +154,7 @@ def _scaled(entry: Entry, table: Table, column: str, units: Units, unit: str) ->
     return np.asarray(entry.column(table, column), dtype=float) * scale
 
 
-def _column(entry: Entry, table: Table, *names: str, units: Units | None = None) -> FloatArray:
+def _column(entry: DisturbanceTable, table: Table, *names: str, units: Units | None = None) -> FloatArray:
     for name in table.columns:
         if split_unit(name)[0].lower() in names:
             if units is not None:
@@ -166,7 +166,7 @@ def _column(entry: Entry, table: Table, *names: str, units: Units | None = None)
 Made = tuple["Signal", tuple[str, ...]]
 
 
-def _series(entry: Entry, run: Run) -> Made:
+def _series(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.signals import SampledSignal, repeated
 
     keeps_mean, repeats = entry.flag("keep_mean", False), entry.flag("repeat", False)
@@ -193,7 +193,7 @@ def _series(entry: Entry, run: Run) -> Made:
     return SampledSignal(values, rate, DT), tuple(remarks)
 
 
-def _rate(entry: Entry, table: Table, n: int) -> float:
+def _rate(entry: DisturbanceTable, table: Table, n: int) -> float:
     """Sampling rate [Hz] of a series: by its times, by the file, or as given; one that is given must be the same."""
     given = entry.number("rate", None, 0.0) if "rate" in entry.table else None
     when = time_column(table.of_length(n), [])
@@ -206,7 +206,7 @@ def _rate(entry: Entry, table: Table, n: int) -> float:
     return own
 
 
-def _rate_by_times(entry: Entry, table: Table, when: str, given: float | None) -> float:
+def _rate_by_times(entry: DisturbanceTable, table: Table, when: str, given: float | None) -> float:
     """Sampling rate [Hz] by a column of times; a rate that is `given` tells that they are in seconds."""
     unit = table.unit(when)
     try:
@@ -227,7 +227,7 @@ def _listed(values: FloatArray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def _harmonics(entry: Entry, units: WrenchUnits = FORCE) -> list[tuple[float, FloatArray]]:
+def _harmonics(entry: DisturbanceTable, units: WrenchUnits = FORCE) -> list[tuple[float, FloatArray]]:
     """Order and amplitudes (6,) of each harmonic, of a list in the file itself or of a table."""
     tables = entry.table.get("harmonics")
     if tables is not None and "file" in entry.table:
@@ -249,7 +249,7 @@ def _harmonics(entry: Entry, units: WrenchUnits = FORCE) -> list[tuple[float, Fl
     return [(float(order), amplitude) for order, amplitude in rows]
 
 
-def _speed(entry: Entry, run: Run) -> float:
+def _speed(entry: DisturbanceTable, run: RunConditions) -> float:
     """Speed of a rotor [rad/s]: given, or that of the wheel where it is."""
     place = entry.table.get("place", "bus")
     if "speed" in entry.table:
@@ -266,7 +266,7 @@ def _phased(amplitude: FloatArray, sense: float, rng: np.random.Generator) -> Co
     return np.asarray(amplitude * np.array([force, turn * force, axial, torque, turn * torque, about]))
 
 
-def _wheel(entry: Entry, run: Run) -> Made:
+def _wheel(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.signals import tone_signal
 
     speed, rng = _speed(entry, run), _rng(entry, run)
@@ -286,7 +286,7 @@ def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, Complex
     return make(kept, DT, *more), remarks
 
 
-def _waterfall(entry: Entry, run: Run) -> Made:
+def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.signals import tone_signal
     from titop_plant.simulation.sources.waterfall import lines_at
 
@@ -322,7 +322,7 @@ def _waterfall(entry: Entry, run: Run) -> Made:
     return _audible(tone_signal, rows)
 
 
-def _psd(entry: Entry, run: Run) -> Made:
+def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.signals import NOISE_SECONDS, PASSES, noise_of_density
 
     table = entry.file()
@@ -343,7 +343,7 @@ def _psd(entry: Entry, run: Run) -> Made:
     return signal, tuple(remarks)
 
 
-def _cooler(entry: Entry, run: Run) -> Made:
+def _cooler(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.moving_mass import WIDEST, PhaseNoise, moving_mass
     from titop_plant.simulation.sources.signals import tone_signal
 
@@ -360,7 +360,7 @@ def _cooler(entry: Entry, run: Run) -> Made:
     return _audible(moving_mass, rows, base, PhaseNoise.of(width, frequency, run.duration, rng))
 
 
-def _pulses(entry: Entry, run: Run) -> Made:
+def _pulses(entry: DisturbanceTable, run: RunConditions) -> Made:
     from titop_plant.simulation.sources.signals import PulseSignal
 
     wrench = np.r_[entry.vector("force"), entry.vector("torque")]
@@ -373,7 +373,7 @@ def _pulses(entry: Entry, run: Run) -> Made:
     return PulseSignal(wrench, first, width, period, last, DT), ()
 
 
-KINDS: Mapping[str, tuple[Callable[[Entry, Run], Made], set[str]]] = MappingProxyType(
+KINDS: Mapping[str, tuple[Callable[[DisturbanceTable, RunConditions], Made], set[str]]] = MappingProxyType(
     {
         "series": (_series, {"file", "rate", "repeat", "keep_mean"}),
         "harmonics": (_wheel, {"file", "harmonics", "squared", "speed"}),

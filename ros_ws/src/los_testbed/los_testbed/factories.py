@@ -19,7 +19,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.controllers import assemble_controller, compare_with_telescope
 from los_testbed.law_devices import NO_DEVICES, Devices, Wiring, placed_devices
-from los_testbed.plants import Plant
+from los_testbed.plants import SteppedPlant
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
-    from los_testbed.disturbance_kinds import Entry
+    from los_testbed.disturbance_kinds import DisturbanceTable
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
-    from titop_plant.simulation.plant import Plant as SimulatedPlant
+    from titop_plant.simulation.plant import Plant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.devices import PlacedActuator
     from titop_plant.telescope.telescope import Telescope
@@ -326,7 +326,7 @@ class RunParts:
             controller.start_at(self.states.k_pma)
         return controller
 
-    def plant(self) -> Plant:
+    def plant(self) -> SteppedPlant:
         """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.
 
         Raises
@@ -372,7 +372,7 @@ class RunParts:
         """Columns of the readings that each controller sees, and the forces behind the commands."""
         return Wiring.of(self.placed, self._used("k_fsm"), self._used("k_pma"))
 
-    def with_devices(self, plant: SimulatedPlant) -> SimulatedPlant:
+    def with_devices(self, plant: Plant) -> Plant:
         """The telescope with further actuators that the controller commands, and further sensors, if there are any."""
         sensors, actuators = self.placed.sensors, self._used("k_pma").actuators
         if actuators:
@@ -387,7 +387,7 @@ class RunParts:
             plant = replace(plant, further_sensors=SensorReadings(sensors, self.config.seed, self.config.noise))
         return plant
 
-    def _with_limits(self, plant: SimulatedPlant) -> SimulatedPlant:
+    def _with_limits(self, plant: Plant) -> Plant:
         """The telescope with limits of its devices, where the configuration asks for them."""
         if not self.config.nonlinear:
             return plant
@@ -396,7 +396,7 @@ class RunParts:
         devices = LimitedDevices(DeviceLimits(), self.telescope.pma, plant.limits, plant.dt)
         return replace(plant, devices=devices)
 
-    def _with_images(self, plant: SimulatedPlant) -> SimulatedPlant:
+    def _with_images(self, plant: Plant) -> Plant:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
         if self.star_camera is None:
             return plant
@@ -429,7 +429,7 @@ class RunParts:
 
         return make_disturbance(self.config, driven_ports(self.telescope))
 
-    def _driven(self, plant: SimulatedPlant, source: str) -> SimulatedPlant:
+    def _driven(self, plant: Plant, source: str) -> Plant:
         """The telescope under the disturbance of the user."""
         from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance
 
@@ -439,7 +439,7 @@ class RunParts:
             held = held_disturbance(self.sensed_family, self.physical, plant.dt)
             return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, disturbance, source)))
 
-    def with_sources(self, plant: SimulatedPlant) -> SimulatedPlant:
+    def with_sources(self, plant: Plant) -> Plant:
         """The telescope under the sources of files, where there are any."""
         if not self.sources:
             return plant
@@ -458,13 +458,13 @@ class RunParts:
         if not (self._entries or self._mechanisms):
             return ()
         from los_testbed.disturbance_files import make_sources
-        from los_testbed.disturbance_kinds import Run
+        from los_testbed.disturbance_kinds import RunConditions
         from titop_plant.simulation.plant_config import motion
         from titop_plant.simulation.sources.mechanisms import mechanism_sources
 
         profile = motion(self.settings, self.telescope)
         names = tuple(wheel.name for wheel in self.telescope.wheels)
-        run = Run(tuple(map(float, profile.speeds(0.0))), self.config.duration, self.config.seed, names)
+        run = RunConditions(tuple(map(float, profile.speeds(0.0))), self.config.duration, self.config.seed, names)
         found = make_sources(self._entries, self.telescope, run)
         if self._mechanisms:
             found += mechanism_sources(self.telescope, profile, self.config.duration, self.config.seed)
@@ -488,7 +488,7 @@ class RunParts:
         return self.telescope.source_tables
 
     @cached_property
-    def _entries(self) -> list[Entry]:
+    def _entries(self) -> list[DisturbanceTable]:
         if not self.config.files_of_disturbance and not self.config.parameters:
             return []
         from los_testbed.disturbance_files import sources_of
@@ -521,8 +521,8 @@ class RunParts:
             )
 
 
-def _user_plant(config: RunConfig) -> Plant:
-    own: Plant = make(config)
+def _user_plant(config: RunConfig) -> SteppedPlant:
+    own: SteppedPlant = make(config)
     try:
         own.reset()
     except RAISED as error:
@@ -530,7 +530,7 @@ def _user_plant(config: RunConfig) -> Plant:
     return own
 
 
-def build_plant(config: RunConfig) -> Plant:
+def build_plant(config: RunConfig) -> SteppedPlant:
     """Plant of a run, see :meth:`RunParts.plant`."""
     return RunParts(config).plant()
 

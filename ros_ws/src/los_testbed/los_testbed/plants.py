@@ -10,7 +10,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 
 
-class Plant(Protocol):
+class SteppedPlant(Protocol):
     """What the loop needs of a plant: commands in, measurements and truth out, one step per tick.
 
     **Contract.** The vectors are those of :mod:`titop_plant.interface`. `step` number k applies the command that was
@@ -37,7 +37,7 @@ class Plant(Protocol):
         """Back to the state before the first step, noise included."""
 
 
-def plant_notes(plant: Plant) -> dict[str, str]:
+def plant_notes(plant: SteppedPlant) -> dict[str, str]:
     """Tones, motion and name of the values of a plant, for the metadata of a bag."""
     notes = {}
     tones = getattr(plant, "tones", None)

@@ -31,7 +31,7 @@ NAMED = 3
 
 
 @dataclass(frozen=True)
-class Row:
+class BagCheckRow:
     """One thing that was checked: its name, whether it agrees, and what was found."""
 
     name: str
@@ -54,7 +54,7 @@ class BagCheck:
     """
 
     path: Path
-    rows: tuple[Row, ...]
+    rows: tuple[BagCheckRow, ...]
     contradictions: tuple[str, ...]
     problems: tuple[str, ...]
     messages: dict[str, int]
@@ -135,13 +135,17 @@ def _check(
     known = {key: value_of(text) for key, text in merged(infos)[0].items()}
     counts = _counts(_sources(infos, bag, contents, known), contents, bool(losses or damage or reading.cut))
     rows = (
-        Row("end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))),
+        BagCheckRow(
+            "end of the data", *(("damaged", "the recording was cut off") if reading.cut else ("agrees", "there"))
+        ),
         _checksums(infos, damage, contents.topics.total()),
         _digests(infos),
         _chain(infos),
-        Row("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
+        BagCheckRow("before its repair", "contradicts", _first(before)) if (before := _before(reading)) else None,
         counts,
-        Row("lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))),
+        BagCheckRow(
+            "lost messages", *(("damaged", _first([str(loss) for loss in losses])) if losses else ("agrees", "none"))
+        ),
         _end_of_run(known, contents, losses),
         _signature(bag, infos, key),
     )
@@ -152,14 +156,14 @@ def _check(
     return result, infos, bag.files
 
 
-def _checksums(infos: list[FileInfo], damage: list[str], messages: int) -> Row:
+def _checksums(infos: list[FileInfo], damage: list[str], messages: int) -> BagCheckRow:
     if damage:
-        return Row(CHECKSUMS, "damaged", _first(damage))
+        return BagCheckRow(CHECKSUMS, "damaged", _first(damage))
     unchecked = sum(info.unchecked for info in infos if not info.data_checksum)
     if not unchecked:
-        return Row(CHECKSUMS, "agrees", "no damage")
+        return BagCheckRow(CHECKSUMS, "agrees", "no damage")
     which = f"any of the {messages}" if unchecked >= messages else f"{unchecked} of the {messages}"
-    return Row(CHECKSUMS, "none", f"the file has no checksum of {which} messages: damage to them does not show")
+    return BagCheckRow(CHECKSUMS, "none", f"the file has no checksum of {which} messages: damage to them does not show")
 
 
 def _first(texts: list[str]) -> str:
@@ -188,28 +192,28 @@ def _all_agree(info: FileInfo) -> bool:
     return info.digests == info.chunks == info.chain.manifests
 
 
-def _digests(infos: list[FileInfo]) -> Row:
+def _digests(infos: list[FileInfo]) -> BagCheckRow:
     chunks, agree = sum(max(info.chunks, info.chain.manifests) for info in infos), sum(info.digests for info in infos)
     if not any(info.chain.manifests for info in infos):
-        return Row("digests of chunks", "none", "no manifests: another program has recorded it")
+        return BagCheckRow("digests of chunks", "none", "no manifests: another program has recorded it")
     refuted = [text for info in infos for text in info.contradictions if not _of_chain(info, text)]
     text = f"{agree} of {chunks} agree"
     if refuted:
-        return Row("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
-    return Row("digests of chunks", "agrees" if agree == chunks else "damaged", text)
+        return BagCheckRow("digests of chunks", "contradicts", f"{text}: {_first(refuted)}")
+    return BagCheckRow("digests of chunks", "agrees" if agree == chunks else "damaged", text)
 
 
-def _chain(infos: list[FileInfo]) -> Row:
+def _chain(infos: list[FileInfo]) -> BagCheckRow:
     linked = [info for info in infos if info.chain.linked or info.chain.sealed]
     if not linked:
-        return Row("chain of manifests", "none", "none: an older version or another program has recorded it")
+        return BagCheckRow("chain of manifests", "none", "none: an older version or another program has recorded it")
     broken = [text for info in linked for text in info.contradictions if _of_chain(info, text)]
     if broken:
-        return Row("chain of manifests", "contradicts", _first(broken))
+        return BagCheckRow("chain of manifests", "contradicts", _first(broken))
     text = f"{sum(info.chain.manifests for info in linked)} manifests"
     if any(info.chain.unchecked or info.chain.open or not info.chain.sealed for info in linked):
-        return Row("chain of manifests", "damaged", f"{text}, not all could be checked, or the end is missing")
-    return Row("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")
+        return BagCheckRow("chain of manifests", "damaged", f"{text}, not all could be checked, or the end is missing")
+    return BagCheckRow("chain of manifests", "agrees", f"{text}, digest {linked[-1].chain.digest.hex()}")
 
 
 @dataclass(frozen=True)
@@ -263,40 +267,42 @@ def _by_topic(info: FileInfo) -> Counter[str]:
     return found
 
 
-def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) -> Row:
+def _counts(sources: Sequence[_Source], contents: Contents, incomplete: bool) -> BagCheckRow:
     """Messages that were read against those that are counted elsewhere in the bag."""
     wrong = [text for source in sources for text in source.wrong]
     if wrong:
-        return Row("counts", "damaged" if incomplete else "contradicts", _first(wrong))
+        return BagCheckRow("counts", "damaged" if incomplete else "contradicts", _first(wrong))
     names = [source.name for source in sources if not source.at_least]
     if len(names) > NAMED:
         names[NAMED - 1 :] = [f"{len(names) - NAMED + 1} further summaries"]
     text = f"{contents.topics.total()} messages of {len(contents.topics)} topics"
     if not names:
-        return Row("counts", "none", text)
-    return Row("counts", "agrees", f"{text}, as in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}")
+        return BagCheckRow("counts", "none", text)
+    return BagCheckRow(
+        "counts", "agrees", f"{text}, as in {' and '.join(filter(None, [', '.join(names[:-1]), names[-1]]))}"
+    )
 
 
-def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[TopicLoss]) -> Row | None:
+def _end_of_run(known: Mapping[str, Any], contents: Contents, losses: Sequence[TopicLoss]) -> BagCheckRow | None:
     """Whether the run ended by its plan, and the messages show it; None where its recorder wrote no results."""
     if "statistics" not in known:
         return None
     end = run_end(known, contents.covered_ticks(known, losses))
     if end.text:
-        return Row("end of the run", "early", end.text)
+        return BagCheckRow("end of the run", "early", end.text)
     if end.by_plan:
-        return Row("end of the run", "agrees", f"by its plan, after {end.done} ticks")
-    return Row("end of the run", "none", "not known: the run's record does not hold its plan and its ticks")
+        return BagCheckRow("end of the run", "agrees", f"by its plan, after {end.done} ticks")
+    return BagCheckRow("end of the run", "none", "not known: the run's record does not hold its plan and its ticks")
 
 
-def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> Row:
+def _signature(bag: BagFiles, infos: list[FileInfo], key: Ed25519PublicKey | None) -> BagCheckRow:
     there = [file for file in bag.files if signature_file(file).is_file()]
     if key is None:
-        return Row("signature", "none", "there, not checked: no --public-key" if there else "none")
+        return BagCheckRow("signature", "none", "there, not checked: no --public-key" if there else "none")
     if not there:
-        return Row("signature", "contradicts", "none, though one must be there (--public-key)")
+        return BagCheckRow("signature", "contradicts", "none, though one must be there (--public-key)")
     if there != [bag.files[0]] or not is_signed_by(there[0], [info.chain for info in infos], key):
-        return Row("signature", "contradicts", "not that of this key for this bag")
+        return BagCheckRow("signature", "contradicts", "not that of this key for this bag")
     if any(info.chain.unchecked or info.chain.open or not _all_agree(info) for info in infos):
-        return Row("signature", "damaged", "that of this key, but what is damaged is not covered by it")
-    return Row("signature", "agrees", "that of this key")
+        return BagCheckRow("signature", "damaged", "that of this key, but what is damaged is not covered by it")
+    return BagCheckRow("signature", "agrees", "that of this key")

@@ -135,7 +135,7 @@ def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
 
 def _budget(telescope: Telescope, loop: str) -> dict[str, float]:
     """Allowances of the relative error [mas] in the stage of a run; edge between slow and fast tones [rad/s]."""
-    from titop_plant.telescope.budget import error_budget
+    from titop_plant.telescope.error_budget import error_budget
 
     budget = error_budget(telescope)
     shares = {}

@@ -25,9 +25,9 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_estimator.runtime import LosEstimator
 from los_loop.member_metrics import MemberMetrics, metric_names
+from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
-from los_testbed.campaign.verdict import judged, refused
 from los_testbed.config import RunConfig
 from los_testbed.controllers import assemble_controller
 from los_testbed.factories import RunParts

@@ -9,12 +9,12 @@ import numpy as np
 from rich.table import Column, Table
 
 from lftkit.arrays import FloatArray
+from los_testbed.campaign.campaign_verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, PairEffect, influences, pair_effects
 from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_text
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import COLUMNS, RANDOM
-from los_testbed.campaign.verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
 from los_testbed.run.summary.screen import numbers
 from pointing_analysis.requirements.rows import with_unit
 from pointing_analysis.requirements.text import Requirement

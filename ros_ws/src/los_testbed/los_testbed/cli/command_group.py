@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 
 
 @dataclass(frozen=True)
-class Entry:
+class CommandEntry:
     """A command or a group of commands.
 
     Parameters
@@ -35,47 +35,51 @@ class Entry:
 
 
 ENTRIES = {
-    "run": Entry("run", "Run the loop, record it, evaluate the record.", "run", "RUN_EXAMPLES"),
-    "analyse": Entry(
+    "run": CommandEntry("run", "Run the loop, record it, evaluate the record.", "run", "RUN_EXAMPLES"),
+    "analyse": CommandEntry(
         "analysis.analyse", "Evaluate recorded runs and write an HTML report.", "analyse", "ANALYSE_EXAMPLES"
     ),
-    "report": Entry(
+    "report": CommandEntry(
         "analysis.report",
         "Write one HTML page about one or several bags: verdict, requirements, figures, provenance.",
         "report",
         "REPORT_EXAMPLES",
     ),
-    "replay": Entry("replay", "Drive controllers with the sensors of a bag.", "replay", "REPLAY_EXAMPLES"),
-    "budget": Entry(
+    "replay": CommandEntry("replay", "Drive controllers with the sensors of a bag.", "replay", "REPLAY_EXAMPLES"),
+    "budget": CommandEntry(
         "analysis.budget",
         "Evaluate a pointing budget: contributions, total and margin for each requirement.",
         "budget",
         "BUDGET_EXAMPLES",
     ),
-    "stages": Entry("stages", "Compare the four stages: none, isolator, fsm, fsm+pma.", "stages", "STAGES_EXAMPLES"),
-    "campaign": Entry(
+    "stages": CommandEntry(
+        "stages", "Compare the four stages: none, isolator, fsm, fsm+pma.", "stages", "STAGES_EXAMPLES"
+    ),
+    "campaign": CommandEntry(
         "campaign",
         "Evaluate many members of the telescope's family; one row a member in a Parquet data set.",
         "campaign",
         "CAMPAIGN_EXAMPLES",
     ),
-    "keys": Entry(
+    "keys": CommandEntry(
         "keys",
         "Keys, certificates and signed permissions of the nodes, for a ROS 2 with DDS security (SROS 2).",
         "keys",
         "KEYS_EXAMPLES",
     ),
-    "bag": Entry("groups", "Describe, check, sign, repair and trace recorded runs.", "bag_app"),
-    "image": Entry("analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"),
-    "control": Entry(
+    "bag": CommandEntry("groups", "Describe, check, sign, repair and trace recorded runs.", "bag_app"),
+    "image": CommandEntry(
+        "analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"
+    ),
+    "control": CommandEntry(
         "control",
         "Change a run of this machine: start, stop, reset, stage, noise, disturbance, authority, camera, life cycle.",
         "control_app",
     ),
-    "device": Entry("device", "Check a rig before the first closed loop.", "device_app"),
-    "plant": Entry("plant", "The telescope's model: order, parameters, poles, inertia, bodies.", "plant_app"),
-    "design": Entry("groups", "Make and check the controllers.", "design_app"),
-    "export": Entry("designs.export", "Flight code of the laws in C.", "export_app"),
+    "device": CommandEntry("device", "Check a rig before the first closed loop.", "device_app"),
+    "plant": CommandEntry("plant", "The telescope's model: order, parameters, poles, inertia, bodies.", "plant_app"),
+    "design": CommandEntry("groups", "Make and check the controllers.", "design_app"),
+    "export": CommandEntry("designs.export", "Flight code of the laws in C.", "export_app"),
 }
 """In the order of the help."""
 

@@ -16,7 +16,7 @@ from los_testbed.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen, say
 
 if TYPE_CHECKING:
-    from los_testbed.device.check import Row
+    from los_testbed.device.check import DeviceCheckRow
 
 CHECK_EXAMPLES = """Move mirror and proof masses a little and compare what each sensor sees with the model.
 
@@ -105,7 +105,7 @@ def _json(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _table(rows: tuple[Row, ...]) -> str:
+def _table(rows: tuple[DeviceCheckRow, ...]) -> str:
     lines = ["| value | gain | delay [ms] | noise | model's | age [ms] | |", "|---|---|---|---|---|---|---|"]
     for row in rows:
         cells = (f"{row.gain:.2f}", f"{row.delay_ms:.1f}", f"{row.noise:.2g}", f"{row.expected_noise:.2g}")

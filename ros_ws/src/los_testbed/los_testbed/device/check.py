@@ -19,7 +19,7 @@ from los_testbed.device.motions import (
     QUIET_S,
     RAMP_S,
     ModelResponse,
-    Record,
+    MotionRecord,
     amplitudes,
     held,
     lines_of,
@@ -36,7 +36,7 @@ NEAR = tuple(5e-4 * k for k in range(-10, 11))
 
 
 @dataclass(frozen=True)
-class Row:
+class DeviceCheckRow:
     """One value of a sensor, or of a command.
 
     Attributes
@@ -91,11 +91,11 @@ class _Seen:
         return np.asarray(self.moved * np.exp(2j * np.pi * FREQUENCIES * delay))
 
 
-def judge(found: Record, model: ModelResponse) -> tuple[Row, ...]:
+def judge(found: MotionRecord, model: ModelResponse) -> tuple[DeviceCheckRow, ...]:
     """Rows of all values of sensors, then of commands."""
     commanded = amplitudes(*held(found.commands, RAMP_S), RAMP_S)
     sensors = [_seen(port, found, model, commanded) for port in MEASURED]
-    rows: list[Row] = []
+    rows: list[DeviceCheckRow] = []
     for driver in COMMANDED:
         own = [sensor for sensor in sensors if sensor.driver == driver]
         clear = [sensor for sensor in own if sensor.known and not _quiet(sensor, commanded)]
@@ -111,9 +111,9 @@ def judge(found: Record, model: ModelResponse) -> tuple[Row, ...]:
     return tuple(sorted(rows, key=lambda row: (order[row.part], row.value)))
 
 
-def faults(rows: Sequence[Row]) -> tuple[str, ...]:
+def faults(rows: Sequence[DeviceCheckRow]) -> tuple[str, ...]:
     """One line for each fault of each part."""
-    said: dict[tuple[str, str], list[Row]] = {}
+    said: dict[tuple[str, str], list[DeviceCheckRow]] = {}
     for row in rows:
         if row.fault:
             said.setdefault((row.part, NUMBER.sub("{}", row.fault)), []).append(row)
@@ -127,7 +127,7 @@ def faults(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _seen(port: str, found: Record, model: ModelResponse, commanded: ComplexArray) -> _Seen:
+def _seen(port: str, found: MotionRecord, model: ModelResponse, commanded: ComplexArray) -> _Seen:
     times, values, _ = found.samples[port]
     gains = model.gains[COLUMNS[port]]
     parts = [np.einsum("jbl,bl->jl", gains[:, COLUMNS[name]], commanded[COLUMNS[name]]) for name in COMMANDED]
@@ -241,7 +241,9 @@ def _corrected(actuators: Sequence[_Match], commanded: ComplexArray, driver: str
     return done
 
 
-def _command_rows(driver: str, actuators: Sequence[_Match], delay: float, seen_by: Sequence[str]) -> list[Row]:
+def _command_rows(
+    driver: str, actuators: Sequence[_Match], delay: float, seen_by: Sequence[str]
+) -> list[DeviceCheckRow]:
     rows = []
     for k, match in enumerate(actuators):
         fault = _words(match, k, "moves")
@@ -249,7 +251,7 @@ def _command_rows(driver: str, actuators: Sequence[_Match], delay: float, seen_b
             fault = "no sensor sees it"
         elif not fault and delay > DELAY_TOLERANCE_S:
             fault = f"{1e3 * delay:.0f} ms late, by all sensors"
-        rows.append(Row(driver, k, match.gain, 1e3 * delay, np.nan, np.nan, np.nan, fault))
+        rows.append(DeviceCheckRow(driver, k, match.gain, 1e3 * delay, np.nan, np.nan, np.nan, fault))
     return rows
 
 
@@ -264,8 +266,8 @@ def _words(match: _Match, own: int, verb: str) -> str:
 
 
 def _sensor_rows(
-    sensor: _Seen, commanded: ComplexArray, delay: float, common: float, found: Record, model: ModelResponse
-) -> list[Row]:
+    sensor: _Seen, commanded: ComplexArray, delay: float, common: float, found: MotionRecord, model: ModelResponse
+) -> list[DeviceCheckRow]:
     times, values, ages = found.samples[sensor.port]
     columns = COLUMNS[sensor.port]
     quiet = values[times < 0.0]
@@ -289,7 +291,7 @@ def _sensor_rows(
                 fault = _fault(sensor, j, matches[j], expected[j], delay - common)
             fault = fault or _noise_fault(noise[j], low, high)
         age = 1e3 * float(np.median(ages)) if len(ages) else np.nan
-        rows.append(Row(sensor.port, j, gain, behind, noise[j], low, age, fault))
+        rows.append(DeviceCheckRow(sensor.port, j, gain, behind, noise[j], low, age, fault))
     return rows
 
 

@@ -50,7 +50,7 @@ class RigSilentError(RuntimeError):
     """The rig did not answer."""
 
 
-class Line(Protocol):
+class PacketLine(Protocol):
     """What carries packets to a rig and back. A packet may be lost; none comes in parts."""
 
     name: str
@@ -109,12 +109,12 @@ class PacketRig:
         self.counts: Counter[str] = Counter()
         self.emulates = ""
         self.key = os.urandom(KEY_BYTES)
-        self._line: Line | None = None
+        self._line: PacketLine | None = None
         self._reader = Reader(self.key)
         self._sequence = 0
         self._next_sync = 0
 
-    def connect(self, config: RunConfig) -> tuple[Line, bytes]:
+    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
         """The line to the rig, and the key that opens the rig."""
         raise NotImplementedError
 

@@ -45,7 +45,7 @@ def motion(seconds: float, peaks: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Record:
+class MotionRecord:
     """What was written and what came, times [s] from the beginning of the motion.
 
     Attributes
@@ -67,7 +67,7 @@ class Record:
 
 def record(
     supervisor: Supervisor, peaks: FloatArray, clock: Any = None, now: Callable[[], int] | None = None
-) -> Record:
+) -> MotionRecord:
     """Move an open device and keep what its sensors say; it has ended afterwards, with mirror and forces at zero.
 
     Parameters
@@ -88,7 +88,7 @@ def record(
         supervisor.finish()
 
 
-def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callable[[], int] | None) -> Record:
+def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callable[[], int] | None) -> MotionRecord:
     """The motion itself."""
     ticks, steady = clock or TickClock(TICK_NS), now or time.monotonic_ns
     first = steady()
@@ -110,7 +110,7 @@ def _recorded(supervisor: Supervisor, peaks: FloatArray, clock: Any, now: Callab
             raise supervisor.failed(f"{what} for {SILENT_TICKS} ms")
         ticks.wait()
     supervisor.write(np.zeros(COMMANDS), steady())
-    return Record(
+    return MotionRecord(
         (np.array([t for t, _ in written]), np.array([u for _, u in written])),
         {port: _of_port(found, port, start) for port in MEASURED},
         {port: supervisor.counts[f"{NOT_FINITE}{port}"] + _empty_frames(found, port) for port in MEASURED},
@@ -190,7 +190,7 @@ class ModelResponse:
 
 
 def model_response(plant: Any, peaks: FloatArray) -> ModelResponse:
-    """Response of a plant with the contract of :class:`los_testbed.plants.Plant` that knows `change`."""
+    """Response of a plant with the contract of :class:`los_testbed.plants.SteppedPlant` that knows `change`."""
     gains = np.zeros((MEASUREMENTS, COMMANDS, len(FREQUENCIES)), complex)
     ticks = round((RAMP_S + MOTION_S) / DT)
     course = np.array([_all_lines(DT * k) for k in range(ticks)])

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.device.driver import Line, PacketRig, secret_of
+from los_testbed.device.driver import PacketLine, PacketRig, secret_of
 from los_testbed.device.wire import CHECK, HEAD, MAGIC, MOST_VALUES, fits
 
 BAUD = 4_000_000
@@ -48,7 +48,7 @@ def line_of(text: str) -> tuple[str, int]:
     return path, baud
 
 
-class Frames:
+class PacketSplitter:
     """Cuts a stream of bytes into packets.
 
     Parameters
@@ -61,7 +61,7 @@ class Frames:
     >>> import numpy as np
     >>> from los_testbed.device.wire import Kind, encode, fits
     >>> data = encode(Kind.FRAME, 1, 5, np.array([1.0]), bytes(8))
-    >>> frames = Frames(lambda packet: fits(packet, bytes(8)))
+    >>> frames = PacketSplitter(lambda packet: fits(packet, bytes(8)))
     >>> frames.feed(b"LOSR" + data[:20]), frames.feed(data[20:]) == [data], frames.skipped
     ([], True, 4)
     """
@@ -107,7 +107,7 @@ class SerialLine:
         Open file, which is closed with the line.
     name : str
     fits : callable
-        As of `Frames`.
+        As of `PacketSplitter`.
     baud : int, optional
         Speed that is set.
     """
@@ -115,7 +115,7 @@ class SerialLine:
     def __init__(self, handle: int, name: str, fits: Callable[[bytes], bool], baud: int | None = None) -> None:
         self.name = name
         self._handle = handle
-        self.frames = Frames(fits)
+        self.frames = PacketSplitter(fits)
         self._unsent = b""
         os.set_blocking(handle, False)
         tty.setraw(handle)
@@ -159,7 +159,7 @@ class SerialLine:
 class SerialRig(PacketRig):
     """Driver of a rig at the serial line ``device_address``, PATH or PATH@BAUD."""
 
-    def connect(self, config: RunConfig) -> tuple[Line, bytes]:
+    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
         """The line, and the key that opens the rig."""
         path, baud = line_of(config.device_address)
         secret = secret_of(config)

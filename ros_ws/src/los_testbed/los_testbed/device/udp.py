@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.device.driver import Line, PacketRig, secret_of
+from los_testbed.device.driver import PacketLine, PacketRig, secret_of
 
 SO_TIMESTAMPNS = 35
 """Option of a socket of Linux: the kernel says when each packet came."""
@@ -94,7 +94,7 @@ class UdpSocket:
 class UdpRig(PacketRig):
     """Driver of a rig at ``device_address``, HOST:PORT."""
 
-    def connect(self, config: RunConfig) -> tuple[Line, bytes]:
+    def connect(self, config: RunConfig) -> tuple[PacketLine, bytes]:
         """The socket, and the key that opens the rig."""
         host, port = address_of(config.device_address)
         secret = secret_of(config, other_machine(host))

@@ -27,7 +27,7 @@ CHANGING = {"loop": "controller", "noise": "plant", "disturbance": "plant", "cam
 """Settings that the page shows, and the node whose report names their changes."""
 
 
-class Frames:
+class ViewerFrames:
     """What is known of a run, and the part of it that a viewer gets next.
 
     Parameters

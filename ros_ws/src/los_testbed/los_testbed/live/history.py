@@ -35,7 +35,7 @@ DT = TICK_NS * 1e-9
 
 
 @dataclass(frozen=True)
-class Signal:
+class ShownTopic:
     """A topic that is shown: its name on the page and the size of the page's unit in SI."""
 
     name: str
@@ -44,10 +44,10 @@ class Signal:
 
 
 SIGNALS = (
-    Signal("los", TRUTH_LOS, RAD_PER_MAS),
-    Signal("estimate", LOS_ESTIMATE, RAD_PER_MAS),
-    Signal("fsm", FSM_COMMAND, URAD),
-    Signal("pma", PMA_COMMAND, 1.0),
+    ShownTopic("los", TRUTH_LOS, RAD_PER_MAS),
+    ShownTopic("estimate", LOS_ESTIMATE, RAD_PER_MAS),
+    ShownTopic("fsm", FSM_COMMAND, URAD),
+    ShownTopic("pma", PMA_COMMAND, 1.0),
 )
 """Line of sight and its estimate [mas], mirror command [urad], forces [N]."""
 
@@ -65,7 +65,7 @@ class History:
     """
 
     def __init__(self) -> None:
-        self._signals: dict[str, tuple[Signal, Codec]] = {s.topic.name: (s, codec_for(s.topic)) for s in SIGNALS}
+        self._signals: dict[str, tuple[ShownTopic, Codec]] = {s.topic.name: (s, codec_for(s.topic)) for s in SIGNALS}
         self._values = {s.name: np.full((CAPACITY, s.topic.size), np.nan) for s in SIGNALS}
         self.clear()
 

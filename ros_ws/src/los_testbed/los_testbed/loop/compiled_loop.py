@@ -33,7 +33,7 @@ from titop_plant.interface import (
 from titop_plant.simulation.compilation import kernel, kernel_for
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import no_tones
-from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, Record
+from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, TickRecord
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
 from titop_plant.simulation.profiles import linear_profile
@@ -107,7 +107,9 @@ class CompiledLoop:
         if compiled is None or ahead is None:
             return False
         course, sensors = ahead
-        record = Record(block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows])
+        record = TickRecord(
+            block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+        )
         observer, controller = self._observer(), self._control(command)
         compiled.loop(
             plant.dynamics.arrays, plant.values, plant.authority, course, sensors, observer, controller, record

@@ -9,7 +9,7 @@ import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
 from los_testbed.law_models import element
-from los_testbed.plants import Plant, plant_notes
+from los_testbed.plants import SteppedPlant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond
 from titop_plant.interface import COMMANDS, HELD, MEASURED_PORTS, MEASUREMENTS, RATE, TRUTH
@@ -46,7 +46,7 @@ def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int,
     return min(found, key=lambda one: one[0]) if found else None
 
 
-def check_plant(plant: Plant) -> None:
+def check_plant(plant: SteppedPlant) -> None:
     """Try one step of a copy of a plant; one that cannot be copied is tried itself and reset afterwards.
 
     Raises

@@ -25,7 +25,7 @@ from los_testbed.factories import RunParts
 from los_testbed.image_camera import frame_counts, image_camera_of, window_of
 from los_testbed.law_devices import NONE, Wiring
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
-from los_testbed.plants import Plant, plant_notes
+from los_testbed.plants import SteppedPlant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
 from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition
@@ -107,7 +107,7 @@ class SampleBlock:
 
 
 def simulate(
-    plant: Plant,
+    plant: SteppedPlant,
     estimator: EstimatorCore,
     controller: ControllerCore,
     ticks: int,
@@ -158,7 +158,7 @@ def simulate(
 
 
 def _step_by_step(
-    plant: Plant,
+    plant: SteppedPlant,
     estimator: EstimatorCore,
     controller: ControllerCore,
     command: FloatArray,
@@ -232,7 +232,7 @@ class BagSink:
 def run_in_process(
     config: RunConfig,
     bag_path: Path,
-    plant: Plant | None = None,
+    plant: SteppedPlant | None = None,
     progress: Callable[[int], None] = lambda ticks: None,
 ) -> dict[str, dict[str, str]]:
     """Simulate and record a run; returns the statistics as the bag holds them.
@@ -243,7 +243,7 @@ def run_in_process(
         The run; its mode is ignored.
     bag_path : Path
         Folder to make.
-    plant : Plant, optional
+    plant : SteppedPlant, optional
         Another plant than the one of the configuration. It starts where it is, the controllers at rest.
     progress : callable
         Called with the number of ticks done, once per block.
@@ -268,7 +268,7 @@ def record(
     parts: RunParts,
     bag_path: Path,
     progress: Callable[[int], None] = lambda ticks: None,
-    own: Plant | None = None,
+    own: SteppedPlant | None = None,
 ) -> dict[str, dict[str, str]]:
     """Simulate and record what a run is made of, as :func:`run_in_process`; `own` stands for the plant of `parts`."""
     estimator, controller = parts.estimator(), parts.controller()

@@ -22,7 +22,7 @@ from los_testbed.loop.changes import Apply
 from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.transport.bundle import Bundle
+from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
@@ -59,7 +59,7 @@ def main(
 
 
 class ControllerLaw:
-    """Mirror and proof-mass laws in their node, see :class:`~los_testbed.nodes.support.follower.Law`.
+    """Mirror and proof-mass laws in their node, see :class:`~los_testbed.nodes.support.follower.NodeLaw`.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class ControllerLaw:
         changing = {ACTIVE: self._fade.turn, **_appliers(controller)}
         self.changes = context.allow_changes(changing, _limits(run.basis))
 
-    def compose(self, estimate: FloatArray, columns: IntArray, bundle: Bundle) -> None:
+    def compose(self, estimate: FloatArray, columns: IntArray, bundle: TickBundle) -> None:
         """Take the estimate from an observer of this process, and send the commands in one message before their topics.
 
         Parameters
@@ -113,7 +113,7 @@ class ControllerLaw:
             Output of the observer, the same array at every tick.
         columns : ndarray of int
             Where the other inputs are in the joined vector of a tick.
-        bundle : Bundle
+        bundle : TickBundle
             The message.
         """
         self._estimate, self._columns = estimate, columns

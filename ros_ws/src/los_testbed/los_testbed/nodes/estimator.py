@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Es
 
 
 class EstimatorLaw:
-    """The observer in its node, see :class:`~los_testbed.nodes.support.follower.Law`.
+    """The observer in its node, see :class:`~los_testbed.nodes.support.follower.NodeLaw`.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from los_testbed.nodes.controller import ControllerLaw
 from los_testbed.nodes.estimator import EstimatorLaw, slow_sensor
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.transport.bundle import Bundle, command_bundle, measurement_bundle
+from los_testbed.nodes.support.transport.bundle import TickBundle, command_bundle, measurement_bundle
 from los_testbed.topics import ISOLATOR_ACCEL, TopicDefinition
 from titop_plant.interface import MEASUREMENTS
 
@@ -49,7 +49,7 @@ def _of(topics: Sequence[TopicDefinition], columns: Mapping[str, IntArray]) -> I
     return np.concatenate([np.zeros(0, int), *(columns[topic.name] for topic in topics)])
 
 
-def _synchronizer(context: NodeContext, bundle: Bundle) -> StampSynchronizer:
+def _synchronizer(context: NodeContext, bundle: TickBundle) -> StampSynchronizer:
     """Of the one message; the frames of slow sensors in it are used when they come, in real time."""
     config = context.config
     slow = [topic for topic in bundle.topics if topic.name in bundle.ages]

@@ -22,7 +22,7 @@ from los_testbed.factories import RunParts
 from los_testbed.live.access import certificate
 from los_testbed.live.foxglove_controls import FoxgloveControls
 from los_testbed.live.foxglove_server import FoxgloveServer
-from los_testbed.live.frames import Frames
+from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.page_server import PageServer
 from los_testbed.loop.scheduling import prefer
 from los_testbed.nodes.remote_control import RemoteControl
@@ -102,7 +102,7 @@ class LiveNode:
         if OWN_DIAGNOSTICS in self._served:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         window = parts.star_camera.camera.window if parts.star_camera is not None else 0
-        self.frames = Frames(config, parts.basis.authority, parts.requirements, window)
+        self.frames = ViewerFrames(config, parts.basis.authority, parts.requirements, window)
         self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
         controls = FoxgloveControls(config.namespace, self.frames.settings, self._act_and_wait, self.page.token)
         self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets, controls)

@@ -38,7 +38,7 @@ from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
-from los_testbed.plants import Plant, plant_notes
+from los_testbed.plants import SteppedPlant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.run.results import Exercised, check_missed, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
@@ -69,7 +69,7 @@ CLOCK_STEP_NS = 1_000_000_000
 """The middleware stamps arrivals with the wall clock: a longer latency than this [ns] is a step of that clock."""
 
 
-def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], Plant] = build_plant) -> int:
+def main(arguments: Sequence[str] | None = None, build: Callable[[RunConfig], SteppedPlant] = build_plant) -> int:
     """Run the node; returns the exit code."""
 
     def body(context: NodeContext) -> int:
@@ -103,13 +103,13 @@ class PlantLoop:
     ----------
     context : NodeContext
         The node.
-    plant : Plant
+    plant : SteppedPlant
         The simulated telescope.
     first_command : ndarray, shape (8,), optional
         Command that the first tick applies [rad, N]; default: zero.
     """
 
-    def __init__(self, context: NodeContext, plant: Plant, first_command: FloatArray | None = None) -> None:
+    def __init__(self, context: NodeContext, plant: SteppedPlant, first_command: FloatArray | None = None) -> None:
         self.context = context
         self.plant = plant
         self._first_command = first_command

@@ -15,9 +15,9 @@ from los_testbed.cli.output import number, print_json
 from los_testbed.run.summary.screen import Screen, numbers
 
 if TYPE_CHECKING:
-    from los_testbed.run.summary.worst_budget import Loader, Overlay, WorstTotal
-    from pointing_analysis.budget.file import Budget
-    from pointing_analysis.budget.total import BudgetVerdict
+    from los_testbed.run.summary.worst_pointing_budget import Loader, Overlay, WorstTotal
+    from pointing_analysis.budget.file import PointingBudget
+    from pointing_analysis.budget.total import PointingBudgetVerdict
 
 BUDGET_EXAMPLES = """Evaluate a pointing budget: contributions, total and margin for each requirement.
 
@@ -39,9 +39,9 @@ requirements of the reference telescope.
 ROWS = 12
 
 
-def _shown(v: BudgetVerdict) -> Table:
+def _shown(v: PointingBudgetVerdict) -> Table:
     """Contributions, total and margin of a requirement for the screen."""
-    from pointing_analysis.report.budget_page import digits, vector
+    from pointing_analysis.report.pointing_budget_page import digits, vector
 
     heads = (Column("source", overflow="fold"), *numbers("sigma", "alone", "share"))
     table = Table(*heads, title=f"{v.requirement}", title_justify="left")
@@ -75,14 +75,14 @@ def budget(
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
-    from los_testbed.run.summary.budget_sources import testbed_requirements, testbed_sources, with_designs
-    from los_testbed.run.summary.worst_budget import members_of
+    from los_testbed.run.summary.pointing_budget_sources import testbed_requirements, testbed_sources, with_designs
+    from los_testbed.run.summary.worst_pointing_budget import members_of
     from pointing_analysis.budget.result_table import result_rows
     from pointing_analysis.budget.source_table import COLUMNS, source_rows
     from pointing_analysis.budget.table_files import require_writable, write_rows
     from pointing_analysis.budget.total import as_dict, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
-    from pointing_analysis.report.budget_page import render_budget
+    from pointing_analysis.report.pointing_budget_page import render_budget
 
     number("--members", members, 0, 100_000)
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
@@ -94,7 +94,7 @@ def budget(
     def of_designs(table: Mapping[str, Any]) -> Mapping[str, Any]:
         return with_designs(table, designs) if designs else table
 
-    def load(overlay: Overlay) -> Budget:
+    def load(overlay: Overlay) -> PointingBudget:
         return budget_file.load_budget(
             file or shipped,
             lambda path, table, unit: testbed_sources(path, overlay(of_designs(table)), unit),
@@ -129,10 +129,10 @@ def budget(
         print_json({**as_dict(found, verdicts), **over})
 
 
-def _print(console: Screen, found: Budget, verdicts: Sequence[BudgetVerdict]) -> None:
+def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> None:
     """Requirements and totals of a budget for the screen."""
     from pointing_analysis.budget.total import axis_total
-    from pointing_analysis.report.budget_page import vector
+    from pointing_analysis.report.pointing_budget_page import vector
 
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
@@ -145,12 +145,12 @@ def _print(console: Screen, found: Budget, verdicts: Sequence[BudgetVerdict]) ->
 
 
 def _over_members(
-    console: Screen, load: Loader, verdicts: Sequence[BudgetVerdict], members: Mapping[str, Mapping[str, Any]]
+    console: Screen, load: Loader, verdicts: Sequence[PointingBudgetVerdict], members: Mapping[str, Mapping[str, Any]]
 ) -> tuple[WorstTotal, ...]:
     """Totals over members of the family, shown beside those at the point of the budget."""
     from lftkit.support.progress import Progress
-    from los_testbed.run.summary.worst_budget import worst_totals
-    from pointing_analysis.report.budget_page import digits
+    from los_testbed.run.summary.worst_pointing_budget import worst_totals
+    from pointing_analysis.report.pointing_budget_page import digits
 
     with Progress("members") as bar:
         found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))

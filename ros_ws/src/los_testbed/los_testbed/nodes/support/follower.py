@@ -14,7 +14,7 @@ from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, StampSynchronizer
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_clock import PlantClock
-from los_testbed.nodes.support.transport.bundle import Bundle
+from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
 from los_testbed.topics import TopicDefinition
 
@@ -29,7 +29,7 @@ SERVICE_NS, REPORT_NS = 200_000_000, 1_000_000_000
 """Time between answers to requests, and between reports, of a node."""
 
 
-class Law(Protocol):
+class NodeLaw(Protocol):
     """Observer or controller in its node."""
 
     context: NodeContext
@@ -53,10 +53,10 @@ class LawLoop:
 
     Parameters
     ----------
-    law : Law
+    law : NodeLaw
     """
 
-    def __init__(self, law: Law) -> None:
+    def __init__(self, law: NodeLaw) -> None:
         self.law = law
         self.context = law.context
         self.ticks = 0
@@ -175,19 +175,19 @@ class Follower:
 
     Parameters
     ----------
-    inputs : sequence of TopicDefinition or Bundle
+    inputs : sequence of TopicDefinition or TickBundle
         In the order of the synchronizer's parts; the last one is published last and wakes the loop.
     synchronizer : StampSynchronizer
         Joins them by stamp.
-    laws : sequence of Law
+    laws : sequence of NodeLaw
         In the order in which they are stepped; what the last one sends is sent first.
     """
 
     def __init__(
         self,
-        inputs: Sequence[TopicDefinition | Bundle],
+        inputs: Sequence[TopicDefinition | TickBundle],
         synchronizer: StampSynchronizer,
-        laws: Sequence[Law],
+        laws: Sequence[NodeLaw],
     ) -> None:
         self._laws = [LawLoop(law) for law in laws]
         self._context = laws[0].context

@@ -61,7 +61,7 @@ REPORT_S = 5.0
 """Time that the recorder gets for the last report of a node [s]; a recorder that was killed costs all of it."""
 
 
-class NodeProcess:
+class ProcessContext:
     """What the nodes of a process share: rclpy, the signals that end them, the runner that listens.
 
     Parameters
@@ -114,7 +114,7 @@ class NodeContext:
 
     def __init__(self, name: str, arguments: Sequence[str] = (), beside: NodeContext | None = None) -> None:
         self.name = name
-        self.process: NodeProcess = NodeProcess(name, arguments) if beside is None else beside.process
+        self.process: ProcessContext = ProcessContext(name, arguments) if beside is None else beside.process
         self._first = beside is None
         self._next_alive = 0.0
         managed = name in MANAGED

@@ -14,7 +14,7 @@ from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.source_watch import SourceWatch
-from los_testbed.nodes.support.transport.bundle import Bundle, command_bundle, measurement_bundle
+from los_testbed.nodes.support.transport.bundle import TickBundle, command_bundle, measurement_bundle
 from los_testbed.nodes.support.transport.raw_topics import (
     LOCKSTEP_DEPTH,
     READER_DEPTH,
@@ -157,7 +157,7 @@ class PlantIo:
         self._read = [(t, bundled[t.name]) for t, _, _, _ in self._further if t.name in bundled]
         every = config.mode == "lockstep"  # time stands still until a lost command was sent again
 
-        def subscribe(topic: TopicDefinition | Bundle) -> RawSubscription:
+        def subscribe(topic: TopicDefinition | TickBundle) -> RawSubscription:
             depth = LOCKSTEP_DEPTH if every else READER_DEPTH
             return RawSubscription(node, topic.name, topic.type_name, depth, every, topic.publisher)
 

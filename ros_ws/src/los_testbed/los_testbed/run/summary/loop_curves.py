@@ -22,7 +22,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report.loop_figures import LoopCurves
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES
 from titop_plant.simulation.plant_config import parameter_values
-from titop_plant.telescope.budget import MAX_SENSITIVITY
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 
 
 def loop_curves(runs: Sequence[Recording]) -> list[tuple[LoopCurves, ...]]:

@@ -3,8 +3,8 @@
 For each index the run with the disturbance alone gives the measured amplitude of the tone, the model gives gamma times
 the limit, and the run with noise as well gives the noise and the quantile of its windows. What the limits of the RPE
 are compared with is the level that 99.7 % of the windows keep beside the tone and the noise
-(:func:`titop_plant.telescope.budget.combined_level`), from the tone and the noise of the record: the quantile of its
-windows has the scatter of the few that are largest.
+(:func:`titop_plant.telescope.error_budget.combined_level`), from the tone and the noise of the record: the quantile of
+its windows has the scatter of the few that are largest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, exposure_of_run
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT
-from titop_plant.telescope.budget import combined_level
+from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.weights import rpe_weight
 
 WORST_INDICES = ("APE", "slow", "fast")

@@ -21,7 +21,7 @@ FRAME = "loop"
 
 
 @dataclass(frozen=True)
-class Bundle:
+class TickBundle:
     """What one message of a tick holds.
 
     Parameters
@@ -67,7 +67,7 @@ class Bundle:
         return Codec(self.type_name, self.size, FRAME, self.names)
 
 
-def measurement_bundle(parts: RunParts) -> Bundle:
+def measurement_bundle(parts: RunParts) -> TickBundle:
     """The message of the plant: the measurement, readings of further sensors that a controller takes in, ages."""
     read = {port.name for devices in parts.used.values() for port in devices.inputs}
     topics: list[TopicDefinition] = list(SENSORS)
@@ -77,11 +77,11 @@ def measurement_bundle(parts: RunParts) -> Bundle:
             topics.append(shifted(topic, end - topic.columns.start))
             end += topic.size
     slow = [topic.name for topic in topics if topic.framed and topic.every(parts.config.frame_ticks) > 1]
-    return Bundle(BUNDLES["plant"], "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
+    return TickBundle(BUNDLES["plant"], "plant", tuple(topics), {name: end + i for i, name in enumerate(slow)})
 
 
-def command_bundle(parts: RunParts) -> Bundle:
+def command_bundle(parts: RunParts) -> TickBundle:
     """The message of the controller: the command, forces of further actuators behind it."""
     topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].actuators))
 
-    return Bundle(BUNDLES["controller"], "controller", tuple(topics), {})
+    return TickBundle(BUNDLES["controller"], "controller", tuple(topics), {})

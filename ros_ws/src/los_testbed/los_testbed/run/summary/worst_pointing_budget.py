@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from los_testbed.variants import MEMBER, layered, random_member, worst_member
-from pointing_analysis.budget.file import Budget
+from pointing_analysis.budget.file import PointingBudget
 from pointing_analysis.budget.result_table import name_of
-from pointing_analysis.budget.total import BudgetVerdict, evaluate
+from pointing_analysis.budget.total import PointingBudgetVerdict, evaluate
 
 Overlay = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """From a table of type ``testbed`` to that of a member."""
 
-Loader = Callable[[Overlay], Budget]
+Loader = Callable[[Overlay], PointingBudget]
 """Makes a budget with its tables of type ``testbed`` changed."""
 
 WORST = ("APE", "slow", "fast")
@@ -31,9 +31,9 @@ class WorstTotal:
 
     Parameters
     ----------
-    at : BudgetVerdict
+    at : PointingBudgetVerdict
         At the point that the budget names.
-    worst : BudgetVerdict
+    worst : PointingBudgetVerdict
         With the largest total.
     member : str
         Its name.
@@ -43,8 +43,8 @@ class WorstTotal:
         Number of members.
     """
 
-    at: BudgetVerdict
-    worst: BudgetVerdict
+    at: PointingBudgetVerdict
+    worst: PointingBudgetVerdict
     member: str
     settings: Mapping[str, Any]
     count: int
@@ -83,7 +83,7 @@ def of_member(table: Mapping[str, Any], member: Mapping[str, Any]) -> dict[str, 
 
 def worst_totals(
     load: Loader,
-    at: Sequence[BudgetVerdict],
+    at: Sequence[PointingBudgetVerdict],
     members: Mapping[str, Mapping[str, Any]],
     tick: Callable[[int], None] = lambda done: None,
 ) -> tuple[WorstTotal, ...]:
@@ -93,14 +93,14 @@ def worst_totals(
     ----------
     load : callable
         Makes the budget with its tables of type ``testbed`` changed.
-    at : sequence of BudgetVerdict
+    at : sequence of PointingBudgetVerdict
         At the point of the budget.
     members : mapping
         Name to settings.
     tick : callable
         Called with the number of members that are done.
     """
-    found: list[tuple[str, tuple[BudgetVerdict, ...]]] = []
+    found: list[tuple[str, tuple[PointingBudgetVerdict, ...]]] = []
     for done, (name, member) in enumerate(members.items(), start=1):
         found.append((name, evaluate(load(lambda table, member=member: of_member(table, member)))))  # type: ignore[misc]
         tick(done)

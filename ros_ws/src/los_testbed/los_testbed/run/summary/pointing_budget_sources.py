@@ -23,7 +23,7 @@ from los_testbed.factories import RunParts
 from los_testbed.loop.source_alone import errors_of_source
 from los_testbed.variants import MEMBER, of_designs
 from pointing_analysis.budget import sources as kinds
-from pointing_analysis.budget.sources import Source
+from pointing_analysis.budget.sources import ErrorSource
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES, STAGES
 from titop_plant.sensor_table import MEASURED_SENSORS
@@ -38,7 +38,7 @@ SETTINGS = {
 }
 
 
-def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float) -> list[Source]:
+def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float) -> list[ErrorSource]:
     """Sources of a table of type ``testbed``.
 
     Parameters
@@ -101,7 +101,7 @@ def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:
     return tuple(r for r in RunParts(config).requirements if not r.loops or config.loop in r.loops)
 
 
-def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]:
+def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[ErrorSource]:
     """One source for each tone; tones of one frequency on several channels are one."""
     with one_thread():
         phasors = model.settled() / unit
@@ -111,7 +111,7 @@ def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[Source]
     ]
 
 
-def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Source]:
+def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[ErrorSource]:
     """One source for each file or table of disturbances: a run of the loop under it alone, start-up left out."""
     return [
         kinds.measured((*path, source.name), errors_of_source(parts, i, parts.config.ticks) / unit, DT)
@@ -119,7 +119,7 @@ def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Sourc
     ]
 
 
-def _noise(path: tuple[str, ...], loop: SampledLoop, telescope: Telescope, unit: float) -> list[Source]:
+def _noise(path: tuple[str, ...], loop: SampledLoop, telescope: Telescope, unit: float) -> list[ErrorSource]:
     sigma = telescope.noise_of_samples
     found = []
     for name in GROUPS:

@@ -11,11 +11,11 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from pointing_analysis.budget.file import Budget
-from pointing_analysis.budget.total import BudgetVerdict, axis_total
+from pointing_analysis.budget.file import PointingBudget
+from pointing_analysis.budget.total import PointingBudgetVerdict, axis_total
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, legend_above, picture
 
-TEMPLATE = Path(__file__).with_name("budget.html.j2")
+TEMPLATE = Path(__file__).with_name("pointing_budget.html.j2")
 BARS = 10
 """Largest sources that have a bar of their own."""
 ROWS = 12
@@ -34,7 +34,7 @@ def vector(values: Sequence[float]) -> str:
     return ", ".join(digits(float(x)) for x in values)
 
 
-def contributions(verdict: BudgetVerdict, unit: str) -> Picture:
+def contributions(verdict: PointingBudgetVerdict, unit: str) -> Picture:
     """Level of each source alone at the required probability, the largest first, with the total and the limit.
 
     The axis is logarithmic, so that a source of a hundredth of the largest one still has a bar.
@@ -72,7 +72,7 @@ def contributions(verdict: BudgetVerdict, unit: str) -> Picture:
     return picture("contributions", "Contributions", text, 1.4 + 0.24 * len(names), draw)
 
 
-def render_budget(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> str:
+def render_budget(budget: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> str:
     """The page as HTML text; the same budget gives the same text."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     totals = []
@@ -94,7 +94,7 @@ def render_budget(budget: Budget, verdicts: Sequence[BudgetVerdict]) -> str:
     )
 
 
-def _section(v: BudgetVerdict, unit: str) -> dict[str, Any]:
+def _section(v: PointingBudgetVerdict, unit: str) -> dict[str, Any]:
     chart = contributions(v, unit)
     numbers = {key: digits(getattr(v, key)) for key in ("total", "limit", "margin", "level", "uncertainty", "rss")}
     return {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from titop_plant.telescope.budget import (
+from titop_plant.telescope.error_budget import (
     ABSOLUTE_ON_AXIS,
     APE_NOISE,
     APE_TONE,

@@ -10,13 +10,13 @@ import pytest
 
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop.noise import NoiseBound
+from los_design.verification.combined_bounds import error_sums, fast_pieces
 from los_design.verification.error_sum import parts_of_band, required_probabilities
-from los_design.verification.error_sums import error_sums, fast_pieces
 from los_design.verification.figure_texts import bound_text, margin_text
 from los_design.verification.statements import SHIPPED, statement_of
 from los_design.verification.subject import Subject
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.budget import combined_level
+from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 

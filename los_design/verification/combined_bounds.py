@@ -1,17 +1,18 @@
 """What proven bounds of tones and of noise make together, in the form of the budgets.
 
-A tone of amplitude a along one axis and noise of r rms keep :func:`titop_plant.telescope.budget.combined_level` in the
-part of windows or instants that the requirement behind the stage's limit asks for; it grows with both, so that bounds
-of them give a bound. The part of the noise that can be on the axis of the tone is proven with the noise. A fast tone
-counts with the least angle that it turns in a window: that of the lower end of the part of the band that its bound is
-of.
+A tone of amplitude a along one axis and noise of r rms keep
+:func:`titop_plant.telescope.error_budget.combined_level` in the part of windows or instants that the requirement behind
+the stage's limit asks for; it grows with both, so that bounds of them give a bound. The part of the noise that can be
+on the axis of the tone is proven with the noise. A fast tone counts with the least angle that it turns in a window:
+that of the lower end of the part of the band that its bound is of.
 
 Two things hold only for a required part of :data:`LEAST_PART` or more: a tone along one axis is worse than one whose
 line of sight goes round an ellipse, and more noise is worse than less. For a smaller part the level that this part
 keeps is the bound.
 
 Slow and fast tones at once, with norm s and f, ``s^2 + f^2 = 1``, have amplitudes below ``s a_slow`` and ``f a_fast``,
-and random phases (:func:`titop_plant.telescope.budget.two_tone_level`). The largest level over the shares is the sum.
+and random phases (:func:`titop_plant.telescope.error_budget.two_tone_level`). The largest level over the shares is the
+sum.
 
 Each of the 22 channels of the reference at its own weight has norm sqrt(22) in all, and bounds grow by that factor at
 most.
@@ -29,7 +30,7 @@ from lftkit.proofs.sampled_loop.noise import NoiseBound
 from los_design.verification.error_sum import FAST, WITH_NOISE, ErrorSum, parts_of_band, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
-from titop_plant.telescope.budget import combined_level, two_tone_level
+from titop_plant.telescope.error_budget import combined_level, two_tone_level
 from titop_plant.telescope.telescope import Telescope
 
 LEAST_PART = 0.9
