@@ -64,6 +64,11 @@ def rig(request):
     made.close()
 
 
+def patient(config):
+    """The configuration with seconds of patience: on a busy machine the rig's process stands still for a while."""
+    return replace(config, hold_ticks=1000, fade_ticks=1000)
+
+
 def fly(supervisor, ticks, angle=1e-4):
     """Ticks of a loop that drives the mirror to an angle; how many were complete, and the last frames."""
     command, complete, frames = np.zeros(COMMANDS), 0, []
@@ -78,7 +83,7 @@ def fly(supervisor, ticks, angle=1e-4):
 
 @pytest.mark.parametrize("rig", [("--loss=0.02", "--reorder=0.02", "--watchdog=5000")], indirect=True)
 def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig):
-    supervisor = Supervisor(UdpRig(), rig.config)
+    supervisor = Supervisor(UdpRig(), patient(rig.config))
     supervisor.open()
     complete, frames = fly(supervisor, 700)
     assert supervisor.state == ACTIVE and complete > 100
@@ -96,7 +101,7 @@ def test_a_rig_flies_with_lost_and_reordered_packets_and_its_clock_is_known(rig)
 @pytest.mark.parametrize("rig", [("--serial=pty", "--loss=0.02", "--watchdog=5000")], indirect=True)
 def test_a_rig_flies_over_a_serial_line_with_bytes_of_others_on_it(rig):
     driver = SerialRig()
-    supervisor = Supervisor(driver, rig.config)
+    supervisor = Supervisor(driver, patient(rig.config))
     supervisor.open()
     complete, _ = fly(supervisor, 200)
     with open(rig.config.device_address, "wb", buffering=0) as noise:
