@@ -28,6 +28,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from los_loop.spec import DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
+from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR_STAGES, STAGES
 from titop_plant.telescope.error_budget import (
     BAND_EDGE,
     MAX_SENSITIVITY,
@@ -36,9 +38,6 @@ from titop_plant.telescope.error_budget import (
     ErrorBudget,
     error_budget,
 )
-
-from los_loop.spec import DISTURBANCE, INPUTS, LINE_OF_SIGHT, OUTPUTS
-from titop_plant.interface import COMMANDED, FORCE_STAGES, MEASURED, MIRROR_STAGES, STAGES
 from titop_plant.telescope.telescope import Telescope
 
 Limit = Callable[[Telescope, str], float]

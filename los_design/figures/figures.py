@@ -12,7 +12,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 
 from lftkit import SampledSystem, System
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
@@ -32,6 +31,7 @@ from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import LOOP_DELAY, MIRROR
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
-from titop_plant.telescope.error_budget import BAND_EDGE
 
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
+from titop_plant.telescope.error_budget import BAND_EDGE
 
 Pair = tuple[float, FloatArray]
 """Frequency [rad/s] and point of the unit cube."""

@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import numpy as np
-from titop_plant.telescope.error_budget import BAND_EDGE
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit.arrays import ComplexArray, FloatArray
@@ -47,6 +46,7 @@ from titop_plant.interface import (
     PLATFORM,
     sample_ticks,
 )
+from titop_plant.telescope.error_budget import BAND_EDGE
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 

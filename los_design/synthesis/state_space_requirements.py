@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from types import ModuleType
 
 import numpy as np
-from titop_plant.telescope.error_budget import band_error_weight
 
 import fsm_pma_controller.problem
 import los_estimator.problem
@@ -18,6 +17,7 @@ from lftkit.tuning import H2Gain, HinfGain, Requirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
+from titop_plant.telescope.error_budget import band_error_weight
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
 

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
 
 from fsm_pma_controller.problem import actuator_plant
 from lftkit import SampledSystem, System
@@ -29,6 +28,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
+from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
 from titop_plant.telescope.requirements import instant_probability, window_probability
 from titop_plant.telescope.telescope import Telescope
 

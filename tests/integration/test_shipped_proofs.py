@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_design.verification.combined_bounds import error_sums
 from support.stored_proofs import (
     FOLDER,
     SUFFIX,
@@ -23,7 +22,6 @@ from support.stored_proofs import (
     whole,
     write_shipped_bundle,
 )
-from titop_plant.telescope.error_budget import BAND_EDGE
 
 from lftkit.analysis.eigenvectors import modal
 from lftkit.proofs.sampled_loop import check_loop_proof
@@ -34,6 +32,7 @@ from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
 from los_design.verification.bundle import ProofBundle, as_mapping, check_bundle, figures_proven, member_of, open_bundle
 from los_design.verification.certify import nominal_stable
+from los_design.verification.combined_bounds import error_sums
 from los_design.verification.error_sum import PARTS, ErrorSum
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
@@ -41,6 +40,7 @@ from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.error_budget import BAND_EDGE
 from titop_plant.telescope.load import load_telescope
 
 ROOT = Path(__file__).parents[2]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources
-from titop_plant.telescope.error_budget import error_budget
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import SampledSystem, state_space
@@ -46,6 +45,7 @@ from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.error_budget import error_budget
 from titop_plant.telescope.load import load_telescope
 
 GUIDE, STAGE, TICKS, SHARE = COLUMNS.get("guide_los", slice(0, 0)), "fsm+pma", 450, 0.4

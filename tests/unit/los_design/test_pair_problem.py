@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
 
 from lftkit.tuning.responses import ResponseProblem, parameters_of
 from los_design.synthesis.pair_problem import (
@@ -27,6 +26,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ import pytest
 from los_testbed.cli.app import main
 from scipy import integrate, linalg
 from small_loop import small_controllers, small_family, small_plant
-from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level
 
 from lftkit import SampledSystem, System
 from los_design.search.worst_points import load_worst_points
@@ -36,6 +35,7 @@ from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant
 from titop_plant.simulation.disturbances import rpe_weight, weight_amplitudes
+from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level
 from titop_plant.telescope.load import load_telescope
 
 PAPER = Path(__file__).parents[3] / "examples" / "paper"

@@ -13,7 +13,6 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
-from titop_plant.telescope.error_budget import combined_level
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants
@@ -23,6 +22,7 @@ from los_loop.member_metrics import MemberMetrics, metric_names
 from los_loop.sampled_loop_norms import sampled_loop_metrics, weighted_gains
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import FRAME_TICKS
+from titop_plant.telescope.error_budget import combined_level
 
 BASE = RunConfig(mode="inprocess")
 DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")

@@ -9,7 +9,6 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.run.summary.loop_curves import loop_curves
-from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 
 from los_design.synthesis.store import load_designs
 from los_loop.implemented_loop import ImplementedLoop
@@ -21,6 +20,7 @@ from pointing_analysis.report.loop_figures import nyquist, sensitivity
 from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
 from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
 
 

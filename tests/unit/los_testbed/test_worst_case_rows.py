@@ -6,9 +6,9 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.run.summary.worst_case_rows import level, limits_kept
-from titop_plant.telescope.error_budget import combined_level
 
 from pointing_analysis.spectra.tone_budget import ToneBudget
+from titop_plant.telescope.error_budget import combined_level
 
 OMEGA = 3.0
 REQUIREMENTS = RunParts(RunConfig()).requirements

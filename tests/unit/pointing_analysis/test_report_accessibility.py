@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pointing_analysis.report.pointing_budget_page import render_budget
 from support import axe, headless_browser
 
 from pointing_analysis.budget.file import load_budget
 from pointing_analysis.budget.total import evaluate
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.pointing_budget_page import render_budget
 from pointing_analysis.report.report import write_report
 
 ROOT = Path(__file__).parents[3]

@@ -74,8 +74,6 @@ def budget(
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
-    from pointing_analysis.report.pointing_budget_page import render_budget
-
     import pointing_analysis.budget.file as budget_file
     from los_testbed.run.summary.pointing_budget_sources import testbed_requirements, testbed_sources, with_designs
     from los_testbed.run.summary.worst_pointing_budget import members_of
@@ -84,6 +82,7 @@ def budget(
     from pointing_analysis.budget.table_files import require_writable, write_rows
     from pointing_analysis.budget.total import as_dict, evaluate
     from pointing_analysis.files.atomic_output import check_output, write_text
+    from pointing_analysis.report.pointing_budget_page import render_budget
 
     number("--members", members, 0, 100_000)
     shipped = Path(budget_file.__file__).with_name("budget_testbed.toml")
@@ -132,9 +131,8 @@ def budget(
 
 def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> None:
     """Requirements and totals of a budget for the screen."""
-    from pointing_analysis.report.pointing_budget_page import vector
-
     from pointing_analysis.budget.total import axis_total
+    from pointing_analysis.report.pointing_budget_page import vector
 
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
@@ -150,10 +148,9 @@ def _over_members(
     console: Screen, load: Loader, verdicts: Sequence[PointingBudgetVerdict], members: Mapping[str, Mapping[str, Any]]
 ) -> tuple[WorstTotal, ...]:
     """Totals over members of the family, shown beside those at the point of the budget."""
-    from pointing_analysis.report.pointing_budget_page import digits
-
     from lftkit.support.progress import Progress
     from los_testbed.run.summary.worst_pointing_budget import worst_totals
+    from pointing_analysis.report.pointing_budget_page import digits
 
     with Progress("members") as bar:
         found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from titop_plant.telescope.error_budget import MAX_SENSITIVITY
-
 from lftkit.support.threads import one_thread
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.nyquist import broken_loops
@@ -24,6 +22,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report.loop_figures import LoopCurves
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES
 from titop_plant.simulation.plant_config import parameter_values
+from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 
 
 def loop_curves(runs: Sequence[Recording]) -> list[tuple[LoopCurves, ...]]:
