@@ -55,6 +55,6 @@ __getattr__ = names_on_demand(
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("ProvenBounds",),
         "trusted.proof": ("ProofError",),
-        "verdict": ("CheckedProof",),
+        "checked_proof": ("CheckedProof",),
     },
 )

@@ -47,6 +47,7 @@ from titop_plant.interface import (
     PLATFORM,
     sample_ticks,
 )
+from titop_plant.telescope.error_budget import BAND_EDGE
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 

@@ -50,6 +50,9 @@ POSITIVE = {
 }
 """Keys whose numbers must be above zero, in whatever table they stand."""
 
+ANY_SIGN = ("pma.height",)
+"""By full name those that are positions: a section's height is above zero, that of the actuators is over a point."""
+
 NOT_NEGATIVE = {
     "damping",
     "gearbox_stiffness",
@@ -208,7 +211,7 @@ class ParameterFile:
             raise self.error(name, f"must be a number, got {value!r}")
         if whole and not isinstance(value, int):
             raise self.error(name, f"must be a whole number, got {value!r}")
-        if key in POSITIVE and not value > 0:
+        if key in POSITIVE and name not in ANY_SIGN and not value > 0:
             raise self.error(name, f"must be positive, got {value!r}")
         if key in NOT_NEGATIVE and not value >= 0:
             raise self.error(name, f"must not be negative, got {value!r}")

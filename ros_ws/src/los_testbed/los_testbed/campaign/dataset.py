@@ -162,7 +162,7 @@ class Campaign:
             "seed": self.seed,
             "points_hash": self.points_hash,
             "identity": dict(self.identity),
-            "run": {name: v for name, v in self.base.to_plain().items() if name not in ("output", "domain")},
+            "run": _settings(self.base),
         }
 
 
@@ -217,12 +217,16 @@ class ResultFolder:
     def compare(self, campaign: Campaign) -> None:
         """Refuse another campaign than the one that the folder holds.
 
+        Settings that an older version did not have count as what they are by default.
+
         Raises
         ------
         ValueError
             Another campaign, or none.
         """
         present = read_manifest(self.path)
+        with contextlib.suppress(ValueError, KeyError):  # settings that are none of today's are compared as they are
+            present["run"] = _settings(RunConfig.from_mapping(present["run"]))
         for key, value in campaign.manifest().items():
             if (there := present.get(key)) == value:
                 continue
@@ -330,6 +334,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path / MANIFEST} must be an object, got {type(content).__name__}")
     return content
+
+
+def _settings(config: RunConfig) -> dict[str, Any]:
+    """Those of each member, as the folder holds them."""
+    return {name: value for name, value in config.to_plain().items() if name not in ("output", "domain")}
 
 
 def _complete(part: Path, members: Sequence[Mapping[str, Any]], metrics: frozenset[str]) -> bool:
