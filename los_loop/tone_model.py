@@ -32,7 +32,6 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
-from los_loop.spec import Placed
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
@@ -46,6 +45,7 @@ from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step
 from titop_plant.telescope.devices import PlacedActuator
+from titop_plant.telescope.loop_ports import LoopActuator, LoopPorts
 
 
 @dataclass(frozen=True)
@@ -153,10 +153,12 @@ class ToneModel:
             held = held_forces(family, physical, actuators, DT)
             moved = plant.form.excited(held[: plant.order])
             step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
-        sensors = family.telescope.placed_sensors if len(plant.observed) > MEASUREMENTS + TRUTH else ()
-        placed = Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators))
+        every = family.telescope.loop_ports
+        known = every if len(plant.observed) > MEASUREMENTS + TRUTH else every.reference
+        further = (LoopActuator(one.port, one.authority) for one in actuators)
+        ports = LoopPorts(known.sensors, (*every.reference.actuators, *further))
         sensitivity = family.telescope.fsm.los_sensitivity
-        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, placed)
+        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, ports)
         ticks = frame_ticks(physical.camera_rate)
         closed = sampled_loop(plant, laws, frame_ticks=ticks, step=step, delays=delays)
         limits = family.limits
