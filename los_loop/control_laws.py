@@ -29,7 +29,7 @@ from titop_plant.interface import (
     DesignBasis,
     sample_ticks,
 )
-from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class ControlLaws:
     k_pma: SampledSystem
     stage: str
     los_sensitivity: float | None = None
-    ports: LoopPorts = field(default_factory=LoopPorts)
+    ports: LoopPorts = REFERENCE_PORTS
     laws: tuple[Law, Law] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

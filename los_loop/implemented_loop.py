@@ -33,7 +33,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.spec import DISTURBANCE, LOS_ROWS
-from titop_plant.telescope.loop_ports import LoopPorts
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -77,19 +77,18 @@ def loop_metrics(
     telescope: Telescope,
     stage: str,
     within: tuple[float, float] = (LOWEST, HIGHEST),
-    ports: LoopPorts | None = None,
+    ports: LoopPorts = REFERENCE_PORTS,
     rows: Sequence[FigureOfMerit] | None = None,
 ) -> dict[str, LoopMetric]:
     """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s].
 
     `ports` are those of the loop, default: the reference's.
     """
-    known = telescope.loop_ports.reference if ports is None else ports
     return {
         row.name: LoopMetric(
             row.name,
-            known.rows_of(row.output),
-            known.columns_of(row.inputs[0]),
+            ports.rows_of(row.output),
+            ports.columns_of(row.inputs[0]),
             float(row.limit(telescope, stage)),
             row.within(*within),
             row.relative,

@@ -184,6 +184,51 @@ class LoopPorts:
         commanded = tuple(row for row in self.further_actuators if row.name in names)
         return replace(self, actuators=(*self.reference.actuators, *commanded))
 
+    def named(self, sensors: Sequence[str] = (), actuators: Sequence[str] = ()) -> LoopPorts:
+        """The rows of the reference, then further rows of these names, in their order.
+
+        Raises
+        ------
+        ValueError
+            A name that no further row has, or one twice.
+        """
+        known = {row.name: row for row in self.further_sensors}
+        driven = {row.name: row for row in self.further_actuators}
+        for what, names, rows in (("sensors", sensors, [*known]), ("actuators", actuators, [*driven])):
+            if isinstance(names, str) or len(set(names)) < len(names) or set(names) - set(rows):
+                listed = ", ".join(rows) or "none, which is what the telescope's file has"
+                raise ValueError(f"{what} must be different names of {listed}, got {names!r}")
+        chosen, commanded = (known[name] for name in sensors), (driven[name] for name in actuators)
+        first = self.reference
+        return LoopPorts((*first.sensors, *chosen), (*first.actuators, *commanded))
+
+    def among(self, inputs: Iterable[Port], outputs: Iterable[Port]) -> LoopPorts:
+        """The rows of the reference, then those that ports of a controller name.
+
+        Sensors are in the order of the rows, actuators in that of the ports.
+        """
+        commanded = _named(outputs, self.further_commanded)
+        return self.named(
+            [port.name for port in _named(self.further_measured, inputs)], [port.name for port in commanded]
+        )
+
+    def idle(self, used: Sequence[str] = ()) -> str:
+        """One line on further sensors and actuators that are not `used`, by their names; empty where all are.
+
+        Examples
+        --------
+        >>> LoopPorts().idle()
+        ''
+        """
+        groups = (("sensor", self.further_measured), ("actuator", self.further_commanded))
+        left = [(what, [port.name for port in group if port.name not in used]) for what, group in groups]
+        named = " and ".join(f"{what} {', '.join(names)}" for what, names in left if names)
+        return f"controllers and predictions do not use {named} of the telescope's file" if named else ""
+
+    def unscaled(self) -> LoopPorts:
+        """The same rows with commands in their units [rad], [N]: a scale of 1."""
+        return replace(self, actuators=tuple(replace(row, scale=1.0) for row in self.actuators))
+
     # ---- columns ----------------------------------------------------------------------------------------------------
 
     def seen_by(self, controller: WithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
@@ -201,6 +246,13 @@ class LoopPorts:
     def command_columns(self, ports: Iterable[Port]) -> slice | IntArray:
         """Columns of some of the ports in the command; neighbours as a slice."""
         return _columns(self.commanded, ports, "commanded")
+
+    def readings_of(self, used: LoopPorts) -> IntArray:
+        """Columns of the further sensors of other rows among the readings, in the order of those rows.
+
+        The readings of a plant are the values of all further sensors of its telescope.
+        """
+        return port_indices(self.further_measured, [port.name for port in used.further_measured], "sensor")
 
     @property
     def forces(self) -> slice:
@@ -239,8 +291,12 @@ class LoopPorts:
         return slice(part.start, self.commands) if port == COMMANDED[-1] else part
 
 
+REFERENCE_PORTS = LoopPorts()
+"""Rows of the reference of which no values of a telescope are known."""
+
+
 def _named(ports: Iterable[Port], given: Iterable[Port]) -> list[Port]:
-    """Those of the ports whose names are among the given ones."""
+    """Those of the ports whose names are among those of the given ones."""
     names = {port.name for port in given}
     return [port for port in ports if port.name in names]
 
@@ -252,4 +308,12 @@ def _columns(known: Sequence[Port], ports: Iterable[Port], kind: str) -> slice |
     return found
 
 
-__all__ = ["DISTURBANCE", "LINE_OF_SIGHT", "LoopActuator", "LoopPorts", "WithPorts", "reference_actuators"]
+__all__ = [
+    "DISTURBANCE",
+    "LINE_OF_SIGHT",
+    "REFERENCE_PORTS",
+    "LoopActuator",
+    "LoopPorts",
+    "WithPorts",
+    "reference_actuators",
+]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -113,3 +114,51 @@ def test_a_controller_sees_what_it_names_in_the_order_of_the_rows(own: LoopPorts
     assert [port.name for port in own.driven_by(given, COMMAND_PORTS[1:])] == ["pma_force", "damper"]
     with pytest.raises(ValueError, match=r"measured port must be one of accel_Ip, .*, at_root, got 'shaker'"):
         own.measured_columns([Port("shaker", 1)])
+
+
+def test_readings_of_a_controller_are_those_that_it_names_in_its_order(own: LoopPorts) -> None:
+    readings = np.arange(own.measurements - 22)
+    for names in ((), ("at_root",), ("on_m1",), ("at_root", "on_m1")):
+        used = own.named(names)
+        assert used.reference == own.reference and [row.name for row in used.further_sensors] == [*names]
+        behind = own.measured_columns(used.further_measured)
+        assert (22 + readings[own.readings_of(used)]).tolist() == columns(behind)
+
+
+def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPorts) -> None:
+    """Actuators are in the order of its own outputs: they are behind the eight values of its command."""
+    given = law("damper", "at_root", "shaker", "pma_force", "on_m1")
+    found = own.among(given.inputs, given.outputs)
+    assert [port.name for port in found.further] == ["on_m1", "at_root", "damper", "shaker"]
+    assert found.commands == own.commands and not own.among((), ()).further
+
+
+@pytest.mark.parametrize(
+    ("sensors", "actuators", "message"),
+    [
+        (("on_m2",), (), "sensors must be different names of on_m1, at_root, got ('on_m2',)"),
+        (("on_m1", "on_m1"), (), "sensors must be different names of on_m1, at_root, got ('on_m1', 'on_m1')"),
+        ("on_m1", (), "sensors must be different names of on_m1, at_root, got 'on_m1'"),
+        ((), ("pma_force",), "actuators must be different names of shaker, damper, got ('pma_force',)"),
+    ],
+)
+def test_other_names_are_refused(own: LoopPorts, sensors: str, actuators: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        own.named(sensors, actuators)
+    with pytest.raises(ValueError, match="none, which is what the telescope's file has, got"):
+        own.reference.named(sensors, actuators)
+
+
+def test_rows_are_idle_or_used(own: LoopPorts) -> None:
+    names = [port.name for port in own.further]
+    assert own.idle(names) == own.reference.idle() == ""
+    for name in names:
+        rest = [other for other in names if other != name]
+        kind = "sensor" if name in ("on_m1", "at_root") else "actuator"
+        assert own.idle(rest) == f"controllers and predictions do not use {kind} {name} of the telescope's file"
+
+
+def test_without_scale_a_command_has_its_unit(own: LoopPorts) -> None:
+    plain = own.unscaled()
+    assert plain.scale.tolist() == [1.0] * own.commands and plain.commanded == own.commanded
+    assert [row.authority for row in plain.actuators] == [row.authority for row in own.actuators]
