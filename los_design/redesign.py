@@ -37,9 +37,9 @@ from los_design.verification.verification import (
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 Report = Callable[[str], None]
@@ -146,11 +146,10 @@ def design_all(
         basis = {"parameters_hash": telescope.parameters_hash, "k_fsm": digest(k_fsm), "k_pma": digest(k_pma)}
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
-        placed = Placed.of(telescope, k_fsm, k_pma)
-        system = loop_plant(telescope, placed)
+        system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
         at = verification_points(telescope, system, SAMPLES[effort], seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
-        check = check_implemented(system, telescope, k_fsm, k_pma, [*at, *adversarial], workers=workers, placed=placed)
+        check = check_implemented(system, telescope, k_fsm, k_pma, [*at, *adversarial], workers=workers)
     further, lines = verify_further(report)
     not_met = [*broken_requirements(check), *lines]
     content = {"implemented": check.to_mapping(), **further, "not_met": not_met}
@@ -169,9 +168,9 @@ def search_stages(
 
     The worst points of the stored designs are climbed from, too, and those that the design of these controllers found.
     """
-    placed = Placed.of(telescope, k_fsm, k_pma)
+    ports = telescope.loop_ports.used_by(k_fsm, k_pma)
     open_loops = {
-        isolated: OpenLoop(loop_plant(telescope, placed, isolated=isolated), telescope, placed=placed)
+        isolated: OpenLoop(loop_plant(telescope, ports, isolated=isolated), telescope, ports=ports)
         for isolated in (False, True)
     }
     known = {stage: [*points.values()] for stage, points in load_worst_points().items()}
@@ -205,8 +204,17 @@ def adversarial_points(
 
 def _key(telescope: Telescope, seed: int, effort: str) -> dict[str, Any]:
     key = {"parameters_hash": telescope.parameters_hash, "seed": seed, "effort": effort}
-    placed = Placed.of(telescope)  # sensors are not part of the hash
-    return key if placed == NO_DEVICES else {**key, "devices": repr(placed)}
+    ports = telescope.loop_ports  # sensors are not part of the hash
+    return {**key, "devices": _devices(ports)} if ports.further else key
+
+
+def _devices(ports: LoopPorts) -> str:
+    """Further rows as the key of a design has them in its files: a design goes on where this text is the same."""
+    noise = tuple(value for row in ports.further_sensors for value in row.noise.tolist())
+    units = tuple(row.scale for row in ports.further_actuators)
+    return (
+        f"Placed(sensors={ports.further_measured}, actuators={ports.further_commanded}, noise={noise}, units={units})"
+    )
 
 
 def _pair(

@@ -162,7 +162,7 @@ def sampled_loop(
     ValueError
         Frames that are later than the next one, or late ones without a sensitivity.
     """
-    commands = control.placed.commands
+    commands = control.ports.commands
     if delays.frames and (delays.frames >= frame_ticks or control.los_sensitivity is None):
         got = f"{delays.frames} of {frame_ticks} ticks and a sensitivity of {control.los_sensitivity}"
         raise ValueError(f"late frames must come before the next one, with a sensitivity of the mirror, got {got}")
@@ -197,7 +197,7 @@ class _TickClosing:
 
     def __init__(self, step: FloatArray, control: ControlLaws, delays: Delays) -> None:
         self.control, self.delays = control, delays
-        commands, truth = control.placed.commands, slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
+        commands, truth = control.ports.commands, slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
         n = self.plant_order = step.shape[1] - commands
         self.mirror = control.los_sensitivity or 0.0
         k_fsm, k_pma = (law.system.order for law in control.laws)

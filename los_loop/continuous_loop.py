@@ -75,7 +75,7 @@ class ContinuousLoop(ImplementedLoop):
     ) -> None:
         self.fine = fine
         self.open, self.system, self.telescope = open_loop, open_loop.system, open_loop.telescope
-        self.stage, self.names, self.placed = stage, open_loop.names, open_loop.placed
+        self.stage, self.names, self.ports = stage, open_loop.names, open_loop.ports
         self.matrices = mirror_law(k_fsm, self.telescope.fsm.los_sensitivity), k_pma
 
     def metrics(self) -> dict[str, LoopMetric]:
@@ -89,10 +89,10 @@ class ContinuousLoop(ImplementedLoop):
     def controls(self, omega: FloatArray) -> ComplexArray:
         """Commands by measurements at N frequencies [rad/s], shape (N, 8, 22)."""
         k_fsm, k_pma = self.matrices
-        out = np.zeros((len(omega), self.placed.commands, MEASUREMENTS), complex)
+        out = np.zeros((len(omega), self.ports.commands, self.ports.measurements), complex)
         out[:, MIRROR] = _responses(k_fsm, MIRROR.stop - MIRROR.start, omega)
         if self.stage in FORCE_STAGES:
-            forces = self.placed.force_columns
+            forces = self.ports.forces
             out[:, forces, PLATFORM] = _responses(k_pma, forces.stop - forces.start, omega)
         return out
 
@@ -100,7 +100,7 @@ class ContinuousLoop(ImplementedLoop):
         """Largest real part of the poles of the closed loop at parameter values [rad/s]; infinite without a loop."""
         model = self.system.at(dict(values))
         controller = joint_gain_matrix(*self.matrices, forces=self.stage in FORCE_STAGES)
-        order = len(controller) - self.placed.commands
+        order = len(controller) - self.ports.commands
         try:
             A = extended_plant(model, MEASURED, COMMANDED, order).closed(controller).A
         except linalg.LinAlgError:

@@ -6,7 +6,6 @@ its next one. The frequency response has the delay, and of the hold its fundamen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,23 +14,22 @@ from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import solve
 from lftkit.analysis.eigenvectors import modal
 from lftkit.arrays import ComplexArray, FloatArray, IntArray, Matrices
-from lftkit.systems.ports import Port, port_slices
-from los_loop.spec import NO_DEVICES, Placed, held_response
+from lftkit.systems.ports import port_indices
+from los_loop.spec import held_response
 from titop_plant.interface import (
     COLUMNS,
-    COMMANDED,
-    COMMANDS,
+    COMMAND_PORTS,
     DT,
     FORCE_STAGES,
     FRAME_TICKS,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
     K_PMA_OUTPUTS,
-    MEASUREMENTS,
     MIRROR_STAGES,
     DesignBasis,
     sample_ticks,
 )
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 
 @dataclass(frozen=True)
@@ -52,28 +50,12 @@ class Law:
     command: slice | IntArray
 
 
-def _in_order(k_pma: SampledSystem, placed: Placed) -> SampledSystem:
-    """K_PMA with its further ports in the order of the telescope, and the forces of its actuators in their units."""
-    sensed = {port.name for port in k_pma.inputs}
-    k_pma = k_pma.with_inputs((*K_PMA_INPUTS, *(port for port in placed.sensors if port.name in sensed)))
-    units = dict(zip((port.name for port in placed.actuators), placed.units))
-    at, own = port_slices(k_pma.outputs), {port.name: port for port in k_pma.outputs}
-    names = [*(port.name for port in K_PMA_OUTPUTS), *(port.name for port in placed.actuators if port.name in own)]
-    rows = np.concatenate([np.arange(at[name].start, at[name].stop) for name in names])
-    size = np.concatenate([np.full(own[name].size, units.get(name, 1.0)) for name in names])
-    outputs = tuple(own[name] for name in names)
-    return replace(k_pma, C=k_pma.C[rows] / size[:, None], D=k_pma.D[rows] / size[:, None], outputs=outputs)
-
-
-def columns(ports: Sequence[Port]) -> slice:
-    """Columns of neighbouring ports in their vector.
-
-    Examples
-    --------
-    >>> columns(K_FSM_INPUTS), columns(K_PMA_INPUTS)
-    (slice(0, 22, None), slice(0, 6, None))
-    """
-    return slice(COLUMNS[ports[0].name].start, COLUMNS[ports[-1].name].stop)
+def _in_units(k_pma: SampledSystem, ports: LoopPorts) -> SampledSystem:
+    """K_PMA with its actuators in the order of the rows, and their forces in units of their scale."""
+    outputs = ports.driven_by(k_pma, K_PMA_OUTPUTS)
+    rows = port_indices(k_pma.outputs, [port.name for port in outputs], "output", k_pma.name)
+    scale = ports.scale[ports.command_columns(outputs)][:, None]
+    return replace(k_pma, C=k_pma.C[rows] / scale, D=k_pma.D[rows] / scale, outputs=outputs)
 
 
 @dataclass(frozen=True)
@@ -88,9 +70,9 @@ class ControlLaws:
     los_sensitivity : float, optional
         Of the telescope's mirror [rad/rad]: the mirror law divides by it where the file of K_FSM does not say for which
         one it was made.
-    placed : Placed
-        Of the telescope. A controller has the sensors that it uses behind its other inputs, in this order, and K_PMA
-        the actuators behind its other outputs.
+    ports : LoopPorts
+        Rows that the loop has; default: those of the reference. A controller has the further sensors that it uses
+        behind its other inputs, in this order, and K_PMA the further actuators behind its other outputs.
 
     Attributes
     ----------
@@ -107,34 +89,30 @@ class ControlLaws:
     k_pma: SampledSystem
     stage: str
     los_sensitivity: float | None = None
-    placed: Placed = NO_DEVICES
+    ports: LoopPorts = REFERENCE_PORTS
     laws: tuple[Law, Law] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "laws", self._laws())
 
     def _laws(self) -> tuple[Law, Law]:
-        k_fsm, k_pma, placed, mirror = self.k_fsm, self.k_pma, self.placed, 0.0
+        k_fsm, k_pma, ports, mirror = self.k_fsm, self.k_pma, self.ports, 0.0
         if self.stage in MIRROR_STAGES:
             basis = DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name)
             mirror = -1.0 / basis.mirror_sensitivity(DesignBasis(los_sensitivity=self.los_sensitivity))
-        angle, force = COMMANDED[0], K_PMA_OUTPUTS[0].name
-        seen = [placed.columns(columns(K_FSM_INPUTS), k_fsm.inputs, placed.sensors, MEASUREMENTS)]
-        seen.append(placed.columns(columns(K_PMA_INPUTS), k_pma.inputs, placed.sensors, MEASUREMENTS))
-        driven = placed.columns(COLUMNS[force], k_pma.outputs, placed.actuators, COMMANDS)
-        names = {port.name for port in k_fsm.inputs}
-        if placed != NO_DEVICES:
-            k_pma = _in_order(k_pma, placed)
-        k_fsm = k_fsm.with_inputs((*K_FSM_INPUTS, *(port for port in placed.sensors if port.name in names)))
+        seen = [ports.seen_by(k_fsm, K_FSM_INPUTS), ports.seen_by(k_pma, K_PMA_INPUTS)]
+        driven = ports.command_columns(ports.driven_by(k_pma, K_PMA_OUTPUTS))
+        if ports.further:
+            k_pma = _in_units(k_pma.with_inputs(seen[1]), ports)
         return (
-            Law(k_fsm, mirror, seen[0], COLUMNS[angle]),
-            Law(k_pma, 1.0 if self.stage in FORCE_STAGES else 0.0, seen[1], driven),
+            Law(k_fsm.with_inputs(seen[0]), mirror, ports.measured_columns(seen[0]), COLUMNS[COMMAND_PORTS[0].name]),
+            Law(k_pma, 1.0 if self.stage in FORCE_STAGES else 0.0, ports.measured_columns(seen[1]), driven),
         )
 
     @property
     def held_ticks(self) -> IntArray:
         """Ticks for which each measured value is held, shape (measurements,), at the frame rate of the reference."""
-        found = np.ones(self.placed.measurements, dtype=np.int64)
+        found = np.ones(self.ports.measurements, dtype=np.int64)
         for name, ticks in sample_ticks(FRAME_TICKS).items():
             found[COLUMNS[name]] = ticks
         return found
@@ -146,8 +124,8 @@ class ControlLaws:
         sensors are behind the 8 and the 22.
         """
         z = np.exp(1j * omega * DT)
-        out = np.zeros((len(omega), self.placed.commands, self.placed.measurements), complex)
-        rows, seen = np.arange(self.placed.commands), np.arange(self.placed.measurements)
+        out = np.zeros((len(omega), self.ports.commands, self.ports.measurements), complex)
+        rows, seen = np.arange(self.ports.commands), np.arange(self.ports.measurements)
         for law in self.laws:
             if law.gain:
                 K = law.system
@@ -162,7 +140,7 @@ class ControlLaws:
 
         Delay and hold are left out.
         """
-        commands, measured = self.placed.commands, self.placed.measurements
+        commands, measured = self.ports.commands, self.ports.measurements
         D, rows, seen = np.zeros((commands, measured)), np.arange(commands), np.arange(measured)
         poles: list[ComplexArray] = [np.zeros(0, complex)]
         into: list[ComplexArray] = [np.zeros((0, measured), complex)]
@@ -194,4 +172,4 @@ def transfer_matrices(matrices: Matrices, points: ComplexArray) -> ComplexArray:
     return np.asarray(D + C @ solve(shifted, entered))
 
 
-__all__ = ["ControlLaws", "Law", "columns", "transfer_matrices"]
+__all__ = ["ControlLaws", "Law", "transfer_matrices"]

@@ -124,16 +124,6 @@ class FigureOfMerit:
         """Whether it is the gain from the disturbance to the line of sight."""
         return self.output == LINE_OF_SIGHT and self.inputs == (DISTURBANCE,)
 
-    @property
-    def rows(self) -> slice:
-        """Of the response of the loop."""
-        return OUTPUTS[self.output]
-
-    @property
-    def columns(self) -> slice:
-        """Of the response of the loop; noise has none there."""
-        return INPUTS[self.inputs[0]]
-
     def tuned_for(self, telescope: Telescope, stage: str) -> float:
         """What counts as 1 when a stage is tuned: a share of the budget, or the limit less what tuning leaves."""
         if self.target is not None:

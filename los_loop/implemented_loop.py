@@ -32,7 +32,8 @@ from los_loop.figures_of_merit import FigureOfMerit, gain_figures
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import weighted_gains
-from los_loop.spec import DISTURBANCE, LINE_OF_SIGHT, NO_DEVICES, OUTPUTS, Placed
+from los_loop.spec import DISTURBANCE, LOS_ROWS
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -76,15 +77,18 @@ def loop_metrics(
     telescope: Telescope,
     stage: str,
     within: tuple[float, float] = (LOWEST, HIGHEST),
-    placed: Placed = NO_DEVICES,
+    ports: LoopPorts = REFERENCE_PORTS,
     rows: Sequence[FigureOfMerit] | None = None,
 ) -> dict[str, LoopMetric]:
-    """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s]."""
+    """Gains that a stage must keep (or the gains `rows`), by name, in their bands within some frequencies [rad/s].
+
+    `ports` are those of the loop, default: the reference's.
+    """
     return {
         row.name: LoopMetric(
             row.name,
-            placed.rows(row.output),
-            placed.columns_of(row.inputs[0]),
+            ports.rows_of(row.output),
+            ports.columns_of(row.inputs[0]),
             float(row.limit(telescope, stage)),
             row.within(telescope, *within),
             row.relative,
@@ -109,9 +113,9 @@ class ImplementedLoop:
         self.system, self.telescope, self.stage = open_loop.system, open_loop.telescope, stage
         self.names = open_loop.names
         self.pair = (k_fsm, k_pma)
-        self.placed = open_loop.placed
+        self.ports = open_loop.ports
         sensitivity = self.telescope.fsm.los_sensitivity
-        self.control_laws = ControlLaws(k_fsm, k_pma, stage, sensitivity, self.placed)
+        self.control_laws = ControlLaws(k_fsm, k_pma, stage, sensitivity, self.ports)
 
     def point(self, values: dict[str, float]) -> FloatArray:
         """Parameter values (nominal where none is given) as a point of the unit cube."""
@@ -143,7 +147,7 @@ class ImplementedLoop:
 
     def metrics(self) -> dict[str, LoopMetric]:
         """Gains that the loop must keep, by name."""
-        return loop_metrics(self.telescope, self.stage, placed=self.placed)
+        return loop_metrics(self.telescope, self.stage, ports=self.ports)
 
     def exact_gain(self, metric: LoopMetric, omega: float, values: Mapping[str, float]) -> float | None:
         """Normalised gain of a disturbance by the periodic solution, with the sidebands; None for other inputs."""
@@ -187,8 +191,8 @@ class ImplementedLoop:
 
     def _change(self, closed: ClosedLoop, metric: LoopMetric, found: GainSlopes) -> FloatArray:
         """First-order changes (K,) of gains, not normalised, between the frequencies STEP below and above."""
-        lft, q, count, placed = closed.lft, self.open.channels, len(closed), self.placed
-        added, applied = placed.added, placed.applied
+        lft, q, count, ports = closed.lft, self.open.channels, len(closed), self.ports
+        added, applied = ports.added, ports.applied
         inputs: ComplexArray = np.zeros((count, lft.T11.shape[2]), complex)
         outputs: ComplexArray = np.zeros((count, applied.stop), complex)
         inputs[:, metric.columns], outputs[:, metric.rows] = found.right, found.left
@@ -196,12 +200,12 @@ class ImplementedLoop:
         commands = (both @ np.concatenate([found.driven, inputs], axis=1)[:, :, None])[:, :, 0]
         by_commands = rows_times(outputs, lft.T11[:, :, added]) + rows_times(found.outer, lft.T21[:, :, added])
         measured = rows_times(by_commands, closed.control)
-        row = np.concatenate([found.outer, measured, outputs[:, OUTPUTS[LINE_OF_SIGHT]]], axis=1)
-        column = np.concatenate([found.driven, inputs[:, placed.columns_of(DISTURBANCE)], commands], axis=1)
-        seen = closed.open[:, q : q + placed.measurements] @ column[:, :, None]
+        row = np.concatenate([found.outer, measured, outputs[:, LOS_ROWS]], axis=1)
+        column = np.concatenate([found.driven, inputs[:, ports.columns_of(DISTURBANCE)], commands], axis=1)
+        seen = closed.open[:, q : q + ports.measurements] @ column[:, :, None]
         beside = np.outer([np.exp(STEP), np.exp(-STEP)], closed.omega)
         plant = self.open.between(beside.ravel(), np.tile(row, (2, 1)), np.tile(column, (2, 1))).reshape(2, -1)
-        controls = self.controls(beside.ravel()).reshape(2, count, placed.commands, placed.measurements)
+        controls = self.controls(beside.ravel()).reshape(2, count, ports.commands, ports.measurements)
         control = (by_commands[:, None, :] @ controls @ seen)[:, :, 0, 0]
         total = (plant + control).real
         return np.asarray(total[0] - total[1])
@@ -236,7 +240,7 @@ class ImplementedLoop:
 
     def sensitivities(self, closed: ClosedAt, points: FloatArray) -> ComplexArray:
         """From signals added to the commands to the commands applied, at N points (N, 7): shape (N, 8, 8)."""
-        return self.all_responses(closed, points, self.placed.applied, self.placed.added)
+        return self.all_responses(closed, points, self.ports.applied, self.ports.added)
 
     def sampled_at(self, values: Mapping[str, float]) -> tuple[System, SampledLoop]:
         """The continuous plant at parameter values, and the exact periodic loop around it."""

@@ -19,7 +19,7 @@ from lftkit.analysis.batched_linalg import eigenvalues, largest_gains
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.sampled_loop import SampledLoop
-from los_loop.spec import APPLIED
+from los_loop.spec import LOS_ROWS
 from titop_plant.interface import COMMANDS, DT, FORCE_STAGES, FORCES, HELD, MIRROR
 
 CERTAIN, NARROW_FROM = (0.98, 0.9), 60.0
@@ -83,7 +83,7 @@ def delay_margins(
     """
     smallest, delta = [math.inf] * len(channels), loop.delta(points)
     last = max(part.stop for part in channels)
-    rows, columns = (slice(start, start + last) for start in (APPLIED.start, loop.open.disturbances))
+    rows, columns = (slice(start, start + last) for start in (LOS_ROWS.stop, loop.open.disturbances))
     for start in range(0, len(omega), TOGETHER):
         for closed in loop.at_each(omega[start : start + TOGETHER]):
             S = loop.some_responses(closed, delta, rows, columns)

@@ -27,7 +27,7 @@ from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.member_loop import MemberLoop
 from los_loop.noise import noise_covariances, noise_rms
-from los_loop.spec import ADDED, APPLIED, LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import LOS_ROWS
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.telescope.error_budget import combined_level
@@ -171,10 +171,11 @@ class MemberMetrics:
     def _gains(self, T: ComplexArray, index: IntArray) -> dict[str, FloatArray]:
         """Gain of each figure at points of the grid, zero outside of its band."""
         omega, found, plain = self.model.omega[index], {}, dict[tuple[str, ...], FloatArray]()
+        ports = self.model.loop.ports
         for row in gain_figures(STAGES[-1]):
             place = (row.output, *row.inputs)
             if place not in plain:
-                part = T[:, row.rows, row.columns]
+                part = T[:, ports.rows_of(row.output), ports.columns_of(row.inputs[0])]
                 plain[place] = largest_gains(part) if part.shape[1] <= 2 else gains_above(part, NEAR_PEAK)
             gain = plain[place] * self.seen[index] if row.relative else plain[place]
             low, high = row.band_of(self.telescope)
@@ -208,7 +209,8 @@ class MemberMetrics:
         return self.telescope.window_probability
 
     def _stable(self, T: ComplexArray, values: Mapping[str, float]) -> bool:
-        angle = -np.angle(determinants(T[:, APPLIED, ADDED]))
+        ports = self.model.loop.ports
+        angle = -np.angle(determinants(T[:, ports.applied, ports.added]))
         turn = np.diff(angle, prepend=0.0)
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         if np.abs(turn).max() < TURN and abs(turn.sum()) < np.pi:
@@ -236,7 +238,7 @@ def _exact_noise(loop: ImplementedLoop, values: Mapping[str, float]) -> tuple[fl
 
 def _noise_density(T: ComplexArray, K: ComplexArray, sigma: FloatArray) -> FloatArray:
     """Sum of the squared responses of the line of sight to the noise of each sensor."""
-    response = (T[:, OUTPUTS[LINE_OF_SIGHT], ADDED] @ K) * sigma
+    response = (T[:, LOS_ROWS, -K.shape[1] :] @ K) * sigma
     return np.asarray(np.sum(response.real**2 + response.imag**2, axis=(1, 2)))
 
 

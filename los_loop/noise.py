@@ -18,7 +18,6 @@ from lftkit.systems.sampled.sampling import sampled
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop
-from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import DT, FRAME_TICKS, PLATFORM
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import relative_error_weight
@@ -33,17 +32,16 @@ def noise_covariances(
     loop: str,
     frame_ticks: int = FRAME_TICKS,
     sensors: str | None = None,
-    placed: Placed = NO_DEVICES,
 ) -> tuple[FloatArray, FloatArray]:
     """Covariances (2, 2) of the line of sight due to sensor noise [rad^2]: plain and as relative error.
 
-    The arguments are those of :func:`los_loop.sampled_loop_norms.sampled_loop_metrics`, with the further sensors and
-    actuators that the plant has; infinite if the loop is unstable.
+    The arguments are those of :func:`los_loop.sampled_loop_norms.sampled_loop_metrics`: the plant has the ports of the
+    telescope that the controllers use. Infinite if the loop is unstable.
     """
-    sensitivity = telescope.fsm.los_sensitivity
-    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, placed), frame_ticks=frame_ticks)
+    sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports), frame_ticks=frame_ticks)
     if closed.spectral_radius() < 1.0:
-        return covariances(closed, telescope, sensors, placed)
+        return covariances(closed, telescope, sensors)
     return np.diag([np.inf, np.inf]), np.diag([np.inf, np.inf])
 
 
@@ -65,22 +63,19 @@ def largest_part(covariance: FloatArray) -> float:
     return float(linalg.eigvalsh(covariance)[-1]) / total if np.isfinite(total) and total > 0.0 else np.nan
 
 
-def covariances(
-    loop: SampledLoop, telescope: Telescope, sensors: str | None, placed: Placed = NO_DEVICES
-) -> tuple[FloatArray, FloatArray]:
+def covariances(loop: SampledLoop, telescope: Telescope, sensors: str | None) -> tuple[FloatArray, FloatArray]:
     """Covariances (2, 2) of the line of sight of a stable loop [rad^2], plain and with the relative-error weight.
 
     Parameters
     ----------
     loop : SampledLoop
+        With all sensors of the telescope, or with those of the reference.
     telescope : Telescope
         Of the telescope: noise of the sensors, window of the relative error.
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
-    placed : Placed
-        Sensors of the telescope's file that the loop has.
     """
-    sigma = np.concatenate([telescope.noise_of_samples, placed.noise])
+    sigma = telescope.loop_ports.noise[: loop.noise_hold.shape[1]]
     if sensors == "platform":  # the paper's figure
         sigma[~np.isin(np.arange(sigma.size), np.arange(sigma.size)[PLATFORM])] = 0.0
     w = sampled(relative_error_weight(telescope.weights.rpe_window), DT)

@@ -21,10 +21,10 @@ from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
-from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -39,8 +39,8 @@ class OpenLoop:
         Telescope parameters.
     real : bool
         Keep Delta real, with all channels of the arrays' angle.
-    placed : Placed
-        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
+    ports : LoopPorts, optional
+        Rows of the telescope that the system has (:func:`los_loop.loop_plant.loop_plant`); default: the reference's.
     held : bool
         Whether commands are held for a tick; otherwise they act as they are, in continuous time.
     """
@@ -51,10 +51,10 @@ class OpenLoop:
         telescope: Telescope,
         *,
         real: bool = False,
-        placed: Placed = NO_DEVICES,
+        ports: LoopPorts | None = None,
         held: bool = True,
     ) -> None:
-        self.placed, self.held = placed, held
+        self.ports, self.held = telescope.loop_ports.reference if ports is None else ports, held
         self.system, self.telescope = system, telescope
         self.names = tuple(p.name for p in system.parameters)
         kept = np.arange(len(system.channels)) if real else kept_channels(system)
@@ -66,11 +66,11 @@ class OpenLoop:
         self.low = np.array([p.lower for p in system.parameters])
         self.width = np.array([p.upper for p in system.parameters]) - self.low
         columns = np.r_[kept, len(system.channels) : system.D.shape[1]]
-        y = len(system.channels) + np.arange(MEASUREMENTS + TRUTH + placed.readings)
+        y = len(system.channels) + np.arange(self.ports.measurements + TRUTH)
         rows = np.r_[kept, y[:MEASUREMENTS], y[MEASUREMENTS + TRUTH :], y[MEASUREMENTS : MEASUREMENTS + TRUTH]]
         B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
         self._response = FrequencyResponse.of(system.A, B, C, D)
-        self._u = slice(self.channels, self.channels + placed.commands)
+        self._u = slice(self.channels, self.channels + self.ports.commands)
         self._D = D[self.channels :, self._u]
         self.disturbances = B.shape[1] - self._u.stop
         # eigenvectors of metres beside microradians: a plain solution with them has errors of 5e-7
@@ -120,7 +120,7 @@ class OpenLoop:
         """
         q, m = self.channels, self.disturbances
         G = self._response.at(omega)
-        out = np.empty((len(omega), q + self.placed.measurements + TRUTH, q + m + self.placed.commands), complex)
+        out = np.empty((len(omega), q + self.ports.measurements + TRUTH, q + m + self.ports.commands), complex)
         size = weight_amplitudes(self.telescope, np.asarray(omega, dtype=float))
         images, holds = (self._images(omega), _hold(omega)) if self.held else (None, np.ones(len(omega)))
         for k, hold in enumerate(holds):

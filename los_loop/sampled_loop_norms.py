@@ -26,8 +26,9 @@ from los_loop.control_laws import ControlLaws
 from los_loop.figures_of_merit import figure
 from los_loop.noise import covariances, noise_rms
 from los_loop.sampled_loop import SampledLoop
-from los_loop.spec import APPLIED, LINE_OF_SIGHT, OUTPUTS, held_response
+from los_loop.spec import LOS_ROWS, held_response
 from titop_plant.interface import (
+    COMMANDS,
     DT,
     FRAME_TICKS,
     HELD,
@@ -41,7 +42,6 @@ from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
-LOS = OUTPUTS[LINE_OF_SIGHT]
 SIDEBANDS = 4
 """Sidebands of a sensor's rate that are included on each side."""
 
@@ -110,8 +110,8 @@ def sampled_loop_metrics(
     sensors : {None, "platform"}
         Noise of all sensors, or of the accelerometers of the payload base only.
     """
-    sensitivity = telescope.fsm.los_sensitivity
-    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity), frame_ticks=frame_ticks)
+    sensitivity, ports = telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(k_fsm, k_pma)
+    closed = sampled_loop(plant, ControlLaws(k_fsm, k_pma, loop, sensitivity, ports), frame_ticks=frame_ticks)
     radius = closed.spectral_radius()
     if not radius < 1.0:
         inf = np.inf
@@ -119,8 +119,9 @@ def sampled_loop_metrics(
     omega, response, relative = weighted_response(closed, plant, telescope)
     mirrors, both = MIRROR_STAGES
     ape, rpe, mirror, force = (figure(name) for name in ("APE", "RPE", "mirror", "force"))
-    los = float(largest_gains(response[:, ape.rows]).max())
-    angle, push = (float(np.linalg.norm(response[:, row.rows], ord=2, axis=(1, 2)).max()) for row in (mirror, force))
+    parts = [response[:, ports.rows_of(row.output)] for row in (ape, mirror, force)]
+    los = float(largest_gains(parts[0]).max())
+    angle, push = (float(np.linalg.norm(part, ord=2, axis=(1, 2)).max()) for part in parts[1:])
     worst = float(relative.max())
     rms = noise_rms(covariances(closed, telescope, sensors)) if noise else (float("nan"), float("nan"))
     return SampledLoopMetrics(
@@ -155,7 +156,7 @@ def weighted_gains(
     size = weight_amplitudes(telescope, omega)[:, None, :]
     window = telescope.weights.rpe_window
     weight = rpe_weight(omega, window)[:, None, None]
-    stack = [weight * tone.fundamental[:, LOS] * size]
+    stack = [weight * tone.fundamental[:, LOS_ROWS] * size]
     if tone.camera is not None:
         stack.append(tone.sideband_root(omega, window) @ tone.camera * size)
     relative = np.linalg.norm(np.concatenate(stack, axis=1), ord=2, axis=(1, 2))
@@ -228,7 +229,7 @@ class ToneModes:
     plant: FrequencyResponse
     loop: FrequencyResponse
     sensed: int = MEASUREMENTS
-    whole: int = APPLIED.stop
+    whole: int = TRUTH + COMMANDS
 
     @classmethod
     def of(cls, loop: SampledLoop, plant: System | ModalPlant) -> ToneModes:
@@ -237,11 +238,11 @@ class ToneModes:
         A, N = (matrix[:size] for matrix in loop.at(1))  # with the sensors that have a sample at every tick
         kept = size + _kept(loop)
         commands, sensed = loop.commands, N.shape[1]
-        outputs = np.zeros((LOS.stop + commands, size))
-        outputs[LOS], outputs[LOS.stop :, n : n + commands] = loop.truth[:, :size], np.eye(commands)
+        outputs = np.zeros((LOS_ROWS.stop + commands, size))
+        outputs[LOS_ROWS], outputs[LOS_ROWS.stop :, n : n + commands] = loop.truth[:, :size], np.eye(commands)
         C, B = np.vstack([outputs, loop.frame[kept, :size]]), np.hstack([N, A[:, kept]])
         D = np.zeros((len(C), B.shape[1]))
-        D[LOS.stop + commands :, :sensed] = loop.noise_frame[kept]
+        D[LOS_ROWS.stop + commands :, :sensed] = loop.noise_frame[kept]
         if isinstance(plant, ModalPlant):
             alone = plant.response
         else:
@@ -252,13 +253,13 @@ class ToneModes:
     @cached_property
     def without_commands(self) -> ToneModes:
         """The same with the line of sight as the only output."""
-        rows = [*range(LOS.stop), *range(self.whole, len(self.loop.D))]
-        return replace(self, loop=self.loop.part(rows, slice(None)), whole=LOS.stop)
+        rows = [*range(LOS_ROWS.stop), *range(self.whole, len(self.loop.D))]
+        return replace(self, loop=self.loop.part(rows, slice(None)), whole=LOS_ROWS.stop)
 
     @cached_property
     def sides(self) -> FrequencyResponse:
         """Of the loop, from the held values to line of sight (2) and the held values at their samples."""
-        rows = [*range(LOS.stop), *range(self.whole, len(self.loop.D))]
+        rows = [*range(LOS_ROWS.stop), *range(self.whole, len(self.loop.D))]
         return self.loop.part(rows, slice(self.sensed, None))
 
 
@@ -289,7 +290,7 @@ def tone_response(
     # the loop answers what the tone does to the measurement as it answers noise
     los = slice(MEASUREMENTS, MEASUREMENTS + TRUTH)
     forced = closed[:, :, : modes.sensed] @ np.delete(alone, los, axis=1)
-    forced[:, LOS] += alone[:, los]
+    forced[:, LOS_ROWS] += alone[:, los]
     whole = slice(0, modes.whole)
     if not held:
         return ToneResponse(forced, None, [])

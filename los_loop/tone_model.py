@@ -20,7 +20,7 @@ after a start at rest, where a record of seconds shows the slow decay of lightly
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,7 +32,6 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
-from los_loop.spec import Placed
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.run import Run
@@ -45,7 +44,7 @@ from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step
-from titop_plant.telescope.devices import PlacedActuator
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ class ToneModel:
         authority: tuple[float, float],
         steady: bool = True,
         delays: Delays = NONE,
-        actuators: Sequence[PlacedActuator] = (),
+        ports: LoopPorts = REFERENCE_PORTS,
     ) -> ToneModel:
         """Model of a run. Tones of the same frequency are added up as phasors.
 
@@ -138,8 +137,9 @@ class ToneModel:
             As the attribute.
         delays : Delays
             Of a rig.
-        actuators : sequence of PlacedActuator
-            Of the telescope's file, that K_PMA commands.
+        ports : LoopPorts
+            Rows that the loop has: the further sensors that the family has, and the further actuators that K_PMA
+            commands, in the order of its outputs.
 
         Raises
         ------
@@ -149,20 +149,18 @@ class ToneModel:
         data, tones = family.plant_and_tones(physical)
         plant = ModalPlant.of(data)
         step = held_step(plant)
-        if actuators:
-            held = held_forces(family, physical, actuators, DT)
+        if driven := ports.further_actuators:
+            held = held_forces(family, physical, driven, DT)
             moved = plant.form.excited(held[: plant.order])
             step = np.hstack([step, np.vstack([moved, held[plant.order :]])])
-        sensors = family.telescope.placed_sensors if len(plant.observed) > MEASUREMENTS + TRUTH else ()
-        placed = Placed(tuple(one.port for one in sensors), tuple(one.port for one in actuators))
         sensitivity = family.telescope.fsm.los_sensitivity
-        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, placed)
+        laws = ControlLaws(controllers["k_fsm"], controllers["k_pma"], loop, sensitivity, ports.unscaled())
         ticks = frame_ticks(physical.camera_rate)
         closed = sampled_loop(plant, laws, frame_ticks=ticks, step=step, delays=delays)
         limits = family.limits
         for columns, limit in zip((MIRROR, FORCES), authority):
             limits[columns] = np.minimum(limits[columns], limit)
-        limits = np.concatenate([limits, [one.authority for one in actuators]])
+        limits = np.concatenate([limits, [row.authority for row in driven]])
         return cls(closed, plant, *_together(tones), limits, steady)
 
     def with_tones(self, tones: Tones) -> ToneModel:

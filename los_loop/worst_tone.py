@@ -28,7 +28,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
-from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import LOS_ROWS
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.telescope import Telescope
@@ -228,7 +228,7 @@ def _weighted(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Weighted response (k, rows, channels), its largest singular value is the gain; line of sight (k, 2, channels)."""
     size = weight_amplitudes(telescope, omega)[:, None, :]
-    los = tone.fundamental[:, OUTPUTS[LINE_OF_SIGHT]]
+    los = tone.fundamental[:, LOS_ROWS]
     if not row.relative:
         return los * size, los
     window = telescope.weights.rpe_window

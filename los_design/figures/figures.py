@@ -26,13 +26,13 @@ from los_estimator.kalman import kalman_observer
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import Placed
 from pointing_analysis.report.figures import LaidOutFigure
 from titop_plant.interface import LOOP_DELAY, MIRROR
 from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -94,12 +94,12 @@ class DesignedTelescope:
     @property
     def system(self) -> System:
         """The control-loop plant on its isolator."""
-        return loop_plant(self.telescope, self.placed)
+        return loop_plant(self.telescope, self.ports)
 
     @property
-    def placed(self) -> Placed:
-        """Sensors and actuators of the telescope's file that the controllers use."""
-        return Placed.of(self.telescope, *self.pair)
+    def ports(self) -> LoopPorts:
+        """Rows of the telescope that the loop of the controllers has."""
+        return self.telescope.loop_ports.used_by(*self.pair)
 
     @cached_property
     def responses(self) -> DisturbanceResponses:
@@ -108,7 +108,7 @@ class DesignedTelescope:
 
     def curve(self, stage: str, values: Mapping[str, float]) -> Curve:
         """Line of sight [arcsec] of a stage of the implemented loop."""
-        return sampled_curve(self.responses, self.system, self.pair, self.placed, stage, values)
+        return sampled_curve(self.responses, self.system, self.pair, stage, values)
 
     def worst_members(self) -> dict[str, list[dict[str, float]]]:
         """Parameters of each stage that are worst for APE, slow and fast tones; first the nominal ones."""
@@ -235,11 +235,11 @@ def _force_law(right: Axes, k_pma: SampledSystem, omega: FloatArray) -> None:
 def _sensitivities(designed: DesignedTelescope, samples: int, seed: int) -> Figure:
     """Largest singular value of the sensitivity as implemented, at the mirror's command and at the forces."""
     system, pair, worst = designed.system, designed.pair, designed.worst
-    placed, rng = designed.placed, np.random.default_rng(seed)
-    open_loop = OpenLoop(system, designed.telescope, placed=placed)
+    ports, rng = designed.ports, np.random.default_rng(seed)
+    open_loop = OpenLoop(system, designed.telescope, ports=ports)
     panels = [
         ("fsm", "sensitivity, mirror", MIRROR, "At the mirror's command, mirror alone"),
-        ("fsm+pma", "sensitivity, forces", placed.force_columns, "At the forces together, both controllers"),
+        ("fsm+pma", "sensitivity, forces", ports.forces, "At the forces together, both controllers"),
     ]
     panels = [panel for panel in panels if panel[0] in designed.stages]
     figure = LaidOutFigure(figsize=(3.6 * len(panels), 3.2), layout="constrained")

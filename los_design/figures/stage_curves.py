@@ -19,7 +19,7 @@ from los_design.synthesis.store import continuous
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
-from los_loop.spec import LINE_OF_SIGHT, OUTPUTS, Placed
+from los_loop.spec import LINE_OF_SIGHT, LOS_ROWS
 from titop_plant.simulation.disturbance_responses import ALL, ARCSEC, Curve, DisturbanceResponses
 from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.control_plant import disturbances_of
@@ -43,7 +43,6 @@ def sampled_curve(
     responses: DisturbanceResponses,
     system: System,
     pair: tuple[SampledSystem, SampledSystem],
-    placed: Placed,
     stage: str,
     values: Mapping[str, float],
 ) -> Curve:
@@ -54,11 +53,9 @@ def sampled_curve(
     responses : DisturbanceResponses
         Of the telescope, for the stages without fine control and for the weights.
     system : System
-        The control-loop plant on its isolator.
+        The control-loop plant on its isolator, with the ports of the telescope that the controllers use.
     pair : (SampledSystem, SampledSystem)
         K_FSM and K_PMA.
-    placed : Placed
-        Further sensors and actuators that they use.
     stage : str
     values : mapping
         Parameter values; others nominal.
@@ -66,10 +63,10 @@ def sampled_curve(
     if stage in NAMES:
         return responses.weighted(getattr(responses, NAMES[stage]), values, ALL, LOWEST, HIGHEST)
     plant, telescope = system.at(values), responses.telescope
-    laws = ControlLaws(*pair, stage, telescope.fsm.los_sensitivity, placed)
+    laws = ControlLaws(*pair, stage, telescope.fsm.los_sensitivity, telescope.loop_ports.used_by(*pair))
     loop = sampled_loop(plant, laws)
     omega = loop_grid(plant, loop.free, LOWEST, HIGHEST)
-    response = disturbance_response(loop, plant, omega)[:, OUTPUTS[LINE_OF_SIGHT]]
+    response = disturbance_response(loop, plant, omega)[:, LOS_ROWS]
     gains = largest_gains(response * weight_amplitudes(telescope, omega)[:, None, :])
     return Curve(omega, np.asarray(gains / ARCSEC))
 

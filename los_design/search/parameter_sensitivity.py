@@ -117,8 +117,8 @@ def effects_of_entries(
     for name, both in changed.items():
         sides = []
         for telescope in both:
-            placed = loops[0].placed
-            open_loop = OpenLoop(loop_plant(telescope, placed), telescope, placed=placed)
+            ports = loops[0].ports
+            open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
             again = {stage: ImplementedLoop(open_loop, *loop.pair, stage) for stage, loop in own.items()}
             sides.append([_peak(again[p.stage], metrics[p.stage][p.requirement], p) for p in worst])
         for p, value, low, high in zip(worst, before, *sides):

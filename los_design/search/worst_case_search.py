@@ -27,7 +27,6 @@ from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
-from titop_plant.telescope.error_budget import BAND_EDGE
 
 Pair = tuple[float, FloatArray]
 """Frequency [rad/s] and point of the unit cube."""

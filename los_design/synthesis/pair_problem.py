@@ -20,7 +20,7 @@ import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.systems.ports import Port
+from lftkit.systems.ports import Port, total_size
 from lftkit.tuning.responses import (
     ControllerBlock,
     GrowingSamples,
@@ -33,7 +33,6 @@ from los_estimator.problem import ORDER as OBSERVER_ORDER
 from los_loop.figures_of_merit import FigureOfMerit, gain_figures, noise_figures
 from los_loop.implemented_loop import HIGHEST
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import (
     COLUMNS,
     COMMANDED,
@@ -44,10 +43,9 @@ from titop_plant.interface import (
     MEASUREMENTS,
     MIRROR,
     MIRROR_STAGES,
-    PLATFORM,
     sample_ticks,
 )
-from titop_plant.telescope.error_budget import BAND_EDGE
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
@@ -73,64 +71,72 @@ LEAST_DECAY = 5e-4
 """Of the controllers' own poles [rad/s]: they are stable without the loop, and no transient lasts for hours."""
 
 
-def blocks(
-    telescope: Telescope, tuned: Sequence[int], placed: Placed = NO_DEVICES
-) -> tuple[ControllerBlock, ControllerBlock]:
+def blocks(telescope: Telescope, tuned: Sequence[int]) -> tuple[ControllerBlock, ControllerBlock]:
     """The two controllers; those in `tuned` have free entries (no direct path from a held value to the estimate).
 
-    Both measure with the further sensors `placed`, behind their other inputs and the same washout; K_PMA commands the
-    further actuators.
+    Both measure with the further sensors of the telescope, behind their other inputs and the same washout; K_PMA
+    commands its further actuators.
     """
-    mirror = -1.0 / telescope.fsm.los_sensitivity
-
-    def bilinear(omega: FloatArray) -> ComplexArray:
-        z = np.exp(1j * omega * DT)
-        return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
-
-    def filters(ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
-        chosen, ticks = [sensor for sensor in telescope.sensors if sensor.port in ports], sample_ticks()
-
-        def at(omega: FloatArray) -> ComplexArray:
-            factors: list[ComplexArray] = []
-            for sensor in chosen:
-                factor: ComplexArray = np.ones(len(omega), complex)
-                if sensor.washout:
-                    factor = bilinear(omega) / (bilinear(omega) + sensor.washout)
-                if sensor.port.name in ticks:
-                    held = np.arange(ticks[sensor.port.name])
-                    factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
-                factors += [factor] * sensor.port.size
-            corner = float(telescope.washout)
-            factors += [bilinear(omega) / (bilinear(omega) + corner)] * placed.readings
-            return np.stack(factors, axis=1)
-
-        return at
+    mirror, rows = -1.0 / telescope.fsm.los_sensitivity, telescope.loop_ports
+    observed, measured = ((*ports, *rows.further_measured) for ports in (K_FSM_INPUTS, K_PMA_INPUTS))
 
     def delay(omega: FloatArray) -> ComplexArray:
         return np.asarray(np.exp(-1j * omega * DT))
 
-    estimates, forces = MIRROR.stop - MIRROR.start, placed.force_columns
-    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + placed.measurements), OBSERVER in tuned)
+    estimates, forces = MIRROR.stop - MIRROR.start, rows.forces
+    free = np.full((OBSERVER_ORDER + estimates, OBSERVER_ORDER + rows.measurements), OBSERVER in tuned)
     free[OBSERVER_ORDER:, OBSERVER_ORDER + HELD] = False
-    seen = placed.columns(PLATFORM, placed.sensors, placed.sensors, MEASUREMENTS)
-    count = PLATFORM.stop - PLATFORM.start + placed.readings
-    laws = np.full((ACTUATOR_ORDER + forces.stop - forces.start, ACTUATOR_ORDER + count), ACTUATORS in tuned)
+    size = ACTUATOR_ORDER + forces.stop - forces.start, ACTUATOR_ORDER + total_size(measured)
+    laws = np.full(size, ACTUATORS in tuned)
     return (
         ControllerBlock(
             "K_FSM",
             OBSERVER_ORDER,
-            slice(0, placed.measurements),
+            slice(0, rows.measurements),
             MIRROR,
-            bilinear,
-            filters(K_FSM_INPUTS),
+            _bilinear,
+            _filters(rows, observed),
             lambda omega: mirror * delay(omega),
             free,
             LEAST_DECAY,
         ),
         ControllerBlock(
-            "K_PMA", ACTUATOR_ORDER, seen, forces, bilinear, filters(K_PMA_INPUTS), delay, laws, LEAST_DECAY
+            "K_PMA",
+            ACTUATOR_ORDER,
+            rows.measured_columns(measured),
+            forces,
+            _bilinear,
+            _filters(rows, measured),
+            delay,
+            laws,
+            LEAST_DECAY,
         ),
     )
+
+
+def _bilinear(omega: FloatArray) -> ComplexArray:
+    """The variable s of a controller that is sampled by the bilinear transformation."""
+    z = np.exp(1j * omega * DT)
+    return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
+
+
+def _filters(rows: LoopPorts, ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
+    """Washout and hold of the values of some measured ports at N frequencies [rad/s], shape (N, values)."""
+    chosen, ticks = [sensor for sensor in rows.sensors if sensor.port in ports], sample_ticks()
+
+    def at(omega: FloatArray) -> ComplexArray:
+        factors: list[ComplexArray] = []
+        for sensor in chosen:
+            factor: ComplexArray = np.ones(len(omega), complex)
+            if sensor.washout:
+                factor = _bilinear(omega) / (_bilinear(omega) + sensor.washout)
+            if sensor.name in ticks:
+                held = np.arange(ticks[sensor.name])
+                factor = factor * np.mean(np.exp(-1j * omega[:, None] * DT * held), axis=1)
+            factors += [factor] * sensor.port.size
+        return np.stack(factors, axis=1)
+
+    return at
 
 
 def tuned_figures(stage: tuple[int, ...]) -> tuple[FigureOfMerit, ...]:
@@ -148,9 +154,7 @@ def limits(telescope: Telescope, stage: tuple[int, ...]) -> dict[str, float]:
     return {row.name: row.tuned_for(telescope, STAGE_NAMES[stage]) for row in tuned_figures(stage)}
 
 
-def gains(
-    telescope: Telescope, stages: Sequence[tuple[int, ...]], placed: Placed = NO_DEVICES
-) -> tuple[ResponseGain, ...]:
+def gains(telescope: Telescope, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseGain, ...]:
     """What is asked of the stages; 1 is the entry of :func:`limits`."""
     window = telescope.weights.rpe_window
 
@@ -161,7 +165,7 @@ def gains(
             weight = rpe_weight(omega, window) if row.relative else np.ones(len(omega))
             return np.asarray(np.where((omega >= low) & (omega < high), weight / limit, 0.0))
 
-        commands = {**COMMAND_COLUMNS, COMMANDED[1]: placed.force_columns}
+        commands = {**COMMAND_COLUMNS, COMMANDED[1]: telescope.loop_ports.forces}
         outputs, inputs = commands.get(row.output), commands.get(row.inputs[0])
         return ResponseGain(named(row.name, stage), stage, outputs, inputs, scale, hard=row.hard)
 
@@ -182,13 +186,14 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
-    omega, amplitude, placed = nominal.omega, telescope.noise_of_ticks(), samples.open_loop.placed
+    omega, amplitude, ports = nominal.omega, telescope.noise_of_ticks(), samples.open_loop.ports
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
-        heard = np.zeros(MEASUREMENTS)
+        heard = ports.noise
+        heard[:MEASUREMENTS] = 0.0
         for name in row.inputs:
             heard[COLUMNS[name]] = amplitude[COLUMNS[name]]
-        density = np.broadcast_to(np.concatenate([heard, placed.noise]), (len(omega), placed.measurements))
+        density = np.broadcast_to(heard, (len(omega), len(heard)))
         step = np.gradient(omega) * (DT / np.pi)
         if row.relative:
             step = step * rpe_weight(omega, telescope.weights.rpe_window) ** 2
@@ -200,10 +205,10 @@ def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[Respons
 
 def sample(open_loop: OpenLoop, omega: FloatArray, points: FloatArray) -> PlantSamples:
     """Samples of all parameter points (N, 7) of the unit cube at all frequencies."""
-    found, placed = [], open_loop.placed
+    found, ports = [], open_loop.ports
     for begin in range(0, len(omega), 50):
         found += [open_loop.closed_over(lft, points) for lft in open_loop.at(omega[begin : begin + 50])]
-    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), placed.measurements, placed.commands)
+    return PlantSamples(np.repeat(omega, len(points)), np.concatenate(found), ports.measurements, ports.commands)
 
 
 def grid(edge: float) -> FloatArray:
@@ -282,9 +287,9 @@ def pair_problem(
     """
     telescope = samples.open_loop.telescope
     return ResponseProblem(
-        blocks(telescope, tuned, samples.open_loop.placed),
+        blocks(telescope, tuned),
         samples.all(),
-        gains(telescope, stages, samples.open_loop.placed),
+        gains(telescope, stages),
         noises(samples, stages),
         threads,
     )

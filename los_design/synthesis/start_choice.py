@@ -25,7 +25,6 @@ from los_design.synthesis.starts import random_law, stored_start
 from los_design.synthesis.store import continuous, load_designs
 from los_design.synthesis.task import Task, first_points
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from los_loop.spec import NO_DEVICES
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 
@@ -69,7 +68,7 @@ def choose_start(
         No start stabilises the telescope.
     """
     given = None if observer is None else gain_matrix_of(continuous(observer).at({}))
-    own, at = blocks(telescope, task.tuned, task.samples.open_loop.placed), _corners(task, options.seed)
+    own, at = blocks(telescope, task.tuned), _corners(task, options.seed)
 
     def entries(pair: Pair, part: float = 0.0) -> FloatArray:
         return parameters_of(own, [_widened(M, block, part) for M, block in zip(pair, own)])
@@ -81,7 +80,7 @@ def choose_start(
         given if given is not None else gain_matrix_of(stored_start("k-fsm")),
         gain_matrix_of(stored_start("k-pma")),
     ]
-    devices = task.samples.open_loop.placed != NO_DEVICES
+    devices = bool(telescope.loop_ports.further)
     if is_reference(telescope) and not devices and stable(entries(stored)):
         return entries(stored)
     report("another telescope than that of the stored start: starts are compared")

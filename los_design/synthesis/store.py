@@ -11,8 +11,8 @@ import numpy as np
 from lftkit import Port, SampledSystem, System, state_space
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import spread_columns
-from los_loop.spec import NO_DEVICES, Placed
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.telescope.loop_ports import LoopPorts
 
 DESIGN_PACKAGES = {"k-fsm": "los_estimator", "k-pma": "fsm_pma_controller"}
 VARIANTS = ("implemented", "implemented_nominal")
@@ -91,8 +91,8 @@ def load_designs(variant: str) -> tuple[SampledSystem, SampledSystem]:
     return result[0], result[1]
 
 
-def design_ports(kind: str, placed: Placed = NO_DEVICES) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Input and output ports of a kind of design, with those of the telescope's further sensors and actuators."""
+def design_ports(kind: str, ports: LoopPorts) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Input and output ports of a kind of design, with the further ones that the loop has."""
     if kind == "k-fsm":
-        return (*K_FSM_INPUTS, *placed.sensors), K_FSM_OUTPUTS
-    return (*K_PMA_INPUTS, *placed.sensors), (*K_PMA_OUTPUTS, *placed.actuators)
+        return (*K_FSM_INPUTS, *ports.further_measured), K_FSM_OUTPUTS
+    return (*K_PMA_INPUTS, *ports.further_measured), (*K_PMA_OUTPUTS, *ports.further_commanded)

@@ -48,7 +48,7 @@ from los_estimator.kalman import sampled_observer
 from los_loop.continuous_loop import continuous_open_loop
 from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES, Placed
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 QUICK = SearchOptions(frequencies=250, points=40, ascents=70, iterations=15, patience=1, several=6, confirmed=0.8)
@@ -225,12 +225,12 @@ def _designed(
     if given := observer if OBSERVER in tuned else law:
         common["start"] = digest(given)
     found = []
-    placed = task.samples.open_loop.placed
+    ports = task.samples.open_loop.ports
     for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
-        A, B, C, D = _state_space(kind, _in_newton(M, placed) if stage == BOTH else M, placed)
+        A, B, C, D = _state_space(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
         provenance = {**common, **_values(outcome, stage), "continuous": matrices}
-        found.append(_sampled(kind, (A, B, C, D), telescope, options, provenance, placed))
+        found.append(_sampled(kind, (A, B, C, D), telescope, options, provenance, ports))
     return found[0], found[1]
 
 
@@ -238,8 +238,9 @@ def _hidden(task: Task, telescope: Telescope, outcome: Outcome) -> list[float]:
     """Peaks of the nominal loop between or above the samples of a design of the paper's problem, by its norms."""
     if not isinstance(task, PaperTask):
         return []
+    ports = task.samples.open_loop.ports
     pair = [
-        System(*_state_space(kind, M, NO_DEVICES), *design_ports(kind), kind)
+        System(*_state_space(kind, M, ports), *design_ports(kind, ports), kind)
         for kind, M in zip(DESIGN_PACKAGES, gain_matrices(task.blocks, outcome.x), strict=True)
     ]
     peaks = list[float]()
@@ -280,22 +281,19 @@ def _task(
     workers: Workers,
 ) -> ImplementedTask:
     """The task for a telescope, with no parameter points yet."""
-    stages = STAGES_OF[tuned]
-
-    placed = Placed.of(telescope)
+    stages, ports = STAGES_OF[tuned], telescope.loop_ports
 
     def in_newton(both: Sequence[FloatArray]) -> list[FloatArray]:
-        return [both[0], _in_newton(both[1], placed)]
+        return [both[0], _in_newton(both[1], ports)]
 
     def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
         k_fsm, k_pma = (
-            _sampled(kind, _state_space(kind, M, placed), telescope, options, None, placed)
-            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned, placed), x)))
+            _sampled(kind, _state_space(kind, M, ports), telescope, options, None, ports)
+            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned), x)))
         )
         return k_fsm, k_pma
 
-    system = loop_plant(telescope, placed)
-    samples = Samples(OpenLoop(system, telescope, placed=placed), options.workers)
+    samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports=ports), options.workers)
     known: tuple[WorstPoint, ...] = ()
     if not (options.nominal or is_reference(telescope)):
         names = [STAGE_NAMES[stage] for stage in stages]
@@ -319,16 +317,17 @@ def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:
     return {"tuned_values": tuned, "worst_cases": worst}
 
 
-def _in_newton(M: FloatArray, placed: Placed) -> FloatArray:
+def _in_newton(M: FloatArray, ports: LoopPorts) -> FloatArray:
     """Gain matrix of K_PMA with the forces of further actuators in N."""
+    forces = ports.scale[ports.forces]
     size = np.ones(len(M))
-    size[len(M) - placed.forces :] = placed.units
+    size[-len(forces) :] = forces
     return size[:, None] * M
 
 
-def _state_space(kind: str, M: FloatArray, placed: Placed) -> Matrices:
+def _state_space(kind: str, M: FloatArray, ports: LoopPorts) -> Matrices:
     """The matrices in a gain matrix."""
-    n = len(M) - sum(port.size for port in design_ports(kind, placed)[1])
+    n = len(M) - sum(port.size for port in design_ports(kind, ports)[1])
     return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
 
 
@@ -338,11 +337,11 @@ def _sampled(
     telescope: Telescope,
     options: DesignOptions,
     provenance: Mapping[str, Any] | None,
-    placed: Placed = NO_DEVICES,
+    ports: LoopPorts,
 ) -> SampledSystem:
     """Sampled controller with the washout."""
     A, B, C, D = matrices
-    system = state_space(A, B, C, D, *design_ports(kind, placed))
+    system = state_space(A, B, C, D, *design_ports(kind, ports))
     sample = sampled_observer if kind == "k-fsm" else sampled_controller
     name = f"K_{kind[2:].upper()}, {options.variant}"
     washout, basis = telescope.washout, telescope.design_basis

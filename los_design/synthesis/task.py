@@ -92,7 +92,7 @@ class ImplementedTask(Task):
     @property
     def blocks(self) -> tuple[ControllerBlock, ControllerBlock]:
         """The controllers."""
-        return blocks(self.samples.open_loop.telescope, self.tuned, self.samples.open_loop.placed)
+        return blocks(self.samples.open_loop.telescope, self.tuned)
 
     def problem(self) -> ResponseProblem:
         """What is tuned, on the samples that there are."""
@@ -111,7 +111,7 @@ class ImplementedTask(Task):
         loop = self.samples.open_loop
         plant, pair = loop.system.at(dict(values or {})), self.sampled(x)
         sensitivity = loop.telescope.fsm.los_sensitivity
-        laws = (ControlLaws(*pair, STAGE_NAMES[stage], sensitivity, loop.placed) for stage in self.stages)
+        laws = (ControlLaws(*pair, STAGE_NAMES[stage], sensitivity, loop.ports) for stage in self.stages)
         return all(sampled_loop(plant, one).spectral_radius() < 1.0 for one in laws)
 
 

@@ -20,7 +20,7 @@ from los_design.verification.frames import IMAGES, SEEN
 from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_loop.angle_channels import kept_channels
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric, loop_metrics
-from los_loop.spec import LINE_OF_SIGHT, OUTPUTS
+from los_loop.spec import LOS_ROWS
 from titop_plant.interface import COLUMNS, COMMANDED, COMMANDS, DT, FRAME_TICKS, sample_ticks
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.telescope import Telescope
@@ -39,7 +39,7 @@ def telescope_model(loop: ImplementedLoop, metric: LoopMetric) -> LoopModel:
     """
     if metric.name in FRAME_LIMITS:
         return frames_model(loop, metric.limit, opened=metric.name == IMAGES)
-    los = OUTPUTS[LINE_OF_SIGHT]
+    los = LOS_ROWS
     commands = metric.rows != los
     first = metric.rows.start - (los.stop if commands else 0)
     rows = tuple(range(first, first + metric.rows.stop - metric.rows.start))
@@ -63,7 +63,7 @@ def noise_model(loop: ImplementedLoop) -> LoopModel:
     noisy = np.flatnonzero(sigma)
     inputs = np.column_stack([sigma[noisy], np.ones((len(noisy), 2))])
     limit = loop.telescope.weights.ape_limit
-    rows = tuple(range(OUTPUTS[LINE_OF_SIGHT].stop))
+    rows = tuple(range(LOS_ROWS.stop))
     return _model(loop, inputs, noisy, window=0.0, rows=rows, scale=limit, commands=False)
 
 
@@ -171,7 +171,7 @@ def margins_of(telescope: Telescope, stage: str) -> dict[str, LoopMetric]:
     margins = {name: metric for name, metric in found.items() if not metric.disturbed}
     for metric in list(margins.values()):
         port = metric.name.split(", ")[1]
-        for kind in (HALVED, LATER) if metric.rows == OUTPUTS[COMMANDED[0]] else (HALVED,):
+        for kind in (HALVED, LATER) if metric.rows == telescope.loop_ports.rows_of(COMMANDED[0]) else (HALVED,):
             name = f"{kind}, {port}"
             margins[name] = replace(metric, name=name, limit=LIMITS[kind], band=(0.0, NYQUIST))
     return margins

@@ -209,7 +209,7 @@ def _looked_closely(reaches: Sequence[Reach], item: _Closely) -> list[_Seen]:
     found = [_Seen([], {name: [] for name in reach.metrics}, []) for reach in reaches]
     for i, values in enumerate(item.points):
         plant = reaches[0].loop.system.at(values)
-        commands = reaches[0].loop.placed.commands
+        commands = reaches[0].loop.ports.commands
         step = step_matrix(plant, no_tones(plant.B.shape[1] - commands), commands=commands)
         for reach, seen, doubts in zip(reaches, found, item.doubts):
             sampled, doubt = reach.loop.sampled_around(plant, step), doubts[i].copy()

@@ -18,7 +18,7 @@ from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.closing import ClosedAt, ClosedLoop
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
 from los_loop.margins import change_names, doubtful
-from los_loop.spec import APPLIED
+from los_loop.spec import LOS_ROWS
 from titop_plant.interface import FORCE_STAGES, MIRROR
 
 ROUNDING = 1e-12
@@ -38,10 +38,10 @@ class Reach:
 
     def __init__(self, loop: ImplementedLoop, metrics: Mapping[str, LoopMetric], changes: bool = True) -> None:
         self.loop, self.metrics, self.changes = loop, dict(metrics), changes
-        commands = loop.placed.commands if loop.stage in FORCE_STAGES else MIRROR.stop
-        added, size = loop.open.disturbances, loop.open.disturbances + loop.placed.commands
+        commands = loop.ports.commands if loop.stage in FORCE_STAGES else MIRROR.stop
+        added, size = loop.open.disturbances, loop.open.disturbances + loop.ports.commands
         columns = {name: slice(*m.columns.indices(size)[:2]) for name, m in metrics.items()}
-        self.applied = slice(APPLIED.start, APPLIED.start + commands)
+        self.applied = slice(LOS_ROWS.stop, LOS_ROWS.stop + commands)
         self.added = slice(added, added + commands)
         self.rows = slice(0, max([self.applied.stop, *(m.rows.stop for m in metrics.values())]))
         self.columns = slice(0, max([self.added.stop, *(s.stop for s in columns.values())]))
@@ -53,7 +53,7 @@ class Reach:
     @property
     def change_count(self) -> int:
         """Number of the changes of :func:`los_loop.margins.changed_loops`."""
-        return len(change_names(self.loop.stage, self.loop.placed.commands))
+        return len(change_names(self.loop.stage, self.loop.ports.commands))
 
     def responses(self, closed: ClosedAt | ClosedLoop, delta: ComplexArray) -> ComplexArray:
         """First rows and columns of the response for N diagonals of Delta (N, 32), or one of each of N closed loops."""

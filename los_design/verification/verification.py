@@ -25,7 +25,6 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import GuaranteedMargins, delay_margins, rounded
 from los_loop.noise import largest_part, noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.requirements.rows import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
@@ -284,7 +283,6 @@ def check_implemented(
     tick: Callable[[], None] = lambda: None,
     changes: bool = True,
     workers: Workers | None = None,
-    placed: Placed = NO_DEVICES,
 ) -> ImplementedCheck:
     """Evaluate a pair of implemented designs at the given parameter points.
 
@@ -292,7 +290,7 @@ def check_implemented(
     ----------
     system : System
         From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
-        :func:`titop_plant.simulation.build.control_loop_plant` makes it.
+        :func:`los_loop.loop_plant.loop_plant` makes it for the ports that the controllers use.
     telescope : Telescope
         Telescope parameters (weights, sensors, authority).
     k_fsm, k_pma : SampledSystem
@@ -304,19 +302,18 @@ def check_implemented(
         Check gains and one more tick of delay, too.
     workers : Workers, optional
         Processes; the result does not depend on them.
-    placed : Placed
-        Sensors and actuators of the telescope's file that the system has (:func:`los_loop.loop_plant.loop_plant`).
     """
-    points, pair, open_loop = list(at), (k_fsm, k_pma), OpenLoop(system, telescope, placed=placed)
+    points, pair = list(at), (k_fsm, k_pma)
+    open_loop = OpenLoop(system, telescope, ports=telescope.loop_ports.used_by(*pair))
     stages = telescope.mirror_stages
     loops = [ImplementedLoop(open_loop, *pair, stage) for stage in stages]
     checks = dict(zip(stages, check_stages(loops, points, changes=changes, tick=tick, workers=workers)))
     nominal, noise, on_axis = system.at({}), {}, {}
     for stage in stages:
-        plain, relative = noise_covariances(nominal, *pair, telescope, loop=stage, placed=placed)
+        plain, relative = noise_covariances(nominal, *pair, telescope, loop=stage)
         noise[stage] = noise_rms((plain, relative))
         on_axis[stage] = largest_part(plain), largest_part(relative)
-    of_platform = noise_covariances(nominal, *pair, telescope, loop=stages[-1], sensors="platform", placed=placed)
+    of_platform = noise_covariances(nominal, *pair, telescope, loop=stages[-1], sensors="platform")
     platform = noise_rms(of_platform)
     delay = _delays(open_loop, pair, points, stages)
     return ImplementedCheck(checks, noise, on_axis, platform[0], delay, telescope)
@@ -332,7 +329,7 @@ def _delays(
     for stage in stages:
         loop = ImplementedLoop(open_loop, *pair, stage)
         cube = np.array([loop.point(dict(values)) for values in some])
-        forces = open_loop.placed.force_columns
+        forces = open_loop.ports.forces
         own = {
             name: forces if channels == FORCES else channels
             for name, (closed, _, channels) in CLOSINGS.items()

@@ -22,6 +22,7 @@ from los_design.verification import verification
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import LoopPorts
 
 SOURCES = """
 replace = ["requirement"]
@@ -127,7 +128,8 @@ def test_design_all_writes_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(redesign, "search_stages", lambda *given: {})
     monkeypatch.setattr(redesign, "adversarial_points", lambda *given: [])
     monkeypatch.setattr(redesign, "store_worst_points", lambda *given: None)
-    monkeypatch.setattr(redesign.Placed, "of", lambda *given: redesign.NO_DEVICES)
+    monkeypatch.setattr(redesign, "loop_plant", lambda *given: None)
+    monkeypatch.setattr(LoopPorts, "used_by", lambda ports, *given: ports)
     monkeypatch.setattr(redesign, "verification_points", lambda *given: [])
     monkeypatch.setattr(redesign, "check_implemented", lambda *given, **more: Check())
     monkeypatch.setattr(redesign, "broken_requirements", lambda check: ["first"])

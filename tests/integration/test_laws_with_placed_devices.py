@@ -24,7 +24,6 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.loop_plant import loop_plant
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES, Placed
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation.plant_config import parameter_values
@@ -216,8 +215,8 @@ def test_the_verification_is_what_a_run_measures(base: RunConfig, tmp_path: Path
     fitted = np.linalg.lstsq(np.c_[np.cos(phase), np.sin(phase)], los, rcond=None)[0]
     telescope = load_telescope("own.toml")
     measured = np.linalg.norm(fitted) * rpe_weight(np.array([tone.omega]), telescope.weights.rpe_window)[0]
-    placed = Placed.of(telescope, observer, law)
-    check = check_implemented(loop_plant(telescope, placed), telescope, observer, law, [{}], placed=placed)
+    plant = loop_plant(telescope, telescope.loop_ports.used_by(observer, law))
+    check = check_implemented(plant, telescope, observer, law, [{}])
     worst = check.both.worst["fast"]
     assert worst.gamma * worst.limit == pytest.approx(measured, rel=1e-3)
     assert check.gamma("fsm+pma", "force") > 0.0 and "gain x2 at force 7" in str(check.lost_margins())
@@ -255,12 +254,13 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
     whole = k_fsm.with_inputs(K_FSM_INPUTS)
     B, D = (np.hstack([0.0 * matrix[:, :6], matrix[:, 6:], matrix[:, :6]]) for matrix in (whole.B, whole.D))
     observer = replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin))  # the noise is that of one sensor
-    placed, rng = Placed.of(telescope, observer, twin), np.random.default_rng(1)
-    assert placed.units == (1.0,) and Placed.of(telescope, k_fsm, k_pma) == NO_DEVICES
-    standard = ImplementedLoop(OpenLoop(loop_plant(telescope), telescope), k_fsm, k_pma, "fsm+pma")
-    open_loop = OpenLoop(loop_plant(telescope, placed), telescope, placed=placed)
+    ports, rng = telescope.loop_ports.used_by(observer, twin), np.random.default_rng(1)
+    plain = telescope.loop_ports.used_by(k_fsm, k_pma)
+    assert ports.scale.tolist() == [1.0] * 9 and not plain.further
+    standard = ImplementedLoop(OpenLoop(loop_plant(telescope, plain), telescope), k_fsm, k_pma, "fsm+pma")
+    open_loop = OpenLoop(loop_plant(telescope, ports), telescope, ports=ports)
     other = ImplementedLoop(open_loop, observer, twin, "fsm+pma")
-    known, own = (loop_metrics(telescope, "fsm+pma", placed=one) for one in (NO_DEVICES, placed))
+    known, own = (loop_metrics(telescope, "fsm+pma", ports=one) for one in (plain, ports))
     points = rng.uniform(size=(4, len(open_loop.names)))
     for omega in (0.3, 90.0, 399.5, 900.0):
         one, two = standard.at(omega), other.at(omega)
@@ -271,7 +271,7 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
         radii = [loop.sampled_at(values)[1].spectral_radius() for loop in (standard, other)]
         assert radii[0] == pytest.approx(radii[1], abs=1e-11)
     noise = [
-        noise_rms(noise_covariances(loop.system.at({}), *loop.pair, telescope, loop="fsm+pma", placed=loop.placed))
+        noise_rms(noise_covariances(loop.system.at({}), *loop.pair, telescope, loop="fsm+pma"))
         for loop in (standard, other)
     ]
     np.testing.assert_allclose(noise[1], noise[0], rtol=1e-6)  # covariances with modes of minutes have 7 digits

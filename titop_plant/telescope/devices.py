@@ -25,7 +25,9 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
+from titop_plant.telescope.loop_ports import LoopActuator
 from titop_plant.telescope.sections import OscillatorTable, frozen
+from titop_plant.telescope.sensors import Sensor
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -77,6 +79,11 @@ class PlacedSensor:
         """Port of its values, an input of a controller."""
         return Port(self.name, len(self.axes), self.unit)
 
+    def in_loop(self, washout: float) -> Sensor:
+        """Its row among the sensors of the loop, behind a washout with this corner [rad/s]."""
+        size = np.ones(len(self.axes))
+        return Sensor(self.port, self.noise * size, self.bias * size, framed=False, washout=washout, low_pass=())
+
     @property
     def rows(self) -> FloatArray:
         """Its values from the twist of its point, shape (k, 6)."""
@@ -112,6 +119,10 @@ class PlacedActuator:
     def port(self) -> Port:
         """Port of its force, an output of a controller."""
         return Port(self.name, 1, "N")
+
+    def in_loop(self, whole: float) -> LoopActuator:
+        """Its row among the actuators of the loop, whose forces are over the authority `whole` [N]."""
+        return LoopActuator(self.port, self.authority, self.authority / whole)
 
     @property
     def authority(self) -> float:

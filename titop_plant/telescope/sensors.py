@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from lftkit import Port
 from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
 from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensor:
-    """A sensor of the loop.
+    """A sensor of the loop: of the reference, or of a telescope's file.
 
     Parameters
     ----------
@@ -41,6 +41,16 @@ class Sensor:
     framed: bool
     washout: float
     low_pass: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of its port."""
+        return self.port.name
+
+
+def without_noise(entry: SensorEntry) -> Sensor:
+    """A sensor of which no values of a telescope are known: without noise, bias and filters."""
+    return Sensor(entry.port, np.zeros(entry.port.size), np.zeros(entry.port.size), entry.framed, 0.0, ())
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:

@@ -33,6 +33,7 @@ from titop_plant.telescope.devices import (
     read_sensors,
 )
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
+from titop_plant.telescope.loop_ports import LoopPorts, reference_actuators
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
@@ -350,6 +351,14 @@ class Telescope:
     def placed_actuators(self) -> tuple[PlacedActuator, ...]:
         """Further actuators, in the order of the file."""
         return read_actuators(self._tables)
+
+    @cached_property
+    def loop_ports(self) -> LoopPorts:
+        """All sensors and actuators as rows of the loop: those of the reference, then those of the file."""
+        mirror, forces = float(self.fsm.authority), float(self.pma.authority)
+        sensors = (*self.sensors, *(one.in_loop(self.washout) for one in self.placed_sensors))
+        further = (one.in_loop(forces) for one in self.placed_actuators)
+        return LoopPorts(sensors, (*reference_actuators(mirror, forces), *further))
 
     @property
     def sensor_ports(self) -> tuple[Port, ...]:

@@ -44,7 +44,7 @@ def stand_ins(monkeypatch) -> list[str]:
         found = [search.confirmed(search.metrics["slow"], 5.0, np.full(7, share)) for share in (0.6, 0.3, 0.6)]
         return {"fsm": {"slow": found}, "fsm+pma": {"slow": []}}
 
-    def check(system, telescope, k_fsm, k_pma, at, workers, placed):
+    def check(system, telescope, k_fsm, k_pma, at, workers):
         made.append(f"check at {len(at)}")
         return SimpleNamespace(to_mapping=lambda: {"samples": len(at)}, gammas={"fsm": [0.5], "pma": [0.6]})
 

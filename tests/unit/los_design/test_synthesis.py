@@ -16,7 +16,6 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
-from los_loop.spec import NO_DEVICES
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.simulation.build import control_loop_plant
 
@@ -103,12 +102,12 @@ def test_the_stored_start_stabilises_the_reference_telescope(telescope) -> None:
     for kind in PORTS:
         start = stored_start(kind)
         matrices.append(np.block([[start.A, start.B], [start.C, start.D]]))
-    options = DesignOptions(nominal=True)
+    options, ports = DesignOptions(nominal=True), telescope.loop_ports
     loop = sampled_loop(
         control_loop_plant(telescope).at({}),
         ControlLaws(
             *(
-                synthesis._sampled(k, synthesis._state_space(k, M, NO_DEVICES), telescope, options, None)
+                synthesis._sampled(k, synthesis._state_space(k, M, ports), telescope, options, None, ports)
                 for k, M in zip(PORTS, matrices)
             ),
             "fsm+pma",

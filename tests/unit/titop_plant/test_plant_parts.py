@@ -21,6 +21,7 @@ from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import LoopActuator
 from titop_plant.telescope.placed.readings import SensorReadings
 
 N, FURTHER, TICKS = 5, 2, 200
@@ -83,8 +84,9 @@ def held(seed: int, columns: int = 3) -> FloatArray:
     return np.random.default_rng(seed).standard_normal((N + SIZE, columns))
 
 
-def actuator() -> PlacedActuator:
-    return PlacedActuator("a", "A1", np.eye(3)[2], np.zeros(3), replace(ACTUATOR, authority=3.0))
+def actuator() -> LoopActuator:
+    placed = PlacedActuator("a", "A1", np.eye(3)[2], np.zeros(3), replace(ACTUATOR, authority=3.0))
+    return placed.in_loop(6.0)
 
 
 def whole() -> Plant:

@@ -8,9 +8,9 @@ from fsm_pma_controller.fade import FADE_TICKS
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.flight_library import LibraryLaw
-from los_testbed.law_devices import NO_DEVICES
 from los_testbed.user_blocks import UserBlock
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS
 
 
 def compare_with_telescope(
@@ -58,15 +58,15 @@ def assemble_controller(
     k_fsm = controllers["k_fsm"]
     mirror, force = telescope.authority
     law = controllers["k_pma"]
-    devices = law.devices if isinstance(law, UserBlock) else NO_DEVICES
+    ports = law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
     return FsmPmaController(
         controllers["k_pma"],
         loop,
         los_sensitivity=DesignBasis.from_mapping(k_fsm.design_basis, k_fsm.name).mirror_sensitivity(telescope),
         fsm_authority=mirror,
         pma_authority=force,
-        sensors=devices.inputs,
-        actuators=devices.outputs,
-        actuator_authority=devices.authority,
+        sensors=ports.further_measured,
+        actuators=ports.further_commanded,
+        actuator_authority=[row.authority for row in ports.further_actuators],
         fade_ticks=fade_ticks,
     )

@@ -18,7 +18,6 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.controllers import assemble_controller, compare_with_telescope
-from los_testbed.law_devices import NO_DEVICES, Devices, Wiring, placed_devices
 from los_testbed.plants import SteppedPlant
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
@@ -26,6 +25,7 @@ from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_t
 from los_testbed.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
 from los_testbed.variants import check_ranges, with_scenario
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
     from los_loop.sampled_loop import Delays
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.plant import Plant
     from titop_plant.simulation.sources.drive import PlacedSource
-    from titop_plant.telescope.devices import PlacedActuator
     from titop_plant.telescope.telescope import Telescope
 
 
@@ -120,10 +119,10 @@ class RunParts:
 
     def _uses_devices(self, name: str, text: str) -> bool:
         """Whether a file of a controller has ports of further sensors or actuators."""
-        if not self.placed:
+        if not self.ports.further:
             return False
         law = linear_law(name, text)
-        return law is not None and bool(self.placed.among(law.inputs, law.outputs))
+        return law is not None and bool(self.ports.among(law.inputs, law.outputs).further)
 
     @cached_property
     def files(self) -> dict[str, Path]:
@@ -154,7 +153,7 @@ class RunParts:
         if self.recorded is not None:
             return self.recorded[name]
         if name in self.code:
-            return make_law(self.config, name, self.placed)
+            return make_law(self.config, name, self.ports)
         check_controller_file(self.files[name])
         if self.files[name].suffix == ".json":  # as all stored ones are; nothing else is loaded for them
             return SampledSystem.from_file(self.files[name])
@@ -224,8 +223,8 @@ class RunParts:
 
     def find_start(self, laws: Mapping[str, SampledSystem], tone: WorstTone | None = None) -> RunStart:
         """Tone and states of the loop with these controllers, see :func:`los_testbed.run_start.find_run_start`."""
-        family, actuators = self._loop_with(laws)
-        return find_run_start(self.config, family, self.settings, laws, self.basis.authority, actuators, tone)
+        family, ports = self._loop_with(laws)
+        return find_run_start(self.config, family, self.settings, laws, self.basis.authority, ports, tone)
 
     def _start_without_model(self) -> RunStart:
         """The tone that is worst without the controllers, and the telescope's steady state without them."""
@@ -235,7 +234,7 @@ class RunParts:
         if config.start == "rest" or alone.states is None:
             return alone
         sizes = (law.order for law in (self.k_fsm, self.k_pma))
-        actuators = sum(port.size for port in self._used("k_pma").outputs)
+        actuators = len(self._used("k_pma").further_actuators)
         still = [np.zeros(n) for n in (alone.states.command.size + actuators, *sizes, alone.states.camera.size)]
         states = replace(alone.states, **dict(zip(("command", "k_fsm", "k_pma", "camera"), still)))
         unknown = [text for name, text in self.code.items() if self._model_of(name) is None]
@@ -255,11 +254,12 @@ class RunParts:
         found = {name: law for name, law in laws.items() if law is not None}
         return found if len(found) == len(laws) else None
 
-    def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, list[PlacedActuator]]:
-        """Telescopes for the loop with these controllers, and the further actuators that they command."""
-        used = [self.placed.among(law.inputs, law.outputs) for law in laws.values()]
-        sensed = any(one.sensors for one in used)
-        return self.sensed_family if sensed else self.family, [one for devices in used for one in devices.actuators]
+    def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, LoopPorts]:
+        """Telescopes for the loop with these controllers, and the rows that it has."""
+        used = {name: self.ports.among(law.inputs, law.outputs) for name, law in laws.items()}
+        sensed = any(ports.further_sensors for ports in used.values())
+        sensors = self.ports.sensors if sensed else self.ports.reference.sensors
+        return self.sensed_family if sensed else self.family, replace(used["k_pma"], sensors=sensors)
 
     @cached_property
     def physical(self) -> PlantConfig:
@@ -283,7 +283,7 @@ class RunParts:
 
     def _check_commanded(self) -> None:
         """Refuse an actuator that a source drives and a controller commands."""
-        commanded = [one.name for one in self._used("k_pma").actuators]
+        commanded = [row.name for row in self._used("k_pma").further_actuators]
         for source in self.sources if commanded else ():
             if source.place in commanded:
                 raise ValueError(
@@ -298,9 +298,9 @@ class RunParts:
     @property
     def idle_devices(self) -> str:
         """A line on further sensors that no controller reads and further actuators that nothing drives, if any."""
-        used = [port.name for name in LAWS for port in (*self._used(name).inputs, *self._used(name).outputs)]
-        sources = [source.place for source in self.sources] if self.placed.actuators else []
-        return self.placed.idle([*used, *sources])
+        used = [port.name for ports in self.used.values() for port in ports.further]
+        sources = [source.place for source in self.sources] if self.ports.further_actuators else []
+        return self.ports.idle([*used, *sources])
 
     @property
     def states(self) -> LoopStart | None:
@@ -348,42 +348,38 @@ class RunParts:
     @cached_property
     def sensed_family(self) -> PlantFamily:
         """The family with the values of the further sensors of this run."""
-        return self.family.with_sensors() if self.placed.sensors else self.family
+        return self.family.with_sensors() if self.ports.further_sensors else self.family
 
     @cached_property
-    def placed(self) -> Devices:
-        """Further sensors and actuators of the telescope; none of another plant."""
+    def ports(self) -> LoopPorts:
+        """Sensors and actuators of the telescope as rows of the loop; of another plant those of the reference."""
         if self.config.other_plant or not self.config.parameters:
-            return NO_DEVICES
-        return placed_devices(self.telescope)
+            return REFERENCE_PORTS
+        return self.telescope.loop_ports
 
-    def _used(self, name: str) -> Devices:
-        """Further devices that a controller uses."""
+    def _used(self, name: str) -> LoopPorts:
+        """Rows that a controller uses."""
         law = getattr(self, name)
-        return law.devices if isinstance(law, UserBlock) else NO_DEVICES
+        return law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
 
     @property
-    def used(self) -> dict[str, Devices]:
-        """Further devices that ``k_fsm`` and ``k_pma`` use."""
+    def used(self) -> dict[str, LoopPorts]:
+        """Rows that ``k_fsm`` and ``k_pma`` use: those of the reference, then those that each of them names."""
         return {name: self._used(name) for name in LAWS}
-
-    @cached_property
-    def wiring(self) -> Wiring:
-        """Columns of the readings that each controller sees, and the forces behind the commands."""
-        return Wiring.of(self.placed, self._used("k_fsm"), self._used("k_pma"))
 
     def with_devices(self, plant: Plant) -> Plant:
         """The telescope with further actuators that the controller commands, and further sensors, if there are any."""
-        sensors, actuators = self.placed.sensors, self._used("k_pma").actuators
+        actuators = self._used("k_pma").further_actuators
         if actuators:
             from titop_plant.simulation.driven_plant import ActuatorInput, held_forces
 
             with one_thread():
                 held = held_forces(self.sensed_family, self.settings, actuators, plant.dt)
                 plant = replace(plant, inputs=(*plant.inputs, ActuatorInput(held, actuators)))
-        if sensors:
+        if self.ports.further_sensors:
             from titop_plant.telescope.placed.readings import SensorReadings
 
+            sensors = self.telescope.placed_sensors
             plant = replace(plant, further_sensors=SensorReadings(sensors, self.config.seed, self.config.noise))
         return plant
 
@@ -420,7 +416,8 @@ class RunParts:
         """Topics of the run, those of the loop first."""
         camera = self.star_camera
         images = () if camera is None else (image_topic(camera.camera.window),)
-        further = *sensor_topics(self.placed.sensors), *actuator_topics(self._used("k_pma").actuators)
+        actuators = self._used("k_pma").further_actuators
+        further = *sensor_topics(self.ports.further_sensors), *actuator_topics(actuators)
         return (*TOPICS, *further, *images)
 
     def disturbance(self) -> UserBlock:
@@ -508,7 +505,7 @@ class RunParts:
 
         loop, steady = self.config.loop, self.start.states is not None
         with one_thread():
-            family, actuators = self._loop_with(self.models)
+            family, ports = self._loop_with(self.models)
             return ToneModel.of(
                 family,
                 self.physical,
@@ -517,7 +514,7 @@ class RunParts:
                 authority=self.basis.authority,
                 steady=steady,
                 delays=delays or NONE,
-                actuators=actuators,
+                ports=ports,
             )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -23,13 +23,13 @@ from lftkit.support.structured_text import load_json
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.config import RunConfig
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
     from titop_plant.simulation.build import PlantConfig, PlantFamily
-    from titop_plant.telescope.devices import PlacedActuator
 
 START_FILE = "start.json"
 """Name of the attachment in a bag."""
@@ -152,7 +152,7 @@ def find_run_start(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
-    actuators: Sequence[PlacedActuator] = (),
+    ports: LoopPorts = REFERENCE_PORTS,
     tone: WorstTone | None = None,
 ) -> RunStart:
     """Tone and states of a run; what was computed last is kept.
@@ -172,21 +172,21 @@ def find_run_start(
         ``k_fsm`` and ``k_pma``.
     authority : (float, float)
         Largest commands of the run: mirror [rad], actuators [N].
-    actuators : sequence of PlacedActuator
-        Of the telescope's file, that K_PMA commands; the family is that with its sensors where a controller has them.
+    ports : LoopPorts
+        Rows that the loop has, see :meth:`los_loop.tone_model.ToneModel.of`.
     tone : WorstTone, optional
         In the place of the one that is worst, of a run whose disturbance is such a tone.
     """
     if tone is not None and needs_tone(config):
         with one_thread():
-            return _computed(config, family, settings, controllers, authority, actuators, tone)
+            return _computed(config, family, settings, controllers, authority, ports, tone)
     chosen = config.loop, config.start, config.duration, config.worst_of, needs_tone(config), authority
-    key = f"{chosen} {family.name(settings)} {_digest(controllers)} {actuators}"
+    key = f"{chosen} {family.name(settings)} {_digest(controllers)} {ports.further_actuators}"
     if key not in _found:
         while len(_found) >= _KEPT:
             del _found[next(iter(_found))]
         with one_thread():
-            _found[key] = _computed(config, family, settings, controllers, authority, actuators)
+            _found[key] = _computed(config, family, settings, controllers, authority, ports)
     return _found[key]
 
 
@@ -211,14 +211,14 @@ def _computed(
     settings: PlantConfig,
     controllers: Mapping[str, SampledSystem],
     authority: tuple[float, float],
-    actuators: Sequence[PlacedActuator],
+    ports: LoopPorts,
     tone: WorstTone | None = None,
 ) -> RunStart:
     from los_loop.steady_state import steady_start
     from los_loop.tone_model import ToneModel
 
     notes: list[str] = []
-    model = partial(ToneModel.of, family, controllers=controllers, authority=authority, actuators=actuators)
+    model = partial(ToneModel.of, family, controllers=controllers, authority=authority, ports=ports)
     loop = cache(partial(model, settings))
     if tone is None and needs_tone(config):
         tone = _tone(config, family, loop, notes)
@@ -238,9 +238,9 @@ def _computed(
 def _bias(family: PlantFamily, settings: PlantConfig, model: ToneModel) -> FloatArray:
     """Constant part of the measurement, and of the further sensors that the loop has, (22 + readings,)."""
     known = family.bias(settings)
-    placed = [float(settings.noise) * one.bias for one in family.telescope.placed_sensors for _ in one.axes]
+    further = float(settings.noise) * family.telescope.loop_ports.bias[len(known) :]
     size = model.loop.noise_frame.shape[1]
-    return np.concatenate([known, placed])[:size]
+    return np.concatenate([known, further])[:size]
 
 
 def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel], notes: list[str]) -> WorstTone:

@@ -16,7 +16,8 @@ from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
+    from titop_plant.telescope.loop_ports import LoopActuator
+    from titop_plant.telescope.sensors import Sensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""
@@ -144,18 +145,18 @@ PLACED = "sensor"
 """Further sensors have their topics below this name."""
 
 
-def sensor_topics(sensors: Sequence[PlacedSensor]) -> tuple[TopicDefinition, ...]:
+def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
     """Topics of the further sensors, in their order; a bag with them has them behind those of the loop.
 
     Parameters
     ----------
-    sensors : sequence of PlacedSensor
+    sensors : sequence of Sensor
     """
     found, first = [], 0
     for one in sensors:
-        columns = slice(first, first + len(one.axes))
+        columns = slice(first, first + one.port.size)
         name = f"{PLACED}/{one.name}"
-        found.append(TopicDefinition(name, VECTOR3, one.name, "plant", READINGS, columns, one.name, one.unit))
+        found.append(TopicDefinition(name, VECTOR3, one.name, "plant", READINGS, columns, one.name, one.port.unit))
         first = columns.stop
     return tuple(found)
 
@@ -169,12 +170,12 @@ COMMANDED = "actuator"
 """Forces of further actuators that a controller commands have their topics below this name."""
 
 
-def actuator_topics(actuators: Sequence[PlacedActuator]) -> tuple[TopicDefinition, ...]:
+def actuator_topics(actuators: Sequence[LoopActuator]) -> tuple[TopicDefinition, ...]:
     """Topics of the commands of further actuators, in their order; they are behind the sensors in a bag.
 
     Parameters
     ----------
-    actuators : sequence of PlacedActuator
+    actuators : sequence of LoopActuator
     """
     return tuple(
         TopicDefinition(

@@ -11,8 +11,9 @@ k_pma               step(accel_Ip, out)           6 accelerations to 6 forces [N
 disturbance_source  step(out)                     forces and torques, :mod:`titop_plant.simulation.driven_plant`
 ==================  ============================  ==========================================================
 
-A controller that names sensors and actuators of the telescope's file (:mod:`los_testbed.law_devices`) has their values
-behind these inputs and outputs.
+A controller that names sensors and actuators of the telescope's file, a class in its attributes ``sensors`` and
+``actuators``, a linear system in its ports, has their values behind these inputs and outputs
+(:mod:`titop_plant.telescope.loop_ports`). An observer reads only; the proof-mass law reads and commands.
 
 A controller may have a model: a method ``system()`` returns the sampled system that it is, of python-control or of
 lftkit. Its ``reset(state)`` leads to a state of this system, ``reset(state, held)`` of an observer with the values that
@@ -35,10 +36,10 @@ from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code, is_library
-from los_testbed.law_devices import NO_DEVICES, Devices
 from los_testbed.law_models import difference, element, told_model
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 UNTOUCHED = -1.2345678901234567e-300
 """Value that no block writes: what still has it after a step was not written."""
@@ -84,8 +85,8 @@ class UserBlock:
         With ``reset`` and ``step``.
     inputs, outputs : sequences of Port
         A block without inputs has the signature ``step(out)``.
-    devices : Devices
-        Further ones that it uses; their ports are the last of `inputs` and `outputs`.
+    ports : LoopPorts
+        Rows of the loop that it uses; ports of the further ones are the last of `inputs` and `outputs`.
 
     Raises
     ------
@@ -100,7 +101,7 @@ class UserBlock:
         block: Any,
         inputs: Sequence[Port],
         outputs: Sequence[Port],
-        devices: Devices = NO_DEVICES,
+        ports: LoopPorts = REFERENCE_PORTS,
     ) -> None:
         try:
             found = {name: getattr(block, name, "none") for name in ("step", "reset")}
@@ -110,7 +111,7 @@ class UserBlock:
         for name, method in found.items():
             if not callable(method):
                 raise ContractError(f"{setting} {text}: {name} must be a method, got {method!r}")
-        self.name, self.block, self.devices = f"{setting} {text}", block, devices
+        self.name, self.block, self.ports = f"{setting} {text}", block, ports
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
         if not isinstance(self.design_basis, Mapping):
             raise ContractError(f"{setting} {text}: design_basis must be a mapping, got {self.design_basis!r}")
@@ -260,15 +261,15 @@ def watched(method: Callable[..., None], name: str) -> Callable[..., None]:
     return call
 
 
-def make_law(config: RunConfig, setting: str, placed: Devices = NO_DEVICES) -> UserBlock:
+def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS) -> UserBlock:
     """Controller that the setting ``k_fsm`` or ``k_pma`` names, checked.
 
     Parameters
     ----------
     config : RunConfig
     setting : str
-    placed : Devices
-        Further sensors and actuators of the telescope.
+    ports : LoopPorts
+        Rows of the telescope.
 
     Raises
     ------
@@ -280,16 +281,16 @@ def make_law(config: RunConfig, setting: str, placed: Devices = NO_DEVICES) -> U
     if is_library(text):
         from los_testbed.flight_library import LibraryLaw
 
-        block, devices = LibraryLaw(Path(text), setting), NO_DEVICES
+        block, used = LibraryLaw(Path(text), setting), REFERENCE_PORTS
     elif law := linear_law(setting, text):
-        devices = placed.among(law.inputs, law.outputs)
-        block = _checked(setting, text, law, devices)
+        used = ports.among(law.inputs, law.outputs)
+        block = _checked(setting, text, law, used)
     else:
         block = make(config, setting)
-        devices = _named(setting, text, block, placed)
-    _refuse_commands(setting, text, devices)
+        used = _named(setting, text, block, ports)
+    _refuse_commands(setting, text, used)
     inputs, outputs = LAWS[setting]
-    made = UserBlock(setting, text, block, (*inputs, *devices.inputs), (*outputs, *devices.outputs), devices)
+    made = UserBlock(setting, text, block, (*inputs, *used.further_measured), (*outputs, *used.further_commanded), used)
     made.check()
     return made
 
@@ -329,32 +330,33 @@ def check_controller_file(path: Path | str) -> None:
         raise ValueError(f"{path} is not a controller file: expected JSON or .mat (up to 7.2), got {kind}")
 
 
-def _checked(setting: str, text: str, law: SampledSystem, devices: Devices) -> LosEstimator | SampledSystem:
+def _checked(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> LosEstimator | SampledSystem:
     """A linear law as a block."""
     inputs, outputs = LAWS[setting]
     try:
         if setting == "k_fsm":
-            return LosEstimator(law, devices.inputs)
-        law = law.with_inputs((*inputs, *devices.inputs))
-        law.require((*inputs, *devices.inputs), (*outputs, *devices.outputs), DT)
+            return LosEstimator(law, ports.further_measured)
+        measured = *inputs, *ports.further_measured
+        law = law.with_inputs(measured)
+        law.require(measured, (*outputs, *ports.further_commanded), DT)
     except ValueError as error:
         raise ContractError(f"{setting} {text}: {error}") from None
     return law
 
 
-def _named(setting: str, text: str, block: Any, placed: Devices) -> Devices:
-    """Further devices that a class of the user names."""
+def _named(setting: str, text: str, block: Any, ports: LoopPorts) -> LoopPorts:
+    """Rows with the further sensors and actuators that a class of the user names."""
     try:
         names = [getattr(block, what, ()) for what in ("sensors", "actuators")]
-        return placed.named(*(one if isinstance(one, str) else tuple(one) for one in names))
+        return ports.named(*(one if isinstance(one, str) else tuple(one) for one in names))
     except RAISED as error:
         what = error if isinstance(error, ValueError) else in_one_line(error)
         raise ContractError(f"{setting} {text}: {what}") from error
 
 
-def _refuse_commands(setting: str, text: str, devices: Devices) -> None:
-    if setting == "k_fsm" and devices.actuators:
-        names = ", ".join(port.name for port in devices.outputs)
+def _refuse_commands(setting: str, text: str, ports: LoopPorts) -> None:
+    if setting == "k_fsm" and ports.further_actuators:
+        names = ", ".join(port.name for port in ports.further_commanded)
         raise ContractError(f"{setting} {text}: an observer must command no actuator, that is for k_pma, got {names}")
 
 

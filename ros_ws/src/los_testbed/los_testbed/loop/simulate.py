@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, IntArray
 from lftkit.support.threads import one_thread
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
@@ -23,7 +23,6 @@ from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.image_camera import frame_counts, image_camera_of, window_of
-from los_testbed.law_devices import NONE, Wiring
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.plants import SteppedPlant, plant_notes
 from los_testbed.plugins import RAISED, in_one_line
@@ -31,6 +30,7 @@ from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition
 from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore, EstimatorCore
@@ -113,7 +113,8 @@ def simulate(
     ticks: int,
     sink: Callable[[SampleBlock, int], None],
     first_command: FloatArray | None = None,
-    wiring: Wiring = NONE,
+    ports: LoopPorts = REFERENCE_PORTS,
+    used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS),
 ) -> None:
     """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
 
@@ -125,8 +126,10 @@ def simulate(
     sink : callable
     first_command : ndarray, shape (8,) or (8 + actuators,), optional
         Command that the first tick applies [rad, N]; default: zero.
-    wiring : Wiring
-        What the controllers use of further sensors and actuators.
+    ports : LoopPorts
+        Rows of the telescope, whose further sensors are the readings of the plant.
+    used : (LoopPorts, LoopPorts)
+        Rows that observer and controller use.
 
     Raises
     ------
@@ -137,8 +140,9 @@ def simulate(
     """
     from los_testbed.loop.compiled_loop import CompiledLoop
 
-    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), wiring.actuators)
-    command = np.zeros(COMMANDS + wiring.actuators)
+    seen = ports.readings_of(used[0]), ports.readings_of(used[1])
+    command = np.zeros(used[1].commands)
+    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
     if first_command is not None:
         command[: len(first_command)] = first_command
     start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
@@ -147,7 +151,7 @@ def simulate(
         rows = min(BLOCK, ticks - first)
         block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
         if compiled is None or not compiled.run(command, block, rows):
-            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first, wiring)
+            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first, seen)
             if error is not None:
                 sink(block, done)
                 raise RunFailedError(str(error)) from error.__cause__
@@ -165,15 +169,18 @@ def _step_by_step(
     block: SampleBlock,
     rows: int,
     first: int,
-    wiring: Wiring,
+    seen: tuple[IntArray, IntArray],
 ) -> tuple[RunFailedError | None, int]:
-    """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
+    """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then.
+
+    `seen` are the readings that observer and controller take in behind their other inputs.
+    """
     plant_step, estimate, control = plant.step, estimator.step, controller.step
     done, who = 0, "plant"
     camera = image_camera_of(plant)
     image = None if camera is None else camera.image.ravel()
     readings = readings_of(plant)
-    seen, felt = np.zeros(MEASUREMENTS + len(wiring.estimator)), np.zeros(ACCELERATIONS + len(wiring.controller))
+    observed, felt = np.zeros(MEASUREMENTS + len(seen[0])), np.zeros(ACCELERATIONS + len(seen[1]))
     try:
         # what overflows is found by the caller, with tick and port
         with np.errstate(over="ignore", invalid="ignore"):
@@ -186,10 +193,10 @@ def _step_by_step(
                     block.image[done] = image
                 block.readings[done] = readings
                 who = "observer"
-                seen[:MEASUREMENTS], seen[MEASUREMENTS:] = y, readings[wiring.estimator]
-                estimate(seen, los)
+                observed[:MEASUREMENTS], observed[MEASUREMENTS:] = y, readings[seen[0]]
+                estimate(observed, los)
                 who = "controller"
-                felt[:ACCELERATIONS], felt[ACCELERATIONS:] = y[PLATFORM], readings[wiring.controller]
+                felt[:ACCELERATIONS], felt[ACCELERATIONS:] = y[PLATFORM], readings[seen[1]]
                 control(los, felt, u)
                 command[:] = u
                 done += 1
@@ -288,6 +295,7 @@ def record(
         topics=topics,
     )
     sink, done = BagSink(bag, plant.frame_ticks, topics), 0
+    used = parts.used["k_fsm"], parts.used["k_pma"]
 
     def write(block: SampleBlock, rows: int) -> None:
         nonlocal done
@@ -297,7 +305,7 @@ def record(
 
     try:
         with one_thread():
-            simulate(plant, estimator, controller, parts.config.ticks, write, start.command, parts.wiring)
+            simulate(plant, estimator, controller, parts.config.ticks, write, start.command, parts.ports, used)
     except BaseException as error:
         statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
         raise

@@ -16,7 +16,6 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.factories import RunParts
-from los_testbed.law_devices import NONE
 from los_testbed.loop.simulate import SampleBlock, simulate
 from los_testbed.run_start import RunStart
 from pointing_analysis.indices.errors import default_transient
@@ -155,5 +154,6 @@ def _simulated(alone: RunParts, telescope: Plant, parts: RunParts, ticks: int) -
 
     with one_thread():
         first = None if alone.states is None else alone.states.command
-        simulate(plant, estimator, controller, ticks, keep, first, alone.wiring if parts.code else NONE)
+        used = alone.used["k_fsm"], alone.used["k_pma"]
+        simulate(plant, estimator, controller, ticks, keep, first, alone.ports, used)
     return found

@@ -17,7 +17,6 @@ from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.factories import RunParts, build_controller
-from los_testbed.law_devices import NO_DEVICES
 from los_testbed.loop.changes import Apply
 from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from los_testbed.nodes.support.follower import Follower
@@ -28,8 +27,8 @@ from los_testbed.plugins import made_by
 from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
 from los_testbed.user_blocks import watched
 from pointing_analysis.replay.gap_stepping import GapStepper
-from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.interface import DesignBasis
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS
 
 if TYPE_CHECKING:
     from pointing_analysis.replay.replay import ControllerCore
@@ -84,12 +83,12 @@ class ControllerLaw:
         controller = made_by(build, context.config, "controller") if own else run.controller()
         if not own:
             context.warn_alone(run.check())
-        devices = NO_DEVICES if own else run.used["k_pma"]
+        ports = REFERENCE_PORTS if own else run.used["k_pma"]
         self._reset, control = watched(controller.reset, "reset"), watched(controller.step, "step")
-        self.further = sensor_topics(devices.sensors)
+        self.further = sensor_topics(ports.further_sensors)
         self.size = ACCEL.stop + sum(topic.size for topic in self.further)
-        self.command = np.zeros(COMMAND_SIZE + len(devices.actuators))
-        topics = (*actuator_topics(devices.actuators), *COMMANDS)  # the last ones close the tick
+        self.command = np.zeros(ports.commands)
+        topics = (*actuator_topics(ports.further_actuators), *COMMANDS)  # the last ones close the tick
         self._outputs = [
             (RawPublisher(context.node, t.name, t.type_name), codec_for(t), self.command[t.columns]) for t in topics
         ]

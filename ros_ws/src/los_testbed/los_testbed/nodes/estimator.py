@@ -79,7 +79,7 @@ class EstimatorLaw:
         own = build is not build_estimator
         estimator = made_by(build, context.config, "estimator") if own else build(context.config)
         self._reset = watched(estimator.reset, "reset")
-        self.further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].sensors)
+        self.further = () if own else sensor_topics(RunParts(context.config).used["k_fsm"].further_sensors)
         self.size = MEASUREMENTS + sum(topic.size for topic in self.further)
         self.columns: IntArray | None = None
         self.los = np.zeros(ESTIMATES)

@@ -263,9 +263,7 @@ def refuse_devices(telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSys
     ValueError
         They do: proofs, their bundle and its checker have the ports of the reference's loop.
     """
-    from los_loop.spec import NO_DEVICES, Placed
-
-    if Placed.of(telescope, k_fsm, k_pma) != NO_DEVICES:
+    if telescope.loop_ports.used_by(k_fsm, k_pma).further:
         known = {port.name for port in (*K_FSM_INPUTS, *K_FSM_OUTPUTS, *K_PMA_INPUTS, *K_PMA_OUTPUTS)}
         ports = [p.name for system in (k_fsm, k_pma) for p in (*system.inputs, *system.outputs)]
         further = ", ".join(dict.fromkeys(name for name in ports if name not in known))

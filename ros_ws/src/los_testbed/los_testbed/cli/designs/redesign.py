@@ -147,15 +147,14 @@ def design_all(
 ) -> None:
     """See ALL_EXAMPLES."""
     from los_design import redesign
-    from los_loop.spec import NO_DEVICES, Placed
     from titop_plant.telescope.load import REFERENCE, differences, load_telescope
 
     folder = given_output(output, "a folder for the designs")
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     own = load_telescope(parameters).with_uncertain(uncertain or ())
-    if certify and (devices := Placed.of(own)) != NO_DEVICES:
-        names = ", ".join(port.name for port in (*devices.sensors, *devices.actuators))
+    if certify and (further := own.loop_ports.further):
+        names = ", ".join(port.name for port in further)
         raise ValueError(f"--certify must be with a telescope without sensors and actuators of its own, got {names}")
     check_output(folder, parameters, uncertain or ())
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):

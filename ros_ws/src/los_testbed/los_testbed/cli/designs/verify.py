@@ -127,20 +127,18 @@ def _of_folder(
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
     from los_loop.loop_plant import loop_plant
-    from los_loop.spec import Placed
     from titop_plant.interface import design_warnings
 
     telescope, k_fsm, k_pma = designs_in(folder)
     telescope = telescope.with_uncertain(uncertain)
     warn(design_warnings((k_fsm, k_pma), telescope.design_basis, closed=True))
     with Progress(f"{folder.name} as implemented") as bar:
-        placed = Placed.of(telescope, k_fsm, k_pma)
-        system = loop_plant(telescope, placed)
+        system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
         adversarial = load_adversarial(folder) if (folder / WORST_POINTS).exists() else []
         at = [*verification_points(telescope, system, samples), *adversarial]
         step = _counted(bar, len(telescope.mirror_stages) * len(at))
         with _going_on(workers, output, telescope, (k_fsm, k_pma), at) as kept:
-            check = check_implemented(system, telescope, k_fsm, k_pma, at, step, workers=kept, placed=placed)
+            check = check_implemented(system, telescope, k_fsm, k_pma, at, step, workers=kept)
             mission = verify_mission(folder, bar.print)
             implemented, not_met = check.to_mapping(), [*broken_requirements(check), *mission.not_met]
             shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}

@@ -167,7 +167,7 @@ class PlantIo:
             return CommandInput(name, topic, CommandGate(codec_for(topic), limit, *hold))
 
         mirror, force = parts.basis.authority
-        further = parts.used["k_pma"].actuators
+        further = parts.used["k_pma"].further_actuators
         self.mirror = command("fsm", FSM_COMMAND, mirror)
         self.forces = command("pma", PMA_COMMAND, force)
         self.commands = (

@@ -69,7 +69,7 @@ class TickBundle:
 
 def measurement_bundle(parts: RunParts) -> TickBundle:
     """The message of the plant: the measurement, readings of further sensors that a controller takes in, ages."""
-    read = {port.name for devices in parts.used.values() for port in devices.inputs}
+    read = {port.name for ports in parts.used.values() for port in ports.further_measured}
     topics: list[TopicDefinition] = list(SENSORS)
     end = MEASUREMENTS
     for topic in parts.topics[len(TOPICS) :]:
@@ -82,6 +82,6 @@ def measurement_bundle(parts: RunParts) -> TickBundle:
 
 def command_bundle(parts: RunParts) -> TickBundle:
     """The message of the controller: the command, forces of further actuators behind it."""
-    topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].actuators))
+    topics: Sequence[TopicDefinition] = (*COMMANDS, *actuator_topics(parts.used["k_pma"].further_actuators))
 
     return TickBundle(BUNDLES["controller"], "controller", tuple(topics), {})

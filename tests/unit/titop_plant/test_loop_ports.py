@@ -1,0 +1,164 @@
+"""Rows of the loop: what is known of all of them whatever a telescope's file adds."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lftkit.arrays import IntArray
+from lftkit.systems.ports import Port
+from titop_plant.interface import COMMAND_PORTS, COMMANDED, MEASURED_PORTS
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.loop_ports import DISTURBANCE, LINE_OF_SIGHT, LoopPorts
+
+OWN = """
+[[sensor]]
+name = "on_m1"
+place = "M1"
+noise = 2e-4
+bias = 3e-3
+
+[[sensor]]
+name = "at_root"
+place = "A1"
+axes = [[0.0, 0.0, 1.0]]
+
+[[actuator]]
+name = "shaker"
+place = "A1"
+axis = [0.0, 0.0, 1.0]
+authority = 7.9
+
+[[actuator]]
+name = "damper"
+place = "detector"
+axis = [1.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> LoopPorts:
+    """Rows of a telescope with sensors and actuators of a file."""
+    file = tmp_path_factory.mktemp("telescope") / "own.toml"
+    file.write_text(OWN)
+    return load_telescope(file).loop_ports
+
+
+def law(*names: str) -> SimpleNamespace:
+    """A controller with ports of these names."""
+    ports = tuple(Port(name, 1) for name in names)
+    return SimpleNamespace(inputs=ports, outputs=ports)
+
+
+def columns(found: slice | IntArray) -> list[int]:
+    """Columns of a slice or an array among a hundred."""
+    return [int(column) for column in np.arange(100)[found]]
+
+
+def test_rows_of_the_reference_come_first(own: LoopPorts) -> None:
+    for ports in (own, load_telescope().loop_ports, LoopPorts()):
+        assert ports.measured[: len(MEASURED_PORTS)] == MEASURED_PORTS
+        assert ports.commanded[: len(COMMAND_PORTS)] == COMMAND_PORTS
+        assert not ports.reference.further
+    assert [port.name for port in own.further] == ["on_m1", "at_root", "shaker", "damper"]
+
+
+def test_columns_of_the_rows_are_a_partition(own: LoopPorts) -> None:
+    measured = [columns(own.measured_columns([port])) for port in own.measured]
+    commanded = [columns(own.command_columns([port])) for port in own.commanded]
+    assert np.concatenate(measured).tolist() == list(range(own.measurements)) and own.measurements == 22 + 3 + 1
+    assert np.concatenate(commanded).tolist() == list(range(own.commands)) and own.commands == 8 + 2
+    some = (own.measured[4], own.measured[1])
+    assert columns(own.measured_columns(some)) == measured[4] + measured[1]
+
+
+@pytest.mark.parametrize("count", [0, 20, 22])
+def test_ports_of_the_response_are_a_partition(own: LoopPorts, count: int) -> None:
+    """Whatever the number of disturbances is; the port of the forces has those of the file's actuators."""
+    inputs = np.arange(count + own.commands)
+    found = [inputs[own.columns_of(name)] for name in (DISTURBANCE, *COMMANDED)]
+    assert np.concatenate(found).tolist() == inputs.tolist() and len(found[0]) == count
+    outputs = np.arange(2 + own.commands)
+    rows = [outputs[own.rows_of(name)] for name in (LINE_OF_SIGHT, *COMMANDED)]
+    assert np.concatenate(rows).tolist() == outputs.tolist() and len(rows[0]) == 2
+    assert outputs[own.applied].size == inputs[own.added].size == own.commands
+    assert np.array_equal(outputs[own.applied][own.forces], rows[-1])
+
+
+def test_each_value_has_its_noise_and_scale(own: LoopPorts) -> None:
+    telescope = load_telescope()
+    assert np.array_equal(own.noise[:22], telescope.noise_of_samples)
+    assert own.noise[22:25].tolist() == [2e-4] * 3 and own.bias[22:25].tolist() == [3e-3] * 3
+    authority = np.concatenate([np.full(row.port.size, row.authority) for row in own.actuators])
+    limit = telescope.pma.authority  # one limit for all forces in units of their scale
+    np.testing.assert_allclose(authority[own.forces], limit * own.scale[own.forces], rtol=1e-15)
+    assert own.scale[:8].tolist() == [1.0] * 8
+
+
+def test_a_loop_has_the_rows_that_its_controllers_use(own: LoopPorts) -> None:
+    assert not own.used_by(law("accel_Ip"), law("pma_force")).further
+    for names in (("on_m1",), ("at_root", "shaker"), ("damper",)):
+        used = own.used_by(law(), law(*names))
+        assert used.sensors == own.sensors
+        assert [row.name for row in used.further_actuators] == [n for n in ("shaker", "damper") if n in names]
+        assert used.used_by(law(*names)) == used
+    assert own.used_by(law("on_m1", "shaker", "damper")) == own
+
+
+def test_a_controller_sees_what_it_names_in_the_order_of_the_rows(own: LoopPorts) -> None:
+    first, given = MEASURED_PORTS[:1], law("at_root", "on_m1", "damper")
+    assert [port.name for port in own.seen_by(given, first)] == ["accel_Ip", "on_m1", "at_root"]
+    assert [port.name for port in own.driven_by(given, COMMAND_PORTS[1:])] == ["pma_force", "damper"]
+    with pytest.raises(ValueError, match=r"measured port must be one of accel_Ip, .*, at_root, got 'shaker'"):
+        own.measured_columns([Port("shaker", 1)])
+
+
+def test_readings_of_a_controller_are_those_that_it_names_in_its_order(own: LoopPorts) -> None:
+    readings = np.arange(own.measurements - 22)
+    for names in ((), ("at_root",), ("on_m1",), ("at_root", "on_m1")):
+        used = own.named(names)
+        assert used.reference == own.reference and [row.name for row in used.further_sensors] == [*names]
+        behind = own.measured_columns(used.further_measured)
+        assert (22 + readings[own.readings_of(used)]).tolist() == columns(behind)
+
+
+def test_ports_of_a_controller_name_sensors_in_the_order_of_the_rows(own: LoopPorts) -> None:
+    """Actuators are in the order of its own outputs: they are behind the eight values of its command."""
+    given = law("damper", "at_root", "shaker", "pma_force", "on_m1")
+    found = own.among(given.inputs, given.outputs)
+    assert [port.name for port in found.further] == ["on_m1", "at_root", "damper", "shaker"]
+    assert found.commands == own.commands and not own.among((), ()).further
+
+
+@pytest.mark.parametrize(
+    ("sensors", "actuators", "message"),
+    [
+        (("on_m2",), (), "sensors must be different names of on_m1, at_root, got ('on_m2',)"),
+        (("on_m1", "on_m1"), (), "sensors must be different names of on_m1, at_root, got ('on_m1', 'on_m1')"),
+        ("on_m1", (), "sensors must be different names of on_m1, at_root, got 'on_m1'"),
+        ((), ("pma_force",), "actuators must be different names of shaker, damper, got ('pma_force',)"),
+    ],
+)
+def test_other_names_are_refused(own: LoopPorts, sensors: str, actuators: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        own.named(sensors, actuators)
+    with pytest.raises(ValueError, match="none, which is what the telescope's file has, got"):
+        own.reference.named(sensors, actuators)
+
+
+def test_rows_are_idle_or_used(own: LoopPorts) -> None:
+    names = [port.name for port in own.further]
+    assert own.idle(names) == own.reference.idle() == ""
+    for name in names:
+        rest = [other for other in names if other != name]
+        kind = "sensor" if name in ("on_m1", "at_root") else "actuator"
+        assert own.idle(rest) == f"controllers and predictions do not use {kind} {name} of the telescope's file"
+
+
+def test_without_scale_a_command_has_its_unit(own: LoopPorts) -> None:
+    plain = own.unscaled()
+    assert plain.scale.tolist() == [1.0] * own.commands and plain.commanded == own.commanded
+    assert [row.authority for row in plain.actuators] == [row.authority for row in own.actuators]
