@@ -62,9 +62,6 @@ FORMER_NAMES = {
 
 FORMER_NAMES_OF_THE_TUNER = {"place", "places"}
 
-NAMED_TWICE = {"Wiring"}
-"""Names of public classes that still stand for two things."""
-
 WORDS = re.compile(r"\b(flown|house|room|somebody else)\b", re.IGNORECASE)
 
 
@@ -123,7 +120,7 @@ def test_no_name_stands_for_two_classes() -> None:
         if any(counts[name] > 1 for name in names):
             for name, place in classes(path):
                 found.setdefault(name, []).append(place)
-    assert {name: places for name, places in found.items() if len(places) > 1 and name not in NAMED_TWICE} == {}
+    assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
 
 def test_words_are_those_of_the_field() -> None:

@@ -35,7 +35,7 @@ DISTURBANCE = "disturbance"
 (LINE_OF_SIGHT,) = (port.name for port in TRUTH_PORTS)
 
 
-class WithPorts(Protocol):
+class ControllerWithPorts(Protocol):
     """A controller with its ports."""
 
     @property
@@ -168,7 +168,7 @@ class LoopPorts:
         """The rows of the reference alone."""
         return LoopPorts(self.sensors[: len(MEASURED_PORTS)], self.actuators[: len(COMMAND_PORTS)])
 
-    def used_by(self, *controllers: WithPorts) -> LoopPorts:
+    def used_by(self, *controllers: ControllerWithPorts) -> LoopPorts:
         """Rows of a loop with these controllers: those of the reference, all further sensors, the actuators they name.
 
         Without the further rows where no controller has a port of them.
@@ -231,11 +231,11 @@ class LoopPorts:
 
     # ---- columns ----------------------------------------------------------------------------------------------------
 
-    def seen_by(self, controller: WithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
+    def seen_by(self, controller: ControllerWithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
         """Ports `first`, then those of the further sensors that a controller has among its inputs, in their order."""
         return (*first, *_named(self.further_measured, controller.inputs))
 
-    def driven_by(self, controller: WithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
+    def driven_by(self, controller: ControllerWithPorts, first: Sequence[Port]) -> tuple[Port, ...]:
         """Ports `first`, then those of the further actuators that a controller has among its outputs."""
         return (*first, *_named(self.further_commanded, controller.outputs))
 
@@ -312,8 +312,8 @@ __all__ = [
     "DISTURBANCE",
     "LINE_OF_SIGHT",
     "REFERENCE_PORTS",
+    "ControllerWithPorts",
     "LoopActuator",
     "LoopPorts",
-    "WithPorts",
     "reference_actuators",
 ]
