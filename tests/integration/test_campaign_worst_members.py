@@ -48,7 +48,7 @@ def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not()
     assert 1.0 < random.max() < found[0] and np.median(random) < 1.0
     worst = int(random.argmax())
     plant = evaluator.family.control_loop.at(dict(zip(DELTA, points[worst])))
-    pair, telescope = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.parameters
+    pair, telescope = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.telescope
     closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
     near = rows[worst]["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))
     peak = float(weighted_gains(closed, plant, telescope, near)[1].max()) / telescope.weights.rpe_limit_fine
