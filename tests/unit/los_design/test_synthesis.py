@@ -50,7 +50,9 @@ def measured(telescope, pair, values) -> dict[str, float]:
         loop = ImplementedLoop(OpenLoop(system, telescope), *pair, name)
         for metric in loop_metrics(telescope, name).values():
             share = limits(telescope, stage)[metric.name]
-            omega = np.array([w for w in grid() if metric.band[0] <= w < metric.band[1]][::4])
+            omega = np.array(
+                [w for w in grid(telescope.weights.band_edge) if metric.band[0] <= w < metric.band[1]][::4]
+            )
             peaks = [loop.gains(closed, metric, loop.point(values)[None])[0] for closed in loop.at_each(omega)]
             found[named(metric.name, stage)] = float(np.max(peaks)) * metric.limit / share
     return found
