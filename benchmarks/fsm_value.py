@@ -31,7 +31,6 @@ from lftkit.tuning.problem import Problem
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.state_space_requirements import implemented_requirements
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
-from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.load import load_telescope
 
 DESIGN = Path(__file__).parents[1] / "los_estimator" / "designs" / "k_fsm.json"
@@ -43,8 +42,8 @@ PERTURBATIONS = -3.0, -1.0  # decades of the relative size of a perturbation of 
 def problem_and_start() -> tuple[Problem, FloatArray]:
     """The problem and the Kalman observer's parameters."""
     telescope = load_telescope()
-    telescope, options = build_telescope(telescope), DesignOptions()
-    plant = observer_plant(telescope, telescope, **options.hold_delays)
+    options = DesignOptions()
+    plant = observer_plant(telescope, **options.hold_delays)
     structure = observer_structure(plant, camera_hold=True)
     points = [dict(p) for p in _active_models(json.loads(DESIGN.read_text())) or [{}]]
     corners = telescope.corners()
@@ -52,7 +51,7 @@ def problem_and_start() -> tuple[Problem, FloatArray]:
     points = [*points, *(corners[k] for k in order)][:MODELS]
     models = [plant(p).named(f"m{i}") for i, p in enumerate(points)]
     requirements = implemented_requirements(telescope, "fsm")
-    start = kalman_start(structure, telescope, telescope, lead=options.loop_delay)
+    start = kalman_start(structure, telescope, lead=options.loop_delay)
     return Problem(models, requirements, structure, loop_delay=options.delay), start
 
 
