@@ -27,7 +27,6 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from los_testbed import run_start
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import cluster, evaluate_chunk, identity, run_campaign
 from los_testbed.campaign.member import MemberEvaluator
@@ -35,6 +34,7 @@ from los_testbed.campaign.portable import portable
 from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts import start as run_start
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise

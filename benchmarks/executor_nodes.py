@@ -20,12 +20,12 @@ import time
 from typing import Any
 
 import numpy as np
-from los_testbed.factories import build_controller, build_estimator, build_plant
 from los_testbed.loop.latency_histogram import LatencyHistogram
 from los_testbed.loop.simulate import aligned_start
 from los_testbed.nodes.support import node_context
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
+from los_testbed.parts.run_parts import build_controller, build_estimator, build_plant
 from los_testbed.topics import (
     ACCEL,
     COMMANDS,

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.variants import worst_member
 
 from lftkit.arrays import FloatArray

@@ -31,14 +31,14 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from los_testbed import run_start
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop import compiled_loop
 from los_testbed.loop.simulate import SIGNALS, SampleBlock, run_in_process, simulate
+from los_testbed.parts import start as run_start
+from los_testbed.parts.run_parts import RunParts
 from processor_time import least
 
 from los_estimator.runtime import hold_values

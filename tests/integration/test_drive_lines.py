@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.parts.run_parts import RunParts
 
 from titop_plant.interface import DT
 from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.stages import Plan, provenance
 from los_testbed.variants import of_designs, of_scenario
 

@@ -32,7 +32,7 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.cli.command_group import ENTRIES, loaded
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.variants import of_designs
 from support.command_line import CommandLine
 

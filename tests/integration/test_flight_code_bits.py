@@ -16,8 +16,8 @@ import pytest
 from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import run_laws
+from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.replay import LAYOUT, controllers
-from los_testbed.run_start import START_FILE, RunStart
 from support.flight_library import (
     LEVELS,
     LIBRARY,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from los_testbed.cli import app
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.replay import controller_of
 
 import fsm_pma_controller

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from los_testbed.cli import app
 from los_testbed.config import RunConfig
-from los_testbed.disturbance_kinds import KINDS
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.loop.source_alone import NOISE, parts_of
+from los_testbed.parts.disturbance_kinds import KINDS
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
-from los_testbed.run_start import START_FILE, RunStart
 from los_testbed.variants import with_scenario
 
 from pointing_analysis.read.run import Run

@@ -9,12 +9,12 @@ import pytest
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import emulated
 from los_testbed.run.replay import write_signals
 from los_testbed.run.summary import predictions as module
 from los_testbed.run.summary.predictions import predictions
-from los_testbed.run_start import emulated
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.sampled.sampled_system import SampledSystem

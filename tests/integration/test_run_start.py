@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
-from los_testbed.run_start import START_FILE, RunStart
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_FILE, RunStart
 from support.true_los import true_los
 
 from lftkit.support.threads import THREADS

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.controllers import assemble_controller
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import simulate as run
+from los_testbed.parts.controllers import assemble_controller
+from los_testbed.parts.run_parts import RunParts
 
 from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator

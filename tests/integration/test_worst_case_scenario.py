@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.variants import of_scenario
 from support.true_los import true_los
 

@@ -122,7 +122,7 @@ def test_a_slow_law_runs_in_lockstep_where_no_mode_is_asked_for(tmp_path, monkey
     config = configure(None, [], given, free_mode=True)
     assert (config.mode, config.mode_choice, config.exercise) == ("realtime", "auto", EXERCISE_S)
     from los_testbed.cli.run import Nodes, execute
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
 
     results = execute(RunParts(config), Nodes())
     parameters = Run.open(results.bag).parameters
@@ -159,8 +159,8 @@ def test_lockstep_after_a_slow_trial_is_the_same_run():
 
 def test_everything_of_a_tick_comes_in_one_message(tmp_path):
     """The message names its values, so that any ROS program can read it."""
-    from los_testbed.factories import RunParts
     from los_testbed.nodes.support.transport.bundle import command_bundle, measurement_bundle
+    from los_testbed.parts.run_parts import RunParts
 
     parts = RunParts(config_of(tmp_path, "bag"))
     measured, commanded = measurement_bundle(parts), command_bundle(parts)

@@ -11,7 +11,7 @@ import numpy as np
 from los_testbed.flight_code.export import FILES, render
 from los_testbed.flight_code.laws import FlightLaws
 from los_testbed.flight_code.tables import HEADER, UNITS
-from los_testbed.flight_library import LibraryLaw
+from los_testbed.parts.flight_library import LibraryLaw
 
 from lftkit.arrays import BoolArray, FloatArray
 from titop_plant.interface import STAGES

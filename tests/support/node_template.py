@@ -200,7 +200,7 @@ def first_moments() -> None:
     leaves what is there alone from now on, so that a copy does not write to the pages of all objects.
     """
     from los_testbed.config import RunConfig
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
     from rclpy.type_support import check_for_type_support
 
     from lftkit.support.threads import one_thread

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_controller, build_estimator, build_plant
 from los_testbed.loop.simulate import simulate
+from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator, build_plant
 
 
 def true_los(config: RunConfig) -> np.ndarray:

@@ -21,7 +21,7 @@ from los_testbed.campaign.sampling import COLUMNS, command, member_seeds, member
 from los_testbed.cli.app import main
 from los_testbed.cli.campaign import _show
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from rich.console import Console
 
 from pointing_analysis.image.optics import optics_of

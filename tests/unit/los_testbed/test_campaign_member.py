@@ -14,10 +14,10 @@ import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.controllers import assemble_controller
-from los_testbed.factories import RunParts
 from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
+from los_testbed.parts.controllers import assemble_controller
+from los_testbed.parts.run_parts import RunParts
 
 from los_estimator.runtime import LosEstimator
 from pointing_analysis.read import mapped_arrays

@@ -12,7 +12,7 @@ from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 
 from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants

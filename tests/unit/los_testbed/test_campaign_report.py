@@ -17,7 +17,7 @@ from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import COLUMNS
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from support import axe, headless_browser
 
 from pointing_analysis.requirements.text import parse

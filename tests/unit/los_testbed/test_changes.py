@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import build_controller
 from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, parse_change
+from los_testbed.parts.run_parts import build_controller
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH

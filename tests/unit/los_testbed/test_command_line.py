@@ -13,7 +13,7 @@ from command_line import CommandLine
 from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
 from los_testbed.exit_codes import ExitCode
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port

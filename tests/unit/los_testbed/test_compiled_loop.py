@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop import compiled_loop
 from los_testbed.loop.compiled_loop import CompiledLoop, prepare
 from los_testbed.loop.simulate import SIGNALS, SampleBlock, simulate
+from los_testbed.parts.run_parts import RunParts
 
 from titop_plant.simulation import compilation
 from titop_plant.simulation.plant import Plant
@@ -97,7 +97,7 @@ CODE = """
 import sys
 {before}
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from titop_plant.simulation.compilation import kernel
 parts = RunParts(RunConfig(scenario="imbalance", start="rest", loop="isolator", duration=0.1))
 import numpy as np

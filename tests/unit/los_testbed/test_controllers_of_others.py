@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
 
 import fsm_pma_controller
 import los_estimator

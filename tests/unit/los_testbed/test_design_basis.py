@@ -13,7 +13,7 @@ import pytest
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_controller, build_estimator
+from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
 

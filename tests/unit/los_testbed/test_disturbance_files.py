@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
-from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import RunConditions
-from los_testbed.factories import RunParts
+from los_testbed.parts.disturbance_files import entries_of, make_sources
+from los_testbed.parts.disturbance_kinds import RunConditions
+from los_testbed.parts.run_parts import RunParts
 from scipy import io
 
 from titop_plant.telescope.load import load_telescope

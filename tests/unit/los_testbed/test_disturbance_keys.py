@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import RunConditions
+from los_testbed.parts.disturbance_files import entries_of, make_sources
+from los_testbed.parts.disturbance_kinds import RunConditions
 
 from titop_plant.simulation.sources.drive import INSTANTS
 from titop_plant.telescope.load import load_telescope

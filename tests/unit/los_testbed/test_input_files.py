@@ -13,9 +13,9 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import identity
 from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
-from los_testbed.input_files import input_digests, telescope_digest, with_files_beside
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run import stages
+from los_testbed.run.input_files import input_digests, telescope_digest, with_files_beside
 from los_testbed.run.stages import Plan, perform
 from los_testbed.run.star_trade import Trade
 

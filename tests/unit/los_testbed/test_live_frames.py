@@ -10,9 +10,9 @@ from los_testbed.bags.diagnostics import Status
 from los_testbed.cli.options.live_options import check_live
 from los_testbed.cli.run import with_lone_options
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.processes.viewers import Live
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
 

@@ -151,7 +151,7 @@ def test_loop_proofs_that_are_none(call: Call, tmp_path: Path, content: bytes) -
 
 
 def test_a_start_nested_deep_in_a_bag_is_told(tmp_path: Path) -> None:
-    from los_testbed.run_start import RunStart
+    from los_testbed.parts.start import RunStart
 
     for data in (b"[" * 100_000, json.dumps([1]).encode(), b"\xff"):
         with pytest.raises(ValueError, match=r"start.json must"):

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import CommandLine
-from los_testbed import factories
 from los_testbed.cli.run import configure
 from los_testbed.config import RunConfig, physical_hash
+from los_testbed.parts import run_parts
 from los_testbed.variants import CASES, check_ranges, named_cases, random_member
 
 from los_design.figures import plant_figures
@@ -150,7 +150,7 @@ def test_a_telescope_outside_the_family_is_refused(run, arguments, words) -> Non
 def test_the_plant_node_refuses_it_too() -> None:
     """Cores are built from ROS parameters without the command line."""
     with pytest.raises(ValueError, match=r"omega_2 must be between 2\.5175 and 2\.7825 rad/s, got 3 rad/s"):
-        factories.build_plant(RunConfig(omega_2=3.0))
+        run_parts.build_plant(RunConfig(omega_2=3.0))
 
 
 def test_tau_is_another_name_of_theta() -> None:
@@ -159,7 +159,7 @@ def test_tau_is_another_name_of_theta() -> None:
     assert physical_hash(RunConfig(tau=0.5)) == physical_hash(RunConfig(theta=4.0 * math.atan(0.5)))
     signals = []
     for config in (by_tau, by_theta):
-        plant = factories.build_plant(config)
+        plant = run_parts.build_plant(config)
         truth, measurement = np.zeros(2), np.zeros(22)
         for _ in range(50):
             plant.step(np.zeros(8), measurement, truth)
@@ -252,7 +252,7 @@ def test_members_of_the_family_differ_in_what_they_do(run) -> None:
     """The same noise and seed on other telescopes: other signals."""
     truths = []
     for config in (RunConfig(), RunConfig(theta=math.pi / 2), RunConfig.from_mapping(random_member(1))):
-        plant = factories.build_plant(config)
+        plant = run_parts.build_plant(config)
         rows = np.zeros((200, 2))
         for row in rows:
             plant.step(np.zeros(8), np.zeros(22), row)

@@ -13,8 +13,8 @@ import pytest
 from los_testbed.bags.metadata import final_metadata, run_metadata
 from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary.local_proofs import confirmed, with_confirmed
 from los_testbed.run.summary.summary import judged, remarks_of
 from simple_telescope import SimpleTelescope

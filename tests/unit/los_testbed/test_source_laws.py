@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.disturbance_files import entries_of, make_sources
-from los_testbed.disturbance_kinds import KINDS, RunConditions
+from los_testbed.parts.disturbance_files import entries_of, make_sources
+from los_testbed.parts.disturbance_kinds import KINDS, RunConditions
 
 from lftkit.arrays import FloatArray
 from titop_plant.interface import DT

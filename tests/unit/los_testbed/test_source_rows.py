@@ -12,8 +12,8 @@ from los_testbed.campaign.meanings import scenario_text
 from los_testbed.campaign.member import MemberEvaluator, source_columns
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_table
 from los_testbed.run.summary.source_shares import source_shares
 

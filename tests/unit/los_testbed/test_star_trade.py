@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.star_trade import markdown, parameter_text
 from los_testbed.variants import DESIGN_FILES, of_designs
 

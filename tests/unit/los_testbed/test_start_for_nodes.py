@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from los_testbed import factories
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts import run_parts
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_VARIABLE, RunStart, for_nodes
 from los_testbed.run.processes.node_launch import parameter_text
-from los_testbed.run_start import START_VARIABLE, RunStart, for_nodes
 
 
 def as_node(config: RunConfig) -> RunConfig:
@@ -33,7 +33,7 @@ def handed(tmp_path: Path, computed: RunStart, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.usefixtures("handed")
 def test_a_node_takes_it_and_computes_nothing(computed: RunStart, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(factories, "find_run_start", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(run_parts, "find_run_start", lambda *_: pytest.fail("computed again"))
     found = RunParts(as_node(RunConfig(duration=2.0, output="elsewhere"))).start
     assert found.to_bytes() == computed.to_bytes()
     assert found.states is not None and found.states.plant.any()

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary.worst_case_rows import level, limits_kept
 
 from pointing_analysis.spectra.tone_budget import ToneBudget

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from pointing_analysis.requirements.conditions import ACTING, MEMBER
 
 if TYPE_CHECKING:
-    from los_testbed.factories import RunParts
-    from los_testbed.run_start import RunStart
+    from los_testbed.parts.run_parts import RunParts
+    from los_testbed.parts.start import RunStart
 
 
 def conditions(parts: RunParts, start: RunStart) -> dict[str, str]:

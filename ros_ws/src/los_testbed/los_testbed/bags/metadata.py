@@ -16,12 +16,12 @@ from los_design.synthesis.provenance import commit
 from los_testbed.bags.conditions import conditions
 from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
 from los_testbed.config import is_code, physical_hash
-from los_testbed.factories import RunParts
-from los_testbed.flight_library import LibraryLaw
+from los_testbed.parts.flight_library import LibraryLaw
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import AT_REST, START_FILE, RunStart
+from los_testbed.parts.user_blocks import UserBlock
 from los_testbed.plugins import source_hashes
-from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from los_testbed.topics import SENSORS
-from los_testbed.user_blocks import UserBlock
 from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import ACTIVE, RunConfig, is_code
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements import guarantee
 from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE

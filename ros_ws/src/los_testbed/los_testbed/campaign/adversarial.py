@@ -11,7 +11,7 @@ from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
 from los_testbed.campaign.sampling import DELTA, members
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 
 METRICS = ("slow", "fast")
 """Metrics that are searched: tones of the relative error."""

@@ -28,8 +28,8 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
-from los_testbed.input_files import input_digests
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.input_files import input_digests
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0

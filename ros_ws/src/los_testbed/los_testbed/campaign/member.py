@@ -29,12 +29,12 @@ from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.config import RunConfig
-from los_testbed.controllers import assemble_controller
-from los_testbed.factories import RunParts
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
 from los_testbed.loop.simulate import LoopDivergedError, simulate
 from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.parts.controllers import assemble_controller
+from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
 from pointing_analysis.read import mapped_arrays

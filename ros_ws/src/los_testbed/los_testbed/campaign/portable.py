@@ -13,7 +13,7 @@ from pathlib import Path
 
 from lftkit.support.input_files import read_text
 from los_testbed.config import RunConfig
-from los_testbed.input_files import with_files_beside
+from los_testbed.run.input_files import with_files_beside
 
 FILES = ("k_fsm", "k_pma")
 """Controllers of a campaign, which are files; beside them there is the parameter file with the files that it names."""

@@ -105,7 +105,7 @@ def campaign(
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
     from los_testbed.variants import with_scenario
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory

@@ -53,7 +53,7 @@ def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) 
     from los_testbed.campaign.dataset import check_depth
     from los_testbed.campaign.member import MemberEvaluator
     from los_testbed.campaign.reproduction import MODEL_DIGITS, member_of
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
 
     check_depth(base, depth)
     values = member_of(text, base.parameters)

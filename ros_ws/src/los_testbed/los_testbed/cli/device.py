@@ -59,8 +59,8 @@ def check(
     from los_testbed.device.contract import make_device
     from los_testbed.device.motions import model_response, peaks_of, record
     from los_testbed.device.supervisor import Supervisor
-    from los_testbed.factories import RunParts
     from los_testbed.loop.scheduling import PRIORITIES, real_time_thread
+    from los_testbed.parts.run_parts import RunParts
 
     number("--scale", scale, 0.01, 10.0)
     telescope = {"start": "rest", "parameters": None if parameters is None else str(parameters)}

@@ -24,7 +24,7 @@ from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, J
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import AUTO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.modes import first_choice, in_lockstep, late_answers
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.processes.viewers import Live

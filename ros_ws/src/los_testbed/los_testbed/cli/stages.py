@@ -81,7 +81,7 @@ def stages(
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
     from los_testbed.config import RunConfig
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
     from los_testbed.variants import chosen_member, layered

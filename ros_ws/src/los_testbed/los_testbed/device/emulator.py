@@ -31,10 +31,10 @@ from los_testbed.device.supervisor import EVERY_TICK
 from los_testbed.device.udp import UdpSocket, address_of, other_machine
 from los_testbed.device.wire import LIMITED, RESTARTED, SAFE, Kind, Packet, Reader, encode, fits
 from los_testbed.device.wiring import Wiring
-from los_testbed.factories import RunParts
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.scheduling import become_real_time, sharpen_timers
-from los_testbed.run_start import emulated
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import emulated
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
 
 PRIORITY = 90

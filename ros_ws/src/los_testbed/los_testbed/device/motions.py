@@ -190,7 +190,7 @@ class ModelResponse:
 
 
 def model_response(plant: Any, peaks: FloatArray) -> ModelResponse:
-    """Response of a plant with the contract of :class:`los_testbed.plants.SteppedPlant` that knows `change`."""
+    """Response of a :class:`los_testbed.parts.stepped_plant.SteppedPlant` that knows `change`."""
     gains = np.zeros((MEASUREMENTS, COMMANDS, len(FREQUENCIES)), complex)
     ticks = round((RAMP_S + MOTION_S) / DT)
     course = np.array([_all_lines(DT * k) for k in range(ticks)])

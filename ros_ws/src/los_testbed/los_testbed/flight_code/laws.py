@@ -15,10 +15,10 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.bags.cdr import codec_for
 from los_testbed.config import RunConfig
-from los_testbed.controllers import assemble_controller
-from los_testbed.factories import RunParts
 from los_testbed.flight_code.tables import Tables
 from los_testbed.loop.command_gate import CommandGate
+from los_testbed.parts.controllers import assemble_controller
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND
 from los_testbed.variants import of_designs
 from titop_plant.interface import FORCES, MIRROR, STAGES

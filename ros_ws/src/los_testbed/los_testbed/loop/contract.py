@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from lftkit.arrays import BoolArray, FloatArray
-from los_testbed.law_models import element
-from los_testbed.plants import SteppedPlant, plant_notes
+from los_testbed.parts.law_models import element
+from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
+from los_testbed.parts.user_blocks import UNTOUCHED, ContractError, beyond
 from los_testbed.plugins import RAISED, in_one_line
-from los_testbed.user_blocks import UNTOUCHED, ContractError, beyond
 from titop_plant.interface import COMMANDS, HELD, MEASURED_PORTS, MEASUREMENTS, RATE, TRUTH
 
 

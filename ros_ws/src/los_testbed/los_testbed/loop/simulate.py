@@ -21,14 +21,14 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
-from los_testbed.image_camera import frame_counts, image_camera_of, window_of
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
-from los_testbed.plants import SteppedPlant, plant_notes
+from los_testbed.parts.image_camera import frame_counts, image_camera_of, window_of
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import AT_REST, at_rest
+from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
+from los_testbed.parts.user_blocks import BlockFailedError
 from los_testbed.plugins import RAISED, in_one_line
-from los_testbed.run_start import AT_REST, at_rest
 from los_testbed.topics import IMAGE_VECTOR, READINGS, TOPICS, TopicDefinition
-from los_testbed.user_blocks import BlockFailedError
 from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 

@@ -15,9 +15,9 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import SampleBlock, simulate
-from los_testbed.run_start import RunStart
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import RunStart
 from pointing_analysis.indices.errors import default_transient
 from titop_plant.interface import DT, MIRROR_STAGES
 from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance

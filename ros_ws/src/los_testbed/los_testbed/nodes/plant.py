@@ -22,8 +22,6 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts, build_plant
-from los_testbed.image_camera import frame_counts, image_camera_of
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
@@ -38,11 +36,13 @@ from los_testbed.nodes.support.lockstep import LockstepPacer
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.run_services import OVER, WAITING, RunServices
-from los_testbed.plants import SteppedPlant, plant_notes
+from los_testbed.parts.image_camera import frame_counts, image_camera_of
+from los_testbed.parts.run_parts import RunParts, build_plant
+from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
+from los_testbed.parts.user_blocks import BlockFailedError, beyond, watched
 from los_testbed.plugins import RAISED, in_one_line, made_by
 from los_testbed.run.results import Exercised, check_missed, in_statistics
 from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
-from los_testbed.user_blocks import BlockFailedError, beyond, watched
 from pointing_analysis.read.run_end import PLANNED, missed_share
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.factories import RunParts
 from los_testbed.loop.health import ERROR, OK, STALE, WARN
 from los_testbed.loop.scheduling import enlarge_receive_buffers
 from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
@@ -26,9 +25,10 @@ from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.track import UNKNOWN_NS, Track, merge, report_tracks, topic_tracks
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import AT_REST
 from los_testbed.run.bag_names import free_name
 from los_testbed.run.processes.node_launch import STATISTICS_VARIABLE
-from los_testbed.run_start import AT_REST
 from los_testbed.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED
 from pointing_analysis.read.messages.cdr import Encoder

@@ -25,12 +25,12 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.config import is_library
-from los_testbed.controllers import assemble_controller, compare_with_telescope
-from los_testbed.flight_library import LibraryLaw
 from los_testbed.loop.contract import first_not_finite
 from los_testbed.loop.simulate import LoopDivergedError
+from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
+from los_testbed.parts.flight_library import LibraryLaw
+from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.processes.memory_file import memory_file
-from los_testbed.run_start import START_FILE, RunStart
 from los_testbed.topics import ISOLATOR_ACCEL, SENSORS, TOPICS
 from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (

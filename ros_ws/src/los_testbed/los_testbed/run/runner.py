@@ -15,9 +15,10 @@ from typing import Any
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config import RunConfig
 from los_testbed.exit_codes import ExitCode
-from los_testbed.factories import RunParts
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.loop.slow_sensor import frames_in_words
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_VARIABLE, at_rest, for_nodes
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from los_testbed.run.processes.domains import domain_lock, output_lock
@@ -38,7 +39,6 @@ from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.ros_variables import domain_of
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
-from los_testbed.run_start import START_VARIABLE, at_rest, for_nodes
 from los_testbed.topics import NODES
 from titop_plant.interface import RATE
 

@@ -24,9 +24,9 @@ from lftkit.support.input_files import read_bytes
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
-from los_testbed.input_files import input_digests
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.input_files import input_digests
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
 from los_testbed.variants import MEMBER, check_ranges, layered, of_scenario, random_member, worst_member

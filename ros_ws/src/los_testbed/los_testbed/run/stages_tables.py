@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
 from los_testbed.run.summary import worst_case_rows
 from los_testbed.run.summary.screen import numbers

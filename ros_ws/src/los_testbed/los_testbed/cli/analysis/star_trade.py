@@ -73,7 +73,7 @@ def trade(
     import json
 
     from los_testbed.config import RunConfig
-    from los_testbed.factories import RunParts
+    from los_testbed.parts.run_parts import RunParts
     from los_testbed.run import star_trade
     from pointing_analysis.files.atomic_output import write_text
 

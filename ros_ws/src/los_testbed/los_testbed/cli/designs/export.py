@@ -130,9 +130,9 @@ def export_fmu(
 ) -> None:
     """See FMU_EXAMPLES."""
     from los_testbed.config import RunConfig
-    from los_testbed.factories import RunParts
     from los_testbed.flight_code.fmu import LAW, PLANT, law_model, plant_model, write_fmu
     from los_testbed.flight_code.laws import laws_of
+    from los_testbed.parts.run_parts import RunParts
     from los_testbed.variants import of_designs
     from pointing_analysis.files.atomic_output import check_output
 

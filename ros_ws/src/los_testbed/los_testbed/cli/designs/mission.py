@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.variants import of_designs, with_scenario, worst_member
 from pointing_analysis.requirements.rows import KEEPS, RequirementRow, digits, digits_beside, number
 from titop_plant.interface import NO_SCENARIO, STAGES

@@ -103,7 +103,7 @@ def _going_on(
     from los_design.synthesis.provenance import source_digest
     from los_design.verification.stage_check import RESULTS
     from los_testbed.campaign.cluster_work import versions
-    from los_testbed.input_files import telescope_digest
+    from los_testbed.run.input_files import telescope_digest
 
     subject = [telescope_digest(telescope), [dict(values) for values in at]]
     depends = [versions(), source_digest(), subject, [one.to_json() for one in designs]]

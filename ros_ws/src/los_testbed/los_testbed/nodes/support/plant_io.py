@@ -10,7 +10,6 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, codec_for
-from los_testbed.factories import RunParts
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.source_watch import SourceWatch
@@ -23,6 +22,7 @@ from los_testbed.nodes.support.transport.raw_topics import (
     settle,
 )
 from los_testbed.nodes.support.transport.serialized_reader import Taken
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.topics import (
     FSM_COMMAND,
     PMA_COMMAND,

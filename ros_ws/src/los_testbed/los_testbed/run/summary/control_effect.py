@@ -12,9 +12,9 @@ import numpy as np
 
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.replay import controller_of
-from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.run import Run

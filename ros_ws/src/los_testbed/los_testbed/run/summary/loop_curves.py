@@ -12,9 +12,9 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.nyquist import broken_loops
 from los_loop.open_loop import OpenLoop
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.replay import controller_of
-from los_testbed.run_start import START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.mcap.bag_metadata import value_of
 from pointing_analysis.read.recording import Recording

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import AT_REST, START_FILE, RunStart, emulated
 from los_testbed.run.replay import controller_of
 from los_testbed.run.summary.rig_prediction import rig_tones, statistics_of
-from los_testbed.run_start import AT_REST, START_FILE, RunStart, emulated
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read.mcap.bag_metadata import value_of

@@ -16,8 +16,8 @@ import numpy as np
 from los_loop.sampled_loop import Delays
 from los_loop.tone_model import compare_settled
 from los_testbed.device.supervisor import delay_ticks
-from los_testbed.factories import RunParts
 from los_testbed.loop.slow_sensor import BEGINNING
+from los_testbed.parts.run_parts import RunParts
 from los_testbed.topics import CAMERA_LOS
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison

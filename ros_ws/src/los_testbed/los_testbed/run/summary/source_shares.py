@@ -15,10 +15,10 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.config import RunConfig
-from los_testbed.factories import RunParts
 from los_testbed.loop.source_alone import parts_of
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.replay import controller_of
-from los_testbed.run_start import AT_REST, START_FILE, RunStart
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import default_transient, performance_error
 from pointing_analysis.read.recording import Recording

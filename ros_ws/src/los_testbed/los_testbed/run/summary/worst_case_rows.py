@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, special
 
-from los_testbed.run_start import START_FILE, RunStart
+from los_testbed.parts.start import START_FILE, RunStart
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, exposure_of_run

@@ -17,12 +17,12 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
-from los_testbed.controllers import assemble_controller, compare_with_telescope
-from los_testbed.plants import SteppedPlant
+from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
+from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
+from los_testbed.parts.stepped_plant import SteppedPlant
+from los_testbed.parts.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
 from los_testbed.plugins import RAISED, in_one_line, make
-from los_testbed.run_start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
-from los_testbed.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
 from los_testbed.variants import check_ranges, with_scenario
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
-    from los_testbed.disturbance_kinds import DisturbanceTable
+    from los_testbed.parts.disturbance_kinds import DisturbanceTable
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
     from pointing_analysis.requirements.text import Requirement
@@ -222,7 +222,7 @@ class RunParts:
         return self.find_start(laws)
 
     def find_start(self, laws: Mapping[str, SampledSystem], tone: WorstTone | None = None) -> RunStart:
-        """Tone and states of the loop with these controllers, see :func:`los_testbed.run_start.find_run_start`."""
+        """Tone and states of the loop with these controllers, see :func:`los_testbed.parts.start.find_run_start`."""
         family, ports = self._loop_with(laws)
         return find_run_start(self.config, family, self.settings, laws, self.basis.authority, ports, tone)
 
@@ -396,7 +396,7 @@ class RunParts:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
         if self.star_camera is None:
             return plant
-        from los_testbed.image_camera import ImageCamera
+        from los_testbed.parts.image_camera import ImageCamera
 
         camera = ImageCamera(self.star_camera, plant.frame_ticks, self.config.seed, self.config.noise)
         return replace(plant, camera=camera)
@@ -454,8 +454,8 @@ class RunParts:
         """Sources of disturbance of files; ValueError: one of them cannot be used."""
         if not (self._entries or self._mechanisms):
             return ()
-        from los_testbed.disturbance_files import make_sources
-        from los_testbed.disturbance_kinds import RunConditions
+        from los_testbed.parts.disturbance_files import make_sources
+        from los_testbed.parts.disturbance_kinds import RunConditions
         from titop_plant.simulation.plant_config import motion
         from titop_plant.simulation.sources.mechanisms import mechanism_sources
 
@@ -472,7 +472,7 @@ class RunParts:
         """SHA-256 of the tables and files of the sources; empty where there are none."""
         if not (self._entries or self._mechanisms):
             return ""
-        from los_testbed.disturbance_files import digest
+        from los_testbed.parts.disturbance_files import digest
 
         return digest(self._entries, self._mechanisms)
 
@@ -488,7 +488,7 @@ class RunParts:
     def _entries(self) -> list[DisturbanceTable]:
         if not self.config.files_of_disturbance and not self.config.parameters:
             return []
-        from los_testbed.disturbance_files import sources_of
+        from los_testbed.parts.disturbance_files import sources_of
 
         return sources_of(self.config, self.telescope)
 

@@ -36,7 +36,7 @@ from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code, is_library
-from los_testbed.law_models import difference, element, told_model
+from los_testbed.parts.law_models import difference, element, told_model
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
@@ -279,7 +279,7 @@ def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS
     text = getattr(config, setting)
     block: Any
     if is_library(text):
-        from los_testbed.flight_library import LibraryLaw
+        from los_testbed.parts.flight_library import LibraryLaw
 
         block, used = LibraryLaw(Path(text), setting), REFERENCE_PORTS
     elif law := linear_law(setting, text):

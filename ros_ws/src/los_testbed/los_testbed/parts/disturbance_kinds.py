@@ -1,6 +1,6 @@
 """Kinds of sources of disturbance: from the table of a source to its signal, with the checks of its keys.
 
-The keys of each kind are listed in :mod:`los_testbed.disturbance_files`.
+The keys of each kind are listed in :mod:`los_testbed.parts.disturbance_files`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from los_testbed.disturbance_units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
+from los_testbed.parts.disturbance_units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit

@@ -130,7 +130,7 @@ def input_digests(config: RunConfig) -> dict[str, str]:
     if config.parameters:
         found["telescope"] = telescope_digest(load_telescope(config.parameters))
     if config.files_of_disturbance:
-        from los_testbed.disturbance_files import digest, entries_of
+        from los_testbed.parts.disturbance_files import digest, entries_of
 
         found["disturbances"] = digest(entries_of(config.files_of_disturbance))
     if config.profile not in PROFILES:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from fsm_pma_controller.fade import FADE_TICKS
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.flight_library import LibraryLaw
-from los_testbed.user_blocks import UserBlock
+from los_testbed.parts.flight_library import LibraryLaw
+from los_testbed.parts.user_blocks import UserBlock
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS
 
