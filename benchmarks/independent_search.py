@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.variants import member_settings
+from los_testbed.members import member_settings
 from scipy import linalg, optimize
 from threadpoolctl import threadpool_limits
 

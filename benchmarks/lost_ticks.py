@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.config import RunConfig
+from los_testbed.members import worst_member
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.variants import worst_member
 
 from lftkit.arrays import FloatArray
 from pointing_analysis.replay.gap_stepping import FILLS, LINE, GapStepper

@@ -12,7 +12,7 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.stages import Plan, provenance
-from los_testbed.variants import of_designs, of_scenario
+from los_testbed.run_settings import of_designs, of_scenario
 
 from lftkit import SampledSystem
 from los_design.search.worst_points import load_worst_points

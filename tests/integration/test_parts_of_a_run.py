@@ -15,7 +15,7 @@ from los_testbed.parts.disturbance_kinds import KINDS
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
-from los_testbed.variants import with_scenario
+from los_testbed.run_settings import with_scenario
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import conditions_of, differences

@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("rclpy")
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
+from los_testbed.members import random_member
 from los_testbed.run.processes.node_launch import environment
 from los_testbed.run.runner import Runner
-from los_testbed.variants import random_member
 from ros_runs import config_for, private_domain, topic_hashes
 
 pytestmark = pytest.mark.ros

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from los_testbed.campaign.sampling import COLUMNS, box, command, member_seeds, members, settings
 from los_testbed.config import RunConfig
-from los_testbed.variants import check_ranges
+from los_testbed.members import check_ranges
 
 from titop_plant.telescope.load import load_telescope
 

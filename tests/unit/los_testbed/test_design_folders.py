@@ -9,8 +9,9 @@ import pytest
 from los_testbed.cli import app as cli
 from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
+from los_testbed.members import WORST_POINTS, worst_member
 from los_testbed.run.summary.control_effect import ControlEffect
-from los_testbed.variants import TELESCOPE_FILE, WORST_POINTS, of_designs, worst_member
+from los_testbed.run_settings import TELESCOPE_FILE, of_designs
 
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES

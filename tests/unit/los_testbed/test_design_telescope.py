@@ -15,7 +15,7 @@ from los_testbed.cli.designs.redesign import check_output
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import telescope_digest
-from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
+from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE
 
 from lftkit import SampledSystem
 from lftkit.support.workers import Workers

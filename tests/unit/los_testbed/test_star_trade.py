@@ -14,7 +14,7 @@ from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.star_trade import markdown, parameter_text
-from los_testbed.variants import DESIGN_FILES, of_designs
+from los_testbed.run_settings import DESIGN_FILES, of_designs
 
 from lftkit import SampledSystem
 from los_design import redesign

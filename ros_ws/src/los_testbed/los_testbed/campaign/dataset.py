@@ -27,7 +27,7 @@ from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unforme
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.variants import with_scenario
+from los_testbed.run_settings import with_scenario
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.text import Requirement

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
-from los_testbed.variants import family
+from los_testbed.members import family
 from titop_plant.simulation.profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")

@@ -106,7 +106,7 @@ def campaign(
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.variants import with_scenario
+    from los_testbed.run_settings import with_scenario
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)

@@ -12,8 +12,8 @@ from rich.text import Text
 
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
+from los_testbed.members import CASES, check_ranges, named_cases
 from los_testbed.run.summary.screen import Screen, numbers
-from los_testbed.variants import CASES, check_ranges, named_cases
 
 if TYPE_CHECKING:
     from titop_plant.telescope.summary import PlantSummary

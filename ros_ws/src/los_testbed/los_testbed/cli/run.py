@@ -24,6 +24,7 @@ from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, J
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config import AUTO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
+from los_testbed.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.modes import first_choice, in_lockstep, late_answers
 from los_testbed.run.processes.domains import free_domain
@@ -31,7 +32,7 @@ from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError, check_missed
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
-from los_testbed.variants import check_ranges, chosen_member, layered, of_designs, of_scenario
+from los_testbed.run_settings import chosen_member, layered, of_designs, of_scenario
 from pointing_analysis.read.mcap.records import ShortRunError
 
 if TYPE_CHECKING:

@@ -84,7 +84,7 @@ def stages(
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
-    from los_testbed.variants import chosen_member, layered
+    from los_testbed.run_settings import chosen_member, layered
     from titop_plant.interface import SCENARIOS
 
     if samples is not None:

@@ -19,8 +19,8 @@ from los_testbed.flight_code.tables import Tables
 from los_testbed.loop.command_gate import CommandGate
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run_settings import of_designs
 from los_testbed.topics import FSM_COMMAND, PMA_COMMAND
-from los_testbed.variants import of_designs
 from titop_plant.interface import FORCES, MIRROR, STAGES
 
 

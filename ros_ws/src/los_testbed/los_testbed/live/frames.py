@@ -13,8 +13,8 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
 from los_testbed.config import RunConfig
 from los_testbed.live.history import URAD, History, indices
+from los_testbed.run_settings import with_scenario
 from los_testbed.topics import IMAGE_NAME, image_topic
-from los_testbed.variants import with_scenario
 from pointing_analysis.requirements.text import Requirement
 
 COMPUTED_S = 0.5

@@ -17,13 +17,14 @@ from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
+from los_testbed.members import check_ranges
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
 from los_testbed.plugins import RAISED, in_one_line, make
+from los_testbed.run_settings import with_scenario
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
-from los_testbed.variants import check_ranges, with_scenario
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 

@@ -18,7 +18,7 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import LoopDivergedError, run_in_process
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import content_digest, input_digests, map_files
-from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
+from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
 from pointing_analysis.units import RAD_PER_MAS

@@ -133,7 +133,7 @@ def export_fmu(
     from los_testbed.flight_code.fmu import LAW, PLANT, law_model, plant_model, write_fmu
     from los_testbed.flight_code.laws import laws_of
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.variants import of_designs
+    from los_testbed.run_settings import of_designs
     from pointing_analysis.files.atomic_output import check_output
 
     path = output or Path(f"{PLANT if plant else LAW}.fmu")

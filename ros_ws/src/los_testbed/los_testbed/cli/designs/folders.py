@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from los_testbed.variants import DESIGN_FILES, TELESCOPE_FILE
+from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem

@@ -10,8 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from los_testbed.config import RunConfig
+from los_testbed.members import worst_member
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.variants import of_designs, with_scenario, worst_member
+from los_testbed.run_settings import of_designs, with_scenario
 from pointing_analysis.requirements.rows import KEEPS, RequirementRow, digits, digits_beside, number
 from titop_plant.interface import NO_SCENARIO, STAGES
 

@@ -28,7 +28,7 @@ from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Unc
 from los_testbed.cli.output import number, print_json
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
-from los_testbed.variants import TELESCOPE_FILE
+from los_testbed.run_settings import TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:

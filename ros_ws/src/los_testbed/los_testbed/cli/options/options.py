@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from los_testbed.config import RunConfig
-from los_testbed.variants import of_designs
+from los_testbed.run_settings import of_designs
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import Setting
 
