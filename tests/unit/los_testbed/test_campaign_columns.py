@@ -218,7 +218,7 @@ SHARES = ("ape_above_10_arcsec", "rpe_window_above_100_mas", "rpe_window_above_4
 
 def test_columns_of_the_reference_are_those_that_folders_have() -> None:
     """Names and order, on which the hashes of rows depend."""
-    requirements = RunParts(RunConfig()).requirements
+    requirements = RunParts(RunConfig()).telescope.requirements
     assert metric_columns("time", requirements) == (
         *COMMON_METRICS,
         *SHARES,

@@ -16,7 +16,7 @@ from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 BASE = RunConfig(mode="inprocess")
-TIME_METRICS = metric_columns("time", RunParts(BASE).requirements)
+TIME_METRICS = metric_columns("time", RunParts(BASE).telescope.requirements)
 
 
 def campaign(**changes: Any) -> Campaign:

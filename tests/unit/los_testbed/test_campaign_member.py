@@ -25,7 +25,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
 BASE = RunConfig(mode="inprocess", duration=2.0)
-TIME_METRICS = metric_columns("time", RunParts(BASE).requirements)
+TIME_METRICS = metric_columns("time", RunParts(BASE).telescope.requirements)
 
 
 def member(index: int) -> dict[str, Any]:

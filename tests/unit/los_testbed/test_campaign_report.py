@@ -23,7 +23,7 @@ from support import axe, headless_browser
 from pointing_analysis.requirements.text import parse
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
-REQUIREMENTS = RunParts(BASE).requirements
+REQUIREMENTS = RunParts(BASE).telescope.requirements
 TIME_METRICS = metric_columns("time", REQUIREMENTS)
 
 

@@ -73,12 +73,13 @@ def test_samples_that_are_missing_or_late_are_at_their_tick():
 def test_indices_equal_those_of_the_analysis():
     rng = np.random.default_rng(1)
     error = 30.0 * rng.standard_normal((SPAN_TICKS, 2))
-    found = {index["name"]: index for index in indices(error, "fsm+pma", RunParts(RunConfig()).requirements)}
+    requirements = RunParts(RunConfig()).telescope.requirements
+    found = {index["name"]: index for index in indices(error, "fsm+pma", requirements)}
     assert set(found) == {"APE", "RPE, fine", "RPE, finest"}
     assert found["RPE, fine"]["rms"] == pytest.approx(np.linalg.norm(rpe_rms(error, 1e-3, 0.02)), rel=1e-5)
     assert found["APE"]["largest"] == pytest.approx(np.hypot(*error.T).max(), rel=1e-5)
     assert (found["RPE, fine"]["limit"], found["RPE, finest"]["limit"]) == (100.0, 40.0)
-    assert "RPE, finest" not in {index["name"] for index in indices(error, "fsm", RunParts(RunConfig()).requirements)}
+    assert "RPE, finest" not in {index["name"] for index in indices(error, "fsm", requirements)}
 
 
 def test_settings_are_those_of_the_start_with_the_changes_that_the_nodes_report():

@@ -95,7 +95,7 @@ def test_a_file_of_requirements_takes_their_place(own: Path, capsys: pytest.Capt
 
 def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     base = RunConfig(mode="inprocess", duration=1.0, loop="fsm+pma", parameters=str(own / "mine.toml"))
-    requirements = RunParts(base).requirements
+    requirements = RunParts(base).telescope.requirements
     names = metric_columns("time", requirements)
     assert "rpe_window_above_9.99972_mas" in names and not any("above_40_mas" in name for name in names)
     asked = Campaign.of(base, "uniform", 2, 1, "time", {})
@@ -140,7 +140,7 @@ def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest
     run.parameters = MappingProxyType({k: v for k, v in run.parameters.items() if k != METADATA})
     assert is_older(run) and recorded(run) is None
     assert [v.requirement for v in summarise(with_requirements(run)).verdicts] == list(
-        RunParts(RunConfig()).requirements
+        RunParts(RunConfig()).telescope.requirements
     )
     assert summarise(run).verdicts == ()  # the analysis alone knows no telescope
     other = series(None, np.ones((9000, 2)), unit="mas", rate=1000.0)

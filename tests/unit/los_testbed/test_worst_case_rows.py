@@ -11,7 +11,7 @@ from pointing_analysis.spectra.tone_budget import ToneBudget
 from titop_plant.telescope.error_budget import combined_level
 
 OMEGA = 3.0
-REQUIREMENTS = RunParts(RunConfig()).requirements
+REQUIREMENTS = RunParts(RunConfig()).telescope.requirements
 
 
 def summary(fast: float, noise: float, noise_error: float) -> SimpleNamespace:

@@ -58,7 +58,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **config.to_strings(),
         **{name: json.dumps(value) for name, value in parts.basis.to_mapping().items()},
         **({"telescope_differences": "; ".join(differences(config.parameters))} if config.parameters else {}),
-        "requirements": json.dumps(entries(parts.requirements)),
+        "requirements": json.dumps(entries(parts.telescope.requirements)),
         **optics_of(parts),
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),

@@ -119,7 +119,7 @@ class Campaign:
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """Requirements of the telescope."""
-        return RunParts(self.base).requirements
+        return RunParts(self.base).telescope.requirements
 
     @property
     def exposure(self) -> float:
@@ -181,7 +181,7 @@ def check_depth(base: RunConfig, depth: str) -> None:
         raise ValueError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "model" and base.frame_ticks != FRAME_TICKS:
         raise ValueError(f"camera_rate must be {CAMERA_RATE:g} Hz at depth model, got {base.camera_rate:g} Hz")
-    if depth == "time" and base.duration < (window := exposure_of(RunParts(base).requirements)):
+    if depth == "time" and base.duration < (window := exposure_of(RunParts(base).telescope.requirements)):
         raise ValueError(f"duration must be at least the window of {window:g} s, got {base.duration:g} s")
 
 

@@ -64,7 +64,7 @@ def identity(base: RunConfig) -> dict[str, str]:
     from titop_plant.telescope.load import load_telescope
 
     parts = RunParts(base)
-    required = json.dumps(entries(parts.requirements))
+    required = json.dumps(entries(parts.telescope.requirements))
     reference = json.dumps(entries(load_telescope().requirements))
     controllers = {name: _digest(path) for name, path in parts.model_files.items()}
     return {
@@ -82,7 +82,7 @@ def identity(base: RunConfig) -> dict[str, str]:
 
 def _image_optics(parts: RunParts) -> dict[str, str]:
     """Digest of the optics where metrics depend on them and they are not the reference telescope's."""
-    if not any(r.of_image for r in parts.requirements) or parts.optics == RunParts(RunConfig()).optics:
+    if not any(r.of_image for r in parts.telescope.requirements) or parts.optics == RunParts(RunConfig()).optics:
         return {}
     return {"optics": hashlib.sha256(repr(parts.optics).encode() + parts.optics.pupil_file).hexdigest()[:16]}
 

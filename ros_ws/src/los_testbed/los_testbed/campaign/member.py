@@ -116,14 +116,14 @@ def unformed(parts: RunParts) -> dict[Requirement, str]:
     ValueError
         The parameter file cannot be read; with requirements on the image also: its optics make none.
     """
-    config, requirements = parts.config, parts.requirements
+    config, requirements = parts.config, parts.telescope.requirements
     left_out = default_transient(config.duration) if config.start == "rest" or parts.sources else 0.0
     return refused(requirements, max(config.ticks - round(left_out / DT), 0), _image_optics(parts))
 
 
 def _image_optics(parts: RunParts) -> Optics | None:
     """Optics of the telescope, where a requirement needs them."""
-    return parts.optics if any(r.of_image for r in parts.requirements) else None
+    return parts.optics if any(r.of_image for r in parts.telescope.requirements) else None
 
 
 @dataclass(frozen=True)
@@ -168,9 +168,9 @@ class MemberEvaluator:
         """
         parts = RunParts(base)
         known = unformed(parts)
-        requirements = tuple(r for r in parts.requirements if r not in known)
+        requirements = tuple(r for r in parts.telescope.requirements if r not in known)
         names = tuple(source.name for source in parts.sources)
-        optics, exposure = _image_optics(parts), exposure_of(parts.requirements)
+        optics, exposure = _image_optics(parts), exposure_of(parts.telescope.requirements)
         return cls(base, parts.family, parts.models, parts.basis, requirements, optics, names, exposure)
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:

@@ -102,7 +102,7 @@ class LiveNode:
         if OWN_DIAGNOSTICS in self._served:
             channels[DIAGNOSTICS_TOPIC] = DIAGNOSTICS
         window = parts.star_camera.camera.window if parts.star_camera is not None else 0
-        self.frames = ViewerFrames(config, parts.basis.authority, parts.requirements, window)
+        self.frames = ViewerFrames(config, parts.basis.authority, parts.telescope.requirements, window)
         self.page = PageServer(host, live.page_port, self.frames.next, self._act, tls, live.page_sockets)
         controls = FoxgloveControls(config.namespace, self.frames.settings, self._act_and_wait, self.page.token)
         self.foxglove = FoxgloveServer(channels, host, live.port, live.origins, tls, live.foxglove_sockets, controls)

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from los_testbed.parts.disturbance_kinds import DisturbanceTable
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
-    from pointing_analysis.requirements.text import Requirement
     from titop_plant.simulation.build import PlantConfig, PlantFamily
     from titop_plant.simulation.plant import Plant
     from titop_plant.simulation.sources.drive import PlacedSource
@@ -82,11 +81,6 @@ class RunParts:
         found = load_telescope(self.config.parameters) if known is None else known.telescope
         found.check_exposure(self.config.frame_ticks)
         return found
-
-    @cached_property
-    def requirements(self) -> tuple[Requirement, ...]:
-        """Pointing requirements of the telescope, those of all stages."""
-        return self.telescope.requirements
 
     @cached_property
     def pupil_file(self) -> bytes:

@@ -67,7 +67,7 @@ def worst_rows(results: Sequence[StageResult], plan: Plan) -> list[list[str]]:
             summary = whole[index].summary
             if alone.worst is not None and summary is not None:
                 cells.append((loop, alone.worst, summary))
-    return worst_case_rows.rows(cells, RunParts(plan.base).requirements)
+    return worst_case_rows.rows(cells, RunParts(plan.base).telescope.requirements)
 
 
 def columns(results: Sequence[StageResult]) -> list[tuple[str, str, str]]:
@@ -188,7 +188,7 @@ def _escaped(text: str) -> str:
 
 def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     """All tables as Markdown."""
-    lines, shown, window = [], columns(results), time_text(exposure_of(RunParts(plan.base).requirements))
+    lines, shown, window = [], columns(results), time_text(exposure_of(RunParts(plan.base).telescope.requirements))
     for scenario in plan.scenarios:
         if scenario == WORST:
             lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of {window})", ""]

@@ -178,7 +178,7 @@ def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVer
     from pointing_analysis.read.run import Run
     from pointing_analysis.requirements.summary import summarise
 
-    requirements = [r for r in RunParts(config).requirements if not r.loops or stage in r.loops]
+    requirements = [r for r in RunParts(config).telescope.requirements if not r.loops or stage in r.loops]
     with TemporaryDirectory() as scratch:
         run_in_process(replace(config, loop=OPENED), Path(scratch, OPENED))
         opened = summarise(Run.open(Path(scratch, OPENED)), requirements=requirements)

@@ -99,7 +99,7 @@ def with_designs(table: Mapping[str, Any], designs: str) -> dict[str, Any]:
 def testbed_requirements(table: Mapping[str, Any]) -> tuple[Requirement, ...]:
     """Requirements of the telescope of a table of type ``testbed``, those of its stage."""
     config = RunConfig.from_mapping({**dict(table.get("settings", {})), "loop": table.get("loop", RunConfig().loop)})
-    return tuple(r for r in RunParts(config).requirements if not r.loops or config.loop in r.loops)
+    return tuple(r for r in RunParts(config).telescope.requirements if not r.loops or config.loop in r.loops)
 
 
 def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[ErrorSource]:
