@@ -70,7 +70,7 @@ def run_with(tmp_path, end, *options):
 def test_code_of_the_user_that_ends_the_program_is_named_with_what_was_recorded(tmp_path, end, how):
     done = run_with(tmp_path, end)
     assert done.returncode == 1, done.stderr
-    words = f"los-testbed: the process of the run ended in code of the user ({how}): disturbance leaving:Leaving"
+    words = f"los-testbed: the process of the run ended in code of the user ({how}): disturbance_source leaving:Leaving"
     assert done.stderr.splitlines()[-1].startswith(words), done.stderr
     if (tmp_path / "bag").exists():
         assert f"los-testbed bag repair {tmp_path / 'bag'}" in done.stderr

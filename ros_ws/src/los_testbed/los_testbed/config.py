@@ -160,18 +160,18 @@ class RunConfig(PhysicalSettings):
         return self.disturbance and self.scenario != NO_SCENARIO
 
     @property
-    def code_of_user(self) -> list[str]:
+    def code_of_user(self) -> dict[str, str]:
         """Settings that name code of the user, with their values.
 
         Examples
         --------
         >>> RunConfig(plant="my.module:Plant", k_pma="designs/k_pma.json", start="rest").code_of_user
-        ['plant my.module:Plant']
+        {'plant': 'my.module:Plant'}
         """
         disturbance = self.disturbance_source if self.disturbance else None
         found = {"plant": self.plant, "device": self.device, "disturbance": disturbance}
         found |= {name: law for name in ("k_fsm", "k_pma") if is_code(law := getattr(self, name))}
-        return [f"{name} {value}" for name, value in found.items() if value]
+        return {name: value for name, value in found.items() if value}
 
     @property
     def ticks(self) -> int:

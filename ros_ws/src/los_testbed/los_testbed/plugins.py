@@ -19,7 +19,7 @@ from typing import Any
 import pointing_analysis
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SYSTEM
-from los_testbed.config import RunConfig, is_code, is_library
+from los_testbed.config import RunConfig, is_library
 
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
@@ -123,8 +123,13 @@ def made_by(build: Callable[[RunConfig], Any], config: RunConfig, what: str) -> 
         raise ValueError(f"{what} must be made from the configuration, got {in_one_line(error)}") from error
 
 
-def source_hashes(config: RunConfig) -> dict[str, str]:
-    """SHA-256 of the source file of each object of the user that `config` names; empty text where there is no file.
+def source_hashes(code: Mapping[str, str]) -> dict[str, str]:
+    """SHA-256 of the source file of each object of the user, by setting; empty text where there is no file.
+
+    Parameters
+    ----------
+    code : mapping
+        Setting to the name of its object, see :attr:`los_testbed.config.RunConfig.code_of_user`.
 
     Raises
     ------
@@ -132,10 +137,7 @@ def source_hashes(config: RunConfig) -> dict[str, str]:
         One of them cannot be loaded.
     """
     hashes = {}
-    for setting in GROUPS:
-        text = getattr(config, setting)
-        if not text or (setting.startswith("k_") and not is_code(text)):
-            continue
+    for setting, text in code.items():
         try:
             file = text if is_library(text) else inspect.getsourcefile(load(text, setting))
         except TypeError:  # built in, or an object without a file

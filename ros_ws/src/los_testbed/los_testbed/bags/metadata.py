@@ -70,7 +70,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **({"controller_warnings": "; ".join(warnings)} if warnings else {}),
         **({"idle_devices": parts.idle_devices} if parts.idle_devices else {}),
         **proof_of(parts),
-        **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config).items()},
+        **{f"{setting}_source_sha256": digest for setting, digest in source_hashes(config.code_of_user).items()},
         **tables_of(parts),
         "plant_hash": physical_hash(config),
         "software_version": _version(),

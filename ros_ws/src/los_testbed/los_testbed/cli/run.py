@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -156,11 +156,11 @@ def run(
         _run_and_tell(parts, Nodes(viewers, isolated, not free), report, json_, key, trace)
 
 
-def _watch_code_of_user(code: Sequence[str], bag: Path) -> None:
+def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
     """In a program that calls code of the user: go on in a process of its own, whose end is watched."""
     if SUPERVISED in os.environ and code:
         del os.environ[SUPERVISED]
-        supervise(code, bag)
+        supervise([f"{setting} {name}" for setting, name in code.items()], bag)
 
 
 @dataclass(frozen=True)

@@ -135,4 +135,4 @@ def input_digests(config: RunConfig) -> dict[str, str]:
         found["disturbances"] = digest(entries_of(config.files_of_disturbance))
     if config.profile not in PROFILES:
         found["profile"] = content_digest(Path(config.profile))
-    return {name: text[:DIGITS] for name, text in (found | source_hashes(config)).items()}
+    return {name: text[:DIGITS] for name, text in (found | source_hashes(config.code_of_user)).items()}
