@@ -88,7 +88,7 @@ def messages(config: RunConfig, options: Sequence[str] = ()) -> float:
         started = {
             role: subprocess.Popen(
                 [sys.executable, __file__, "--seconds", str(config.duration), "--role", role, *options],
-                env=environment(config, Path(folder)),
+                env=environment(config.domain, Path(folder)),
                 stdout=subprocess.PIPE,
             )
             for role in ROLES

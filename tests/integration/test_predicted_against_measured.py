@@ -11,7 +11,6 @@ from los_testbed.cli import app as cli
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import emulated
 from los_testbed.run.replay import write_signals
 from los_testbed.run.summary import predictions as module
 from los_testbed.run.summary.predictions import predictions
@@ -163,14 +162,14 @@ def late(tmp_path_factory):
     """A record as of an emulated rig, with commands one tick late, at the worst fast tone."""
     folder = tmp_path_factory.mktemp("late")
     config = RunConfig(duration=9.0, mode="inprocess", start="rest", noise=False, worst_of="fast")
-    run_in_process(config, folder / "bag", LateCommands(emulated(config)))
+    run_in_process(config, folder / "bag", LateCommands(config.emulated()))
     return folder / "bag"
 
 
 def as_rig(bag, target, delays, name=None):
     """The bag with what a device says of itself in it."""
     run = Run.open(bag)
-    parts = RunParts(emulated(RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), ""))))
+    parts = RunParts(RunConfig.from_mapping(load_yaml(run.attachments["run.yaml"].decode(), "")).emulated())
     name = name or parts.family.name(parts.physical)
     said = {"device_delay_ticks": delays, "device_emulates": name, "device_clock_drift_ppm": "0"}
     statistics = {**run.parameters["statistics"], "plant": {**run.parameters["statistics"]["plant"], **said}}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.run.processes.node_launch import parameter_file, ros_arguments
+from los_testbed.run.processes.node_launch import node_command, parameter_file, ros_arguments
 from ros_runs import config_for
 
 pytestmark = pytest.mark.ros
@@ -26,7 +26,7 @@ def told(tmp_path_factory):
     variables = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(config.domain)}
     nodes = [
         subprocess.Popen(
-            [sys.executable, "-m", f"los_testbed.nodes.{name}", *ros_arguments(config, folder / "run.yaml", name)],
+            [*node_command(name), *ros_arguments(config.namespace, folder / "run.yaml", name)],
             env=variables,
         )
         for name in ("estimator", "controller")

@@ -53,7 +53,7 @@ def controlled(tmp_path_factory):
             remote.turn("controller", "activate")
             remote.change("disturbance", False)
             command = [*COMMAND, "stage", "isolator", "--domain", str(runner.domain)]
-            done = subprocess.run(command, env=environment(runner._config, folder), capture_output=True, text=True)
+            done = subprocess.run(command, env=environment(runner.domain, folder), capture_output=True, text=True)
             found["command"] = done.returncode, done.stderr
             time.sleep(0.5)
             found["after"] = user.dump("controller")["loop"]
@@ -84,7 +84,7 @@ def test_every_parameter_is_dumped_with_a_value_and_makes_the_same_node_again(co
     file.write_text(yaml.safe_dump({"/**": {"ros__parameters": edited}}))
     config = config_for(tmp_path)
     command = [*node_command("controller"), "--ros-args", "--params-file", str(file)]
-    node, user = subprocess.Popen(command, env=environment(config, tmp_path)), UserNode(config.domain)
+    node, user = subprocess.Popen(command, env=environment(config.domain, tmp_path)), UserNode(config.domain)
     try:
         assert plain(user.dump("controller")) == edited
     finally:

@@ -27,7 +27,8 @@ def user_file(path: Path, text: str) -> str:
 @pytest.mark.parametrize("name", ["estimator", "controller"])
 def test_a_node_refuses_a_controller_for_another_mirror(name: str, tmp_path: Path) -> None:
     user = user_file(tmp_path / "user.toml", "los_sensitivity = 0.2")
-    variables = {k: v for k, v in environment(config_for(tmp_path), tmp_path).items() if k != "LOS_TESTBED_EVENTS"}
+    domain = config_for(tmp_path).domain
+    variables = {k: v for k, v in environment(domain, tmp_path).items() if k != "LOS_TESTBED_EVENTS"}
     done = subprocess.run(
         [*node_command(name), "--ros-args", "-p", f"parameters:={user}", "-p", "priority:=false"],
         capture_output=True,

@@ -53,7 +53,7 @@ def test_a_plant_that_was_started_alone_judges_its_ticks(tmp_path, limit, code):
     """No node answers in time: the laws of the others wait in each step."""
     (tmp_path / "slow.py").write_text(SLOW)
     config = config_for(tmp_path, duration=0.5, k_fsm="slow:Slow", max_missed=limit, wait_for_recorder=False)
-    variables = {**environment(config, tmp_path), "PYTHONPATH": str(tmp_path)}
+    variables = {**environment(config.domain, tmp_path), "PYTHONPATH": str(tmp_path)}
     del variables[EVENTS_VARIABLE]
     parameter_file(config, tmp_path / "run.yaml")
     given = ["--ros-args", "--params-file", str(tmp_path / "run.yaml")]

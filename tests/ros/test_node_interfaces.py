@@ -237,7 +237,7 @@ def test_security_that_the_middleware_cannot_give_is_refused(tmp_path):
     keystore = tmp_path / "keys"
     (keystore / "enclaves").mkdir(parents=True)
     variables = {
-        **environment(config, tmp_path),
+        **environment(config.domain, tmp_path),
         "ROS_SECURITY_ENABLE": "true",
         "ROS_SECURITY_STRATEGY": "Permissive",
         "ROS_SECURITY_KEYSTORE": str(keystore),

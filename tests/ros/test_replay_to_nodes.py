@@ -32,7 +32,7 @@ def recorded(request, tmp_path_factory):
 
 def call(config, folder, *arguments):
     """The command line as a user starts it: exit code, last line as JSON, error output."""
-    variables = environment(config, folder)
+    variables = environment(config.domain, folder)
     variables.pop("LOS_TESTBED_EVENTS")
     command = [sys.executable, "-m", "los_testbed.cli.app", "replay", *map(str, arguments)]
     done = subprocess.run(command, env=variables, cwd=folder, capture_output=True, text=True, timeout=200)
@@ -44,7 +44,7 @@ def call(config, folder, *arguments):
 def nodes(config, folder, *names):
     """Live nodes under test, ended at the end."""
     parameter_file(config, folder / "nodes.yaml")
-    variables = environment(config, folder)
+    variables = environment(config.domain, folder)
     started = [
         subprocess.Popen(
             [*node_command(name), "--ros-args", "--params-file", str(folder / "nodes.yaml")],

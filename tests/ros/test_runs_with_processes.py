@@ -98,7 +98,7 @@ def second_plant(config, folder, listen_s):
     parameter_file(config, parameters)
     command = [sys.executable, "-c", SECOND, str(listen_s), "--ros-args", "--params-file", str(parameters)]
     return subprocess.Popen(
-        command, env=environment(config, folder), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        command, env=environment(config.domain, folder), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
 
 
@@ -255,7 +255,7 @@ def test_a_node_started_by_hand_checks_its_parameters(tmp_path, name, given, wor
     config = config_for(tmp_path)
     done = subprocess.run(
         [*node_command(name), "--ros-args", "-p", given],
-        env=environment(config, tmp_path),
+        env=environment(config.domain, tmp_path),
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -273,7 +273,7 @@ def test_a_node_leaves_at_once_when_it_is_told_to(tmp_path, number):
     parameter_file(config, parameters)
     process = subprocess.Popen(
         [*node_command("estimator"), "--ros-args", "--params-file", str(parameters)],
-        env=environment(config, tmp_path),
+        env=environment(config.domain, tmp_path),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -323,7 +323,7 @@ def test_a_loop_of_nodes_started_one_by_one(tmp_path):
     """As over several hosts: each node from its own command, the recorder ended by hand."""
     config = config_for(tmp_path, duration=1.0)
     (tmp_path / "run.yaml").write_text(json.dumps(config.to_mapping()))
-    variables = environment(config, tmp_path)
+    variables = environment(config.domain, tmp_path)
     variables.pop("LOS_TESTBED_EVENTS")
     commands = {
         name: [

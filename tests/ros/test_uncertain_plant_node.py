@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.members import random_member
 from los_testbed.run.processes.node_launch import environment
@@ -26,7 +25,7 @@ def start(logs: Path, *parameters: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         timeout=60,
-        env=environment(RunConfig(domain=private_domain()), logs),
+        env=environment(private_domain(), logs),
     )
 
 

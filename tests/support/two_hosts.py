@@ -57,7 +57,7 @@ class Hosts:
         """
         parameters = folder / "run.yaml"
         parameter_file(config, parameters)
-        variables = {**environment(config, folder), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+        variables = {**environment(config.domain, folder), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
         try:
             for name, host in HOST_OF_NODE.items():
                 command = plant if plant is not None and name == "plant" else node_command(name)

@@ -13,7 +13,6 @@ import pytest
 pytest.importorskip("cryptography")
 from cryptography import x509
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
 from los_testbed.run.processes.enclaves import ENCLAVES, enclave_path, governance, heard_by, permissions, sent_by
 from los_testbed.run.processes.node_launch import ros_arguments
 from los_testbed.topics import NODES, TOPICS
@@ -201,7 +200,6 @@ def test_keys_that_exist_are_not_replaced(store, capsys):
 
 
 def test_nodes_of_a_run_name_their_enclave_where_security_is_asked_for(monkeypatch):
-    config = RunConfig(namespace="/foo")
-    assert "--enclave" not in ros_arguments(config, "p", "plant")
+    assert "--enclave" not in ros_arguments("/foo", "p", "plant")
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-    assert ros_arguments(config, "p", "plant")[-2:] == ["--enclave", "/foo/plant"]
+    assert ros_arguments("/foo", "p", "plant")[-2:] == ["--enclave", "/foo/plant"]

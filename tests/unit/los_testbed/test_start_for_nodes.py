@@ -27,7 +27,7 @@ def computed() -> RunStart:
 
 @pytest.fixture
 def handed(tmp_path: Path, computed: RunStart, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "start.json").write_bytes(for_nodes(RunParts(RunConfig(duration=2.0)).config, computed))
+    (tmp_path / "start.json").write_bytes(for_nodes(RunParts(RunConfig(duration=2.0)).config.to_plain(), computed))
     monkeypatch.setenv(START_VARIABLE, str(tmp_path / "start.json"))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -168,8 +169,7 @@ class RunConfig(PhysicalSettings):
         >>> RunConfig(plant="my.module:Plant", k_pma="designs/k_pma.json", start="rest").code_of_user
         {'plant': 'my.module:Plant'}
         """
-        disturbance = self.disturbance_source if self.disturbance else None
-        found = {"plant": self.plant, "device": self.device, "disturbance": disturbance}
+        found = {name: getattr(self, name) for name in ("plant", "device", "disturbance_source")}
         found |= {name: law for name in ("k_fsm", "k_pma") if is_code(law := getattr(self, name))}
         return {name: value for name, value in found.items() if value}
 
@@ -190,6 +190,14 @@ class RunConfig(PhysicalSettings):
         if self.output is None:
             raise ValueError("output must be the folder of the bag, got none")
         return Path(self.output)
+
+    def at_rest(self) -> RunConfig:
+        """The configuration of a run with another plant: of the telescope only is it known what is steady."""
+        return replace(self, start="rest")
+
+    def emulated(self) -> RunConfig:
+        """That of the telescope that an emulator of a rig simulates: of no run, and so of no duration."""
+        return replace(self, device=None, start="rest", duration=RunConfig.SETTINGS["duration"].default)
 
     @classmethod
     def from_file(cls, path: Path) -> RunConfig:

@@ -34,7 +34,6 @@ from los_testbed.device.wiring import Wiring
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.scheduling import become_real_time, sharpen_timers
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import emulated
 from titop_plant.interface import CAMERA, COLUMNS, COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, TICK_NS, TRUTH
 
 PRIORITY = 90
@@ -396,7 +395,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = vars(parser.parse_args(arguments))
     try:
         priority = given.pop("priority")
-        config = emulated(RunConfig.from_mapping({"start": "rest", **json.loads(given.pop("config"))}))
+        config = RunConfig.from_mapping({"start": "rest", **json.loads(given.pop("config"))}).emulated()
         rig = Emulator(config, RigSettings(**given))
     except (ValueError, OSError) as error:
         sys.stderr.write(f"emulator: {error}\n")

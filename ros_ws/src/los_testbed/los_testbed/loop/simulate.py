@@ -24,7 +24,7 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.contract import RunFailedError, check_plant, first_not_finite
 from los_testbed.parts.image_camera import frame_counts, image_camera_of, window_of
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import AT_REST, at_rest
+from los_testbed.parts.start import AT_REST
 from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
 from los_testbed.parts.user_blocks import BlockFailedError
 from los_testbed.plugins import RAISED, in_one_line
@@ -268,7 +268,7 @@ def run_in_process(
     if plant is None:
         return record(RunParts(config), bag_path, progress)
     check_plant(plant)
-    return record(RunParts(at_rest(config)), bag_path, progress, plant)  # what is steady is known of the telescope only
+    return record(RunParts(config.at_rest()), bag_path, progress, plant)
 
 
 def record(

@@ -209,7 +209,7 @@ class RunParts:
             return self.recorded_start
         if config.other_plant or (config.start == "rest" and not needs_tone(config)):
             return AT_REST
-        if not self.recorded and self.known_family is None and (start := from_runner(config)) is not None:
+        if not self.recorded and self.known_family is None and (start := from_runner(config.to_plain())) is not None:
             return start
         laws = self.linear
         if laws is None:

@@ -123,27 +123,32 @@ AT_REST = RunStart()
 """The start with all states zero."""
 
 
-def for_nodes(config: RunConfig, start: RunStart) -> bytes:
-    """Content of the file :data:`START_VARIABLE`: the start, and the configuration that it is of, with its scenario."""
-    return json.dumps({"config": _identity(config), "start": start.to_bytes().decode()}).encode()
+def for_nodes(settings: Mapping[str, Any], start: RunStart) -> bytes:
+    """Content of the file :data:`START_VARIABLE`: the start, and the settings of its run, with the scenario."""
+    return json.dumps({"config": _identity(settings), "start": start.to_bytes().decode()}).encode()
 
 
-def from_runner(config: RunConfig) -> RunStart | None:
-    """Start that the runner has computed for a node; None without a runner, or where it is of another configuration.
+def from_runner(settings: Mapping[str, Any]) -> RunStart | None:
+    """Start that the runner has computed for a node; None without a runner, or where it is of other settings.
 
-    A plant that is started again has another one, for example: its run is shorter.
+    A plant that is started again has others, for example: its run is shorter.
+
+    Parameters
+    ----------
+    settings : mapping
+        Of the run, as :meth:`los_testbed.config.RunConfig.to_plain` has them.
     """
     try:
         content = json.loads(Path(os.environ[START_VARIABLE]).read_bytes())
         known, start = content["config"], content["start"]
     except (KeyError, TypeError, OSError, ValueError):
         return None
-    return RunStart.from_bytes(start.encode()) if known == _identity(config) else None
+    return RunStart.from_bytes(start.encode()) if known == _identity(settings) else None
 
 
-def _identity(config: RunConfig) -> Any:
+def _identity(settings: Mapping[str, Any]) -> Any:
     """What a start depends on, as it comes back from JSON; the name of the bag is no part of it."""
-    return json.loads(json.dumps({**config.to_plain(), "output": None}))
+    return json.loads(json.dumps({**settings, "output": None}))
 
 
 def find_run_start(
@@ -259,16 +264,6 @@ def _tone(config: RunConfig, family: PlantFamily, model: Callable[..., ToneModel
         else:
             return found.peaking_at(0.5 * config.duration)
     raise AssertionError("the loop above returns or raises")
-
-
-def at_rest(config: RunConfig) -> RunConfig:
-    """The configuration of a run with another plant: of the telescope only is it known what is steady."""
-    return replace(config, start="rest")
-
-
-def emulated(config: RunConfig) -> RunConfig:
-    """The configuration of the telescope that an emulator of a rig simulates: of no run, and so of no duration."""
-    return replace(config, device=None, start="rest", duration=RunConfig.SETTINGS["duration"].default)
 
 
 def with_tones(physical: PlantConfig, start: RunStart) -> PlantConfig:

@@ -18,7 +18,7 @@ from los_testbed.exit_codes import ExitCode
 from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
 from los_testbed.loop.slow_sensor import frames_in_words
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import START_VARIABLE, at_rest, for_nodes
+from los_testbed.parts.start import START_VARIABLE, for_nodes
 from los_testbed.run.bag_names import free_name, recorded
 from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from los_testbed.run.processes.domains import domain_lock, output_lock
@@ -96,10 +96,10 @@ class Runner:
         self._live = live
         self._isolated, self._lock_domain = isolated, lock_domain and not isolated
         self._network = Network()
-        self._config = at_rest(config) if commands and "plant" in commands else config
+        self._config = config.at_rest() if commands and "plant" in commands else config
         self._progress = progress
-        self._programs = programs(config, own=not commands)
-        own = {name: node_command(module_of(name, config)) for name in self._programs}
+        self._programs = programs(config.processes, own=not commands)
+        own = {name: node_command(module_of(name, config.device)) for name in self._programs}
         self._commands = {name: (commands or {}).get(name, own[name]) for name in self._programs}
         self._nodes: dict[str, NodeProcess] = {}
         self._selector = selectors.DefaultSelector()
@@ -150,7 +150,7 @@ class Runner:
         self._config = parts.config  # with the scenario that acts, so that the nodes know the start as theirs
         self.results.warnings += parts.check()
         text = parameter_text(self._config).encode()
-        start = for_nodes(self._config, parts.start)
+        start = for_nodes(self._config.to_plain(), parts.start)
         with (
             domain_lock(self.domain, self._config.namespace) if self._lock_domain else contextlib.nullcontext(),
             output_lock(self._config.bag),
@@ -162,7 +162,7 @@ class Runner:
             memory_file(self._unlisted().encode(), "members") as self._members,
         ):
             self._variables = {
-                **self._network.environment(environment(self._config)),
+                **self._network.environment(environment(self._config.domain)),
                 START_VARIABLE: self._start_file.path,
                 STATISTICS_VARIABLE: self._statistics.path,
                 MEMBERS_VARIABLE: self._members.path,
@@ -294,7 +294,7 @@ class Runner:
     def _start(self, name: str) -> None:
         shared = [self._parameters, self._start_file, self._statistics, self._members]
         assert self._parameters is not None
-        command = [*self._commands[name], *ros_arguments(self._config, self._parameters.path, name)]
+        command = [*self._commands[name], *ros_arguments(self._config.namespace, self._parameters.path, name)]
         if name == "recorder" and self._config.bag.exists():  # what the first one wrote is left alone
             command += ["-p", f"output:={free_name(self._config.bag)}"]
         if name == "plant" and self._before:  # the run ends when it was to end

@@ -65,25 +65,26 @@ def _how_to_get_ros() -> str:
     return "install the extra with `pip install 'los-testbed[ros]'`, or use --mode inprocess"
 
 
-def module_of(name: str, config: RunConfig) -> str:
-    """Module of a program: that of the plant is another one where a device stands in its place."""
-    return "device" if name == "plant" and config.device else name
+def module_of(name: str, device: str | None) -> str:
+    """Module of a program: that of the plant is another one where a `device` stands in its place."""
+    return "device" if name == "plant" and device else name
 
 
-def programs(config: RunConfig, own: bool = True) -> dict[str, tuple[str, ...]]:
+def programs(processes: str = COMPOSED, own: bool = True) -> dict[str, tuple[str, ...]]:
     """Programs of a run in the order in which they are started, with their nodes.
 
-    Each node has a process of its own where it has keys of its own (DDS security), and where the `own` programs of this
-    package are not the only ones: others speak the topics of single sensors and actuators.
+    Each node has a process of its own where the setting `processes` says so, where it has keys of its own (DDS
+    security), and where the `own` programs of this package are not the only ones: others speak the topics of single
+    sensors and actuators.
 
     Examples
     --------
-    >>> programs(RunConfig())
+    >>> programs()
     {'plant': ('plant',), 'estimator_controller': ('estimator', 'controller'), 'recorder': ('recorder',)}
-    >>> list(programs(RunConfig(processes="separate")))
+    >>> list(programs("separate"))
     ['plant', 'estimator', 'controller', 'recorder']
     """
-    if config.processes == COMPOSED and own and not security_is_asked_for():
+    if processes == COMPOSED and own and not security_is_asked_for():
         return {"plant": ("plant",), BOTH_LAWS: ("estimator", "controller"), "recorder": ("recorder",)}
     return {name: (name,) for name in NODES}
 
@@ -100,11 +101,11 @@ def parameter_file(config: RunConfig, path: Path) -> None:
     write_text(path, parameter_text(config))
 
 
-def ros_arguments(config: RunConfig, parameters: str | Path, name: str) -> list[str]:
+def ros_arguments(namespace: str, parameters: str | Path, name: str) -> list[str]:
     """Arguments of a node: its parameter file and its namespace; log files only where ROS_LOG_DIR names a folder."""
     quiet = [] if "ROS_LOG_DIR" in os.environ else ["--disable-external-lib-logs"]
-    own = ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={config.namespace}"]
-    return own + enclave_arguments(name, config.namespace)
+    own = ["--ros-args", *quiet, "--params-file", str(parameters), "-r", f"__ns:={namespace}"]
+    return own + enclave_arguments(name, namespace)
 
 
 def enclave_arguments(name: str, namespace: str) -> list[str]:
@@ -117,7 +118,7 @@ def security_is_asked_for() -> bool:
     return os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
 
 
-def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
+def environment(domain: int | None, logs: Path | None = None) -> dict[str, str]:
     """Environment of the nodes: domain, local discovery unless told otherwise, one thread for linear algebra."""
     variables = dict(os.environ)
     variables.setdefault(RANGE_VARIABLE, "LOCALHOST")
@@ -125,8 +126,8 @@ def environment(config: RunConfig, logs: Path | None = None) -> dict[str, str]:
         variables.setdefault("ROS_LOG_DIR", str(logs))
     variables["OPENBLAS_NUM_THREADS"] = "1"
     variables[EVENTS_VARIABLE] = str(os.getpid())
-    if config.domain is not None:
-        variables[DOMAIN_VARIABLE] = str(config.domain)
+    if domain is not None:
+        variables[DOMAIN_VARIABLE] = str(domain)
     if Path(sys.prefix, "share", "ament_index").is_dir():
         variables.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     return variables
@@ -152,5 +153,5 @@ def run_alone(name: str, config: RunConfig) -> int:
     if config.domain is not None:
         os.environ[DOMAIN_VARIABLE] = str(config.domain)
     with memory_file(parameter_text(config).encode(), "run.yaml") as parameters:
-        node = importlib.import_module(f"los_testbed.nodes.{module_of(name, config)}")
-        return int(node.main(ros_arguments(config, parameters.path, name)))
+        node = importlib.import_module(f"los_testbed.nodes.{module_of(name, config.device)}")
+        return int(node.main(ros_arguments(config.namespace, parameters.path, name)))

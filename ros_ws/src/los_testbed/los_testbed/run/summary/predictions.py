@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from los_loop.tone_model import compare_tones
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.parts.start import AT_REST, START_FILE, RunStart, emulated
+from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.replay import controller_of
 from los_testbed.run.summary.rig_prediction import rig_tones, statistics_of
 from pointing_analysis.files.structured_text import load_yaml
@@ -74,7 +74,7 @@ def _prediction(run: Run, transient: float | None, start: float, stop: float) ->
             _check(run, config, start, stop)
         controllers = {name: controller_of(run, name)[0] for name in CONTROLLERS}
         if rig:
-            config, start_of_run = emulated(config), AT_REST
+            config, start_of_run = config.emulated(), AT_REST
         untold = start_of_run.states is None and start_of_run.tone is None  # the recorder node leaves it out at rest
         parts = RunParts(config, controllers, None if untold else start_of_run)
         if parts.physical.ramps:
