@@ -67,7 +67,6 @@ from titop_plant.telescope.bodies import build_body, build_payload
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_TORQUE, MountedBody
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
 from titop_plant.telescope.placed.mounting import (
     actuator_blocks,
     actuator_wires,
@@ -107,14 +106,11 @@ class AssembledTelescope:
         Total inertia by the inverse low-frequency gain, nominal [kg m2].
     bodies : tuple of ModalData
         Central body, payload, then each kind of solar array and of appendage.
-    mechanisms : tuple of MechanismMode
-        Modes of the rotors of wheels and drives, where the parameter file has them.
     """
 
     system: System
     inertia: FloatArray = field(repr=False)
     bodies: tuple[ModalData, ...]
-    mechanisms: tuple[MechanismMode, ...] = ()
 
 
 def build_telescope(
@@ -157,7 +153,7 @@ def build_telescope(
     order = list(given.uncertain)
     kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
     own = [component.body_modes(one) for one in kinds.values()]
-    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own), mechanism_modes(given))
+    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own))
 
 
 def assembled_telescope(telescope: Telescope | None = None, isolated: bool = True) -> AssembledTelescope:

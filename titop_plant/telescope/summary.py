@@ -11,8 +11,9 @@ from scipy import linalg
 from lftkit import RealParameter
 from lftkit.arrays import FloatArray
 from titop_plant.structures.residual_mass import smallest_residual_fraction
-from titop_plant.telescope.assembly import AssembledTelescope
-from titop_plant.telescope.mechanism_modes import MechanismMode
+from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.mechanism_modes import MechanismMode, mechanism_modes
+from titop_plant.telescope.telescope import Telescope
 
 
 @dataclass(frozen=True)
@@ -97,16 +98,17 @@ class PlantSummary:
         }
 
 
-def summarise(assembled: AssembledTelescope) -> PlantSummary:
-    """Order, occurrences, poles, inertia and residual masses of a telescope.
+def summarise(telescope: Telescope) -> PlantSummary:
+    """Order, occurrences, poles, inertia, residual masses and modes of rotors of a telescope.
 
     Examples
     --------
-    >>> from titop_plant.telescope.assembly import assembled_telescope
-    >>> found = summarise(assembled_telescope())
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> found = summarise(load_telescope())
     >>> found.order, found.occurrences["solar_array.tau"], found.hurwitz
     (204, 32, True)
     """
+    assembled = assembled_telescope(telescope)
     system = assembled.system
     poles = linalg.eigvals(system.at({}).A)
     return PlantSummary(
@@ -117,7 +119,7 @@ def summarise(assembled: AssembledTelescope) -> PlantSummary:
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),
         total_inertia=assembled.inertia,
-        mechanisms=assembled.mechanisms,
+        mechanisms=mechanism_modes(telescope),
         bodies=tuple(
             BodySummary(
                 data.name,

@@ -61,12 +61,11 @@ def plant(
         context.obj = parameters
         return
     from lftkit.support.threads import one_thread
-    from titop_plant.telescope.assembly import assembled_telescope
     from titop_plant.telescope.load import load_telescope
     from titop_plant.telescope.summary import summarise
 
     with one_thread():
-        found = summarise(assembled_telescope(load_telescope(parameters)))
+        found = summarise(load_telescope(parameters))
     if json_:
         print_json(found.to_mapping())
     else:
