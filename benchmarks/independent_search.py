@@ -47,7 +47,7 @@ from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.worst_tone import INDICES
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 

@@ -35,10 +35,10 @@ from los_design.verification.verification import (
     verification_points,
 )
 from los_loop.implemented_loop import ImplementedLoop
-from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 

@@ -22,10 +22,10 @@ from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
 from titop_plant.interface import DT, MEASUREMENTS, TRUTH
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import weight_amplitudes
 
 
 class OpenLoop:
@@ -34,13 +34,14 @@ class OpenLoop:
     Parameters
     ----------
     system : System
-        As :func:`titop_plant.simulation.build.control_loop_plant` makes it, or that at values of its parameters.
+        As :func:`titop_plant.telescope.control_plant.control_loop_plant` makes it, or that at values of its parameters.
     telescope : Telescope
         Telescope parameters.
     real : bool
         Keep Delta real, with all channels of the arrays' angle.
     ports : LoopPorts, optional
-        Rows of the telescope that the system has (:func:`los_loop.loop_plant.loop_plant`); default: the reference's.
+        Rows of the telescope that the system has (:func:`titop_plant.telescope.control_plant.loop_plant`); default:
+        the reference's.
     held : bool
         Whether commands are held for a tick; otherwise they act as they are, in continuous time.
     """

@@ -37,10 +37,9 @@ from titop_plant.interface import (
     MIRROR_STAGES,
     TRUTH,
 )
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 SIDEBANDS = 4
 """Sidebands of a sensor's rate that are included on each side."""

@@ -29,10 +29,9 @@ from los_loop.figures_of_merit import FigureOfMerit, error_names, figure
 from los_loop.sampled_loop import SampledLoop, radius_of
 from los_loop.sampled_loop_norms import ToneModes, ToneResponse, loop_grid, tone_response
 from los_loop.spec import LOS_ROWS
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 INDICES = error_names()
 """What a tone can be worst for."""

@@ -115,7 +115,7 @@ def telescope() -> Any:
 @pytest.fixture(scope="session")
 def system(telescope: Any) -> Any:
     """The reference telescope between the ports of the control loop, an uncertain system."""
-    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.control_plant import control_loop_plant
 
     return control_loop_plant(telescope)
 

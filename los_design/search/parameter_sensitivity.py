@@ -21,8 +21,8 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from los_design.search.worst_points import WorstPoint
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
-from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
+from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.telescope import Telescope
 
 NEAR, FREQUENCIES = 0.05, 81

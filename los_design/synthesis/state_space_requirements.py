@@ -17,9 +17,8 @@ from lftkit.tuning import H2Gain, HinfGain, Requirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
-from titop_plant.telescope.error_budget import band_error_weight
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import disturbance_weight, relative_error_weight
+from titop_plant.telescope.weights import band_error_weight, disturbance_weight, relative_error_weight
 
 BANDS = {figure(name).band: name for name in ("slow", "fast")}
 

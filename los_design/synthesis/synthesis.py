@@ -46,8 +46,8 @@ from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
 from los_design.synthesis.task import ImplementedTask, Task
 from los_estimator.kalman import sampled_observer
 from los_loop.continuous_loop import continuous_open_loop
-from los_loop.loop_plant import loop_plant
 from los_loop.open_loop import OpenLoop
+from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 

@@ -61,7 +61,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS
 from titop_plant.telescope.requirements import design_limits, read_requirements
 from titop_plant.telescope.telescope import OWN_BODIES, SOURCES, Telescope

@@ -290,7 +290,7 @@ def check_implemented(
     ----------
     system : System
         From 8 commands and 22 disturbances to 22 measurements and 2 controlled lines of sight, as
-        :func:`los_loop.loop_plant.loop_plant` makes it for the ports that the controllers use.
+        :func:`titop_plant.telescope.control_plant.loop_plant` makes it for the ports that the controllers use.
     telescope : Telescope
         Telescope parameters (weights, sensors, authority).
     k_fsm, k_pma : SampledSystem

@@ -32,7 +32,7 @@ from los_design.verification.loop_models import figures_of
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from los_testbed.campaign.member import metric_columns
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 name, telescope = "force, slow", load_telescope()

@@ -20,7 +20,7 @@ from los_design.verification.verification import ARCSEC, MAS, check_implemented
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 

@@ -21,14 +21,13 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
-from los_loop.loop_plant import loop_plant
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.run import Run
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.assembly import build_telescope
-from titop_plant.telescope.control_plant import with_sensors
+from titop_plant.telescope.control_plant import loop_plant, with_sensors
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.weights import rpe_weight
 

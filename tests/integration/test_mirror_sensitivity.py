@@ -28,7 +28,7 @@ from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
 from titop_plant.interface import FRAME_TICKS, FSM_ANGLE
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 SENSITIVITY = 0.2

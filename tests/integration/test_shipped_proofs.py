@@ -39,7 +39,7 @@ from los_design.verification.proof_comparison import compare_proof
 from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 ROOT = Path(__file__).parents[2]

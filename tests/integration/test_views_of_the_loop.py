@@ -43,12 +43,13 @@ from los_loop.tone_model import ToneModel
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.weights import weight_amplitudes
 
 SAME = 1e-10
 TICKS = 200

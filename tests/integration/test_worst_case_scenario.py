@@ -15,13 +15,13 @@ from los_loop.worst_tone import INDICES, WorstTone, worst_tone
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 
 def measured(config: RunConfig, omega: float) -> float:

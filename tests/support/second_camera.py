@@ -37,16 +37,18 @@ from titop_plant.interface import (
     PLATFORM,
     DesignBasis,
 )
-from titop_plant.simulation.build import PlantFamily, build_plant, control_loop_plant
+from titop_plant.simulation.build import PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, weight_amplitudes
+from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import error_budget
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.weights import weight_amplitudes
 
 GUIDE, STAGE, TICKS, SHARE = COLUMNS.get("guide_los", slice(0, 0)), "fsm+pma", 450, 0.4
 PARAMETERS = load_telescope()

@@ -15,7 +15,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from titop_plant.interface import COMMANDED, COMMANDS, DT, FORCES, MEASURED, MEASUREMENTS, MIRROR, frame_ticks
+from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
@@ -27,7 +27,7 @@ from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_int
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.assembly import assembled_telescope
-from titop_plant.telescope.control_plant import DISTURBANCES, disturbances_of, with_sensors
+from titop_plant.telescope.control_plant import DISTURBANCES, control_loop_plant, disturbances_of
 from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
@@ -223,18 +223,6 @@ def resonant_speeds(path: str | None = None) -> tuple[float, ...]:
         data = assembled.at({f"wheel_{i}.speed": s for i, s in enumerate(speeds, start=1)})
         speeds = senses * loudest_speeds(telescope, data, senses)
     return tuple(float(round(s, 3)) for s in speeds)
-
-
-def control_loop_plant(telescope: Telescope, further: tuple[str, ...] = (), *, isolated: bool = True) -> System:
-    """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
-
-    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not. `further` names outputs
-    behind those.
-    """
-    whole = assembled_telescope(telescope, isolated).system
-    return with_sensors(whole, telescope).select(
-        inputs=(*COMMANDED, *disturbances_of(whole)), outputs=(*MEASURED, "los_controlled", *further)
-    )
 
 
 def plant_and_tones(config: PlantConfig) -> tuple[System, Tones]:

@@ -19,11 +19,11 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import AGREEMENT, frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.control_plant import disturbances_of
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import weight_amplitudes
 
 ARCSEC = math.pi / 648000.0
 WHEELS, DRIVES = (WHEEL_IMBALANCE,), (SADM_TORQUE,)

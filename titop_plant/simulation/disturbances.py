@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import FrequencyResponse, frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 REFERENCE_CHANNELS = 22
 """Disturbance inputs of the reference telescope: four wheels and two array drives."""
@@ -142,15 +141,6 @@ def sadm_tones(telescope: Telescope, rng: np.random.Generator) -> Tones:
         amplitude[-bounds.size :] = size * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, bounds.size))
         rows.append((h * table.step_frequency, amplitude, 0.0, -1))
     return _tones(rows, inputs)
-
-
-def weight_amplitudes(telescope: Telescope, omega: Any) -> FloatArray:
-    """Amplitudes |W_rws|, W_sa of the disturbance inputs at frequencies omega [rad/s], shape (k, channels)."""
-    table = telescope.weights
-    w = np.atleast_1d(np.asarray(omega, dtype=float))
-    high_pass = np.hypot(w, table.wheel_imbalance_zero) / np.hypot(w, table.wheel_imbalance_pole)
-    wheels = high_pass[:, None] * np.tile(table.wheel_imbalance, len(telescope.wheels))
-    return np.hstack([wheels, np.tile(telescope.torque_bounds, (w.size, 1))])
 
 
 def design_tones(telescope: Telescope, plant: FrequencyResponse, rng: np.random.Generator) -> Tones:

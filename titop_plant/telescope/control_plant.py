@@ -27,14 +27,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lftkit import Connection, Port, System, connect, state_space, static_gain
+from lftkit import Connection, Port, System, connect, state_space, static_gain, transform
 from lftkit.systems.connection.filters import high_pass
 from lftkit.systems.delay import delayed_port
 from titop_plant.blocks.uncertain_gain import uncertain_gain
-from titop_plant.interface import ACCELERATIONS, ACCELEROMETERS, COMMANDED, DT, MEASURED, MEASUREMENTS, sample_ticks
+from titop_plant.interface import (
+    ACCELERATIONS,
+    ACCELEROMETERS,
+    COMMANDED,
+    DT,
+    MEASURED,
+    MEASUREMENTS,
+    TRUTH_PORTS,
+    sample_ticks,
+)
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.telescope.assembly import assembled_telescope
+from titop_plant.telescope.assembly import assembled_telescope, build_telescope
+from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.tables.uncertain import GAIN
 from titop_plant.telescope.telescope import Telescope
 
@@ -183,3 +194,48 @@ def control_plant(telescope: Telescope, *, camera_period: float = 0.0, command_h
     external = [seen.input_port(name) for name in disturbances_of(seen)] + [noise, optical]
     external += [seen.input_port(name) for name in COMMANDED]
     return connect(systems, wires, inputs=external, outputs=outputs)
+
+
+def control_loop_plant(telescope: Telescope, further: tuple[str, ...] = (), *, isolated: bool = True) -> System:
+    """The plant of the fine control loop: commands (8), disturbances to measurements (22), line of sight (2).
+
+    Continuous; the camera's low-pass is in it, noise and the controllers' washout are not. `further` names outputs
+    behind those.
+    """
+    whole = assembled_telescope(telescope, isolated).system
+    return with_sensors(whole, telescope).select(
+        inputs=(*COMMANDED, *disturbances_of(whole)), outputs=(*MEASURED, "los_controlled", *further)
+    )
+
+
+def loop_plant(telescope: Telescope, ports: LoopPorts, *, isolated: bool = True) -> System:
+    """The plant of a loop with some of the telescope's sensors and actuators.
+
+    Parameters
+    ----------
+    telescope : Telescope
+    ports : LoopPorts
+        Rows that the loop has, with all further sensors of the telescope or none. Forces of further actuators stand
+        behind the other commands, in units of their scale; readings behind the line of sight.
+    isolated : bool
+        Whether the payload is on its isolator.
+
+    Returns
+    -------
+    System
+        Of :func:`control_loop_plant` where the loop has no further rows.
+    """
+    if not ports.further:
+        return control_loop_plant(telescope, isolated=isolated)
+    whole = with_sensors(build_telescope(telescope, isolated=isolated, motors=True).system, telescope)
+    driven = ports.further_actuators
+    forces = (ACTUATOR_FORCE,) if driven else ()
+    outputs = (*MEASURED, *(port.name for port in (*TRUTH_PORTS, *telescope.sensor_ports)))
+    found = whole.select(inputs=(*COMMANDED, *forces, *disturbances_of(whole)), outputs=outputs)
+    if not driven:
+        return found
+    every = [one.name for one in telescope.placed_actuators]
+    force = np.zeros((len(every), len(driven)))
+    for column, row in enumerate(driven):
+        force[every.index(row.name), column] = row.scale
+    return transform(found, inputs={ACTUATOR_FORCE: (force, Port(ACTUATOR_FORCE, len(driven), "N"))})

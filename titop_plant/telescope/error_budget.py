@@ -18,7 +18,7 @@ same on both axes; the budget assumes :data:`ON_AXIS`, and a verification takes 
 
 Tones are split at the edge of the bands (``weights.band_edge``): below it the proof-mass actuators, with their own mode
 at 5.3 rad/s and a noisy accelerometer, do nothing for the line of sight; above it they act. The two weights of
-:func:`band_weight` divide a requirement at this frequency.
+:func:`titop_plant.telescope.weights.band_weight` divide a requirement at this frequency.
 
 The shares (:func:`error_budget`) are those at which both stages are used: K_FSM is tuned for noise, slow tones and fast
 tones, K_PMA for the fast tones that are left. Below the line the sum keeps the limit.
@@ -41,7 +41,6 @@ from titop_plant.telescope.requirements import instant_probability, window_proba
 from titop_plant.telescope.telescope import FIRST_PROBABILITY, Telescope
 
 if TYPE_CHECKING:  # a recorder needs the shares alone, and no linear algebra
-    from lftkit import System
     from lftkit.arrays import FloatArray
 
 NOISE, SLOW, FAST_MIRROR, FAST = 0.3, 1.5, 2.2, 0.5
@@ -80,7 +79,6 @@ never less than what is kept.
 SLOW_TURN = 1e-2
 """Half of a turn in a window below which a tone is a ramp there; the difference is of its square."""
 
-BAND_ORDER = 4
 PHASES = 64
 """Of a tone beside at least a tenth of it as noise; beside less, more of them in proportion."""
 PHASES_OF_TWO = 16
@@ -310,42 +308,6 @@ def _tone_share(noise: float, known: float, probability: float, on_axis: float) 
     return known if probability == FIRST_PROBABILITY else largest_tone(noise, 1.0, probability, on_axis)
 
 
-def band_error_weight(telescope: Telescope, band: str) -> System:
-    """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
-    from lftkit import cascade
-    from titop_plant.telescope.weights import relative_error_weight
-
-    relative = relative_error_weight(telescope.weights.rpe_window).at({})
-    return cascade(relative, band_weight(band, telescope.weights.band_edge).at({}), f"W_RPE, {band}")
-
-
 def band_edge(telescope: Telescope) -> float:
     """Frequency between slow and fast tones [rad/s]."""
     return telescope.weights.band_edge
-
-
-def band_weight(band: str, edge: float, size: int = 2) -> System:
-    """Butterworth filter of order 4 that keeps the tones below (``slow``) or above an edge [rad/s], on `size` axes.
-
-    Examples
-    --------
-    >>> slow, fast = (band_weight(band, 85.0, 1).nominal() for band in ("slow", "fast"))
-    >>> [round(float(abs(slow(1j * w))), 2) for w in (10, 60, 145)]
-    [1.0, 0.97, 0.12]
-    >>> [round(float(abs(fast(1j * w))), 2) for w in (60, 145, 400)]
-    [0.24, 0.99, 1.0]
-    """
-    if band not in ("slow", "fast"):
-        raise ValueError(f"band must be slow or fast, got {band!r}")
-    from scipy import signal
-
-    from lftkit import Port, state_space
-
-    denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
-    A = np.diag(np.full(BAND_ORDER - 1, edge), -1)
-    A[0] = -edge * denominator[1:]
-    B = np.eye(BAND_ORDER)[:, :1] * edge
-    C, D = (np.eye(BAND_ORDER)[-1:], 0.0) if band == "slow" else (A[:1] / edge, 1.0)
-    each = np.eye(size)
-    ports = [Port("relative_error", size)], [Port(f"{band}_error", size)]
-    return state_space(np.kron(each, A), np.kron(each, B), np.kron(each, C), D * each, *ports)

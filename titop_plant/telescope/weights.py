@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lftkit import Port, System, state_space
+from lftkit import Port, System, cascade, state_space
 from lftkit.arrays import FloatArray
 from titop_plant.telescope.telescope import Telescope
 
@@ -36,6 +36,15 @@ def disturbance_weight(telescope: Telescope) -> System:
     B = np.hstack([np.eye(n), np.zeros((n, bounds.size))])
     C = np.vstack([np.diag(size) * (zero - pole), np.zeros((bounds.size, n))])
     return state_space(-pole * np.eye(n), B, C, D, [Port("normalised", m)], [Port("disturbance", m)])
+
+
+def weight_amplitudes(telescope: Telescope, omega: ArrayLike) -> FloatArray:
+    """Amplitudes |W_rws|, W_sa of the disturbance inputs at frequencies omega [rad/s], shape (k, channels)."""
+    table = telescope.weights
+    w = np.atleast_1d(np.asarray(omega, dtype=float))
+    high_pass = np.hypot(w, table.wheel_imbalance_zero) / np.hypot(w, table.wheel_imbalance_pole)
+    wheels = high_pass[:, None] * np.tile(table.wheel_imbalance, len(telescope.wheels))
+    return np.hstack([wheels, np.tile(telescope.torque_bounds, (w.size, 1))])
 
 
 RPE_NUMERATOR, RPE_DENOMINATOR = np.sqrt(12.0), (6.0, 12.0)
@@ -76,3 +85,37 @@ def relative_error_weight(window: float, size: int = 2) -> System:
         [Port("error", size)],
         [Port("relative_error", size)],
     )
+
+
+BAND_ORDER = 4
+
+
+def band_error_weight(telescope: Telescope, band: str) -> System:
+    """Weight of the relative error of slow or fast tones: window and :func:`band_weight` in series."""
+    relative = relative_error_weight(telescope.weights.rpe_window).at({})
+    return cascade(relative, band_weight(band, telescope.weights.band_edge).at({}), f"W_RPE, {band}")
+
+
+def band_weight(band: str, edge: float, size: int = 2) -> System:
+    """Butterworth filter of order 4 that keeps the tones below (``slow``) or above an edge [rad/s], on `size` axes.
+
+    Examples
+    --------
+    >>> slow, fast = (band_weight(band, 85.0, 1).nominal() for band in ("slow", "fast"))
+    >>> [round(float(abs(slow(1j * w))), 2) for w in (10, 60, 145)]
+    [1.0, 0.97, 0.12]
+    >>> [round(float(abs(fast(1j * w))), 2) for w in (60, 145, 400)]
+    [0.24, 0.99, 1.0]
+    """
+    if band not in ("slow", "fast"):
+        raise ValueError(f"band must be slow or fast, got {band!r}")
+    from scipy import signal  # slow to import, and disturbances in time need none of it
+
+    denominator = np.poly(signal.butter(BAND_ORDER, 1.0, analog=True, output="zpk")[1]).real
+    A = np.diag(np.full(BAND_ORDER - 1, edge), -1)
+    A[0] = -edge * denominator[1:]
+    B = np.eye(BAND_ORDER)[:, :1] * edge
+    C, D = (np.eye(BAND_ORDER)[-1:], 0.0) if band == "slow" else (A[:1] / edge, 1.0)
+    each = np.eye(size)
+    ports = [Port("relative_error", size)], [Port(f"{band}_error", size)]
+    return state_space(np.kron(each, A), np.kron(each, B), np.kron(each, C), D * each, *ports)

@@ -23,10 +23,9 @@ from los_loop.open_loop import OpenLoop
 from los_loop.worst_tone import worst_tone
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.modal_plant import ModalPlant
-from titop_plant.telescope.error_budget import band_error_weight
 from titop_plant.telescope.load import differences, load_telescope
 from titop_plant.telescope.telescope import Telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import band_error_weight, rpe_weight
 
 EDGE, STAGE = 40.0, "fsm+pma"
 

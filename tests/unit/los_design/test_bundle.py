@@ -47,7 +47,7 @@ from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 STAGE, FIGURE = "fsm+pma", "slow"

@@ -20,7 +20,7 @@ from los_estimator.problem import kalman_start, observer_plant, observer_structu
 from los_loop.figures_of_merit import figure
 from los_loop.sampled_loop_norms import sampled_loop_metrics
 from titop_plant.interface import LOOP_DELAY, MEASURED
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 
 IMPLEMENTED = DesignOptions()
 

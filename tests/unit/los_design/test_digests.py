@@ -18,7 +18,7 @@ from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import DT, MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 

@@ -25,7 +25,7 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, combined_level, error_budget
 
 

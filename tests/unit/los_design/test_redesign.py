@@ -20,8 +20,7 @@ from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
-from titop_plant.telescope.assembly import build_telescope
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -164,7 +163,7 @@ def test_another_telescope_is_redesigned(change, telescope, tmp_path) -> None:
     found = design_all(table, tmp_path, effort="short", report=print)
     assert found.check.all_stable
     assert found.met or all(any(digit.isdigit() for digit in line) for line in found.not_met)
-    system = control_loop_plant(build_telescope(table), table)
+    system = control_loop_plant(table)
     at = verification_points(table, system, 10)[::8]
     own, stored = (
         check_implemented(system, table, *pair, at, changes=False)

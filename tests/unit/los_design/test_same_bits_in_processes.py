@@ -16,7 +16,7 @@ from los_design.verification.stage_check import check_stage
 from los_design.verification.verification import verification_points
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 SMALL = SearchOptions(frequencies=24, points=6, ascents=12, iterations=4, patience=1, several=2)

@@ -11,7 +11,7 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.margins import doubtful
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 OMEGA = np.array([0.3, 7.4, 40.0, 190.0, 580.0, 2500.0])

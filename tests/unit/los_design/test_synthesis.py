@@ -17,7 +17,7 @@ from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import CAMERA, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 
 PORTS = {"k-fsm": (K_FSM_INPUTS, K_FSM_OUTPUTS), "k-pma": (K_PMA_INPUTS, K_PMA_OUTPUTS)}
 STATUSES = {"converged", "rounds", "out_of_time"}

@@ -29,8 +29,9 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE
 from titop_plant.interface import FRAME_TICKS
-from titop_plant.simulation.disturbances import no_tones, weight_amplitudes
+from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.plant_step import step_matrix
+from titop_plant.telescope.weights import weight_amplitudes
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = (*(f"wheel_{i}.speed" for i in range(1, 5)), *(f"solar_array.{n}" for n in ("omega_1", "omega_2", "tau")))

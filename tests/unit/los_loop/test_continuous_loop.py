@@ -19,11 +19,10 @@ from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from los_loop.implemented_loop import LoopMetric
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMAND_PORTS, COMMANDED, FORCES, MEASURED, MIRROR, MIRROR_STAGES, PLATFORM
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 OMEGA = np.array([0.05, 0.9, 7.3, 61.0, 400.0, 1570.0])
 

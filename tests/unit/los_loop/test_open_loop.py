@@ -6,7 +6,7 @@ import pytest
 from lftkit.analysis.frequency_response import FrequencyResponse
 from los_loop.open_loop import OpenLoop
 from titop_plant.interface import COMMANDS, DT
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 

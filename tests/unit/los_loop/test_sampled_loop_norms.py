@@ -16,8 +16,8 @@ from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics, tone_response, weighted_response
 from los_loop.tone_model import ToneModel
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.simulation.modal_plant import ModalPlant
+from titop_plant.telescope.weights import weight_amplitudes
 
 OMEGA = np.array([0.5, 12.0, 55.0, 170.0, 420.0, 900.0, 2100.0])
 PLANT = ModalPlant.of(small_plant())

@@ -11,7 +11,7 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import SampledLoop
 from titop_plant.interface import DT
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.load import load_telescope
 
 DAMPING, HIGHEST = 0.05, 60.0

@@ -19,7 +19,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report.loop_figures import nyquist, sensitivity
 from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
-from titop_plant.simulation.build import control_loop_plant
+from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY
 from titop_plant.telescope.load import load_telescope
 

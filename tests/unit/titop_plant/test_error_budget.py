@@ -14,15 +14,13 @@ from titop_plant.telescope.error_budget import (
     APE_TONE,
     TONE,
     TOTAL_NOISE,
-    band_error_weight,
-    band_weight,
     combined_level,
     error_budget,
     largest_tone,
 )
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.requirements import window_probability
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import band_error_weight, band_weight, rpe_weight
 
 PROBABILITY, BAND_EDGE = 0.997, 85.0
 

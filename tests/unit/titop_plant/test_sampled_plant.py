@@ -14,13 +14,14 @@ from titop_plant.simulation.build import (
     PlantConfig,
     build_plant,
     parameter_values,
-    with_sensors,
 )
-from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones, weight_amplitudes
+from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones
 from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
+from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.weights import weight_amplitudes
 
 QUIET = PlantConfig(noise=False, disturbance=False)
 

@@ -14,13 +14,12 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.systems.minimal import minimal_realisation
-from titop_plant.simulation.disturbances import weight_amplitudes
 from titop_plant.structures import smallest_residual_fraction
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.components import body_modes, optics_component
 from titop_plant.telescope.load import REFERENCE, load_telescope
 from titop_plant.telescope.optics import TwoMirrorTelescope
-from titop_plant.telescope.weights import rpe_weight
+from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
 OCCURRENCES = {
     "wheel_1.speed": 2,

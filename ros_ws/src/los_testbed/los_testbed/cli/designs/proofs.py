@@ -199,7 +199,7 @@ def loops_of(
     from los_loop.implemented_loop import ImplementedLoop
     from los_loop.open_loop import OpenLoop
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.control_plant import control_loop_plant
     from titop_plant.telescope.load import load_telescope
 
     if folder is None:

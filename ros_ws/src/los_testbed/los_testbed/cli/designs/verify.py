@@ -126,8 +126,8 @@ def _of_folder(
     """Values of the pair of a folder at nominal, corners, random and stored worst points, what is not met, mission."""
     from los_design.search.worst_points import load_adversarial
     from los_design.verification.verification import broken_requirements, check_implemented, verification_points
-    from los_loop.loop_plant import loop_plant
     from titop_plant.interface import design_warnings
+    from titop_plant.telescope.control_plant import loop_plant
 
     telescope, k_fsm, k_pma = designs_in(folder)
     telescope = telescope.with_uncertain(uncertain)
@@ -159,7 +159,7 @@ def _stored(
         verification_points,
     )
     from titop_plant.interface import design_warnings
-    from titop_plant.simulation.build import control_loop_plant
+    from titop_plant.telescope.control_plant import control_loop_plant
     from titop_plant.telescope.load import load_telescope
 
     telescope = load_telescope().with_uncertain(uncertain)
