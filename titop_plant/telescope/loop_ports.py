@@ -27,6 +27,7 @@ from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import Port, port_indices, total_size
 from titop_plant.interface import COLUMNS, COMMAND_PORTS, COMMANDED, MEASURED_PORTS, TRUTH, TRUTH_PORTS
 from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.sensors import Sensor, without_noise
 
 DISTURBANCE = "disturbance"
@@ -48,37 +49,6 @@ class ControllerWithPorts(Protocol):
 
 
 @dataclass(frozen=True)
-class LoopActuator:
-    """An actuator of the loop.
-
-    Parameters
-    ----------
-    port : Port
-        Its part of the command.
-    authority : float
-        Largest value, in the unit of the port.
-    scale : float
-        Value in the unit of the port for a value of 1 in the loop's response: of an actuator of a file its authority
-        over that of the proof-mass actuators, so that one limit holds for all forces.
-    """
-
-    port: Port
-    authority: float = np.inf
-    scale: float = 1.0
-
-    @property
-    def name(self) -> str:
-        """Name of its port."""
-        return self.port.name
-
-
-def reference_actuators(fsm: float = np.inf, pma: float = np.inf) -> tuple[LoopActuator, ...]:
-    """Mirror and proof-mass actuators with their authority [rad], [N]."""
-    mirror, forces = COMMAND_PORTS
-    return LoopActuator(mirror, fsm), LoopActuator(forces, pma)
-
-
-@dataclass(frozen=True)
 class LoopPorts:
     """The rows that a loop has.
 
@@ -86,7 +56,7 @@ class LoopPorts:
     ----------
     sensors : tuple of Sensor
         In the order of the measurement. Default: those of the reference, without noise.
-    actuators : tuple of LoopActuator
+    actuators : tuple of Actuator
         In the order of the command. Default: those of the reference, without limits.
 
     Examples
@@ -99,7 +69,7 @@ class LoopPorts:
     """
 
     sensors: tuple[Sensor, ...] = tuple(without_noise(entry) for entry in MEASURED_SENSORS)
-    actuators: tuple[LoopActuator, ...] = reference_actuators()
+    actuators: tuple[Actuator, ...] = reference_actuators()
 
     @property
     def measured(self) -> tuple[Port, ...]:
@@ -144,7 +114,7 @@ class LoopPorts:
         return self.sensors[len(MEASURED_PORTS) :]
 
     @property
-    def further_actuators(self) -> tuple[LoopActuator, ...]:
+    def further_actuators(self) -> tuple[Actuator, ...]:
         """Rows of actuators behind those of the reference."""
         return self.actuators[len(COMMAND_PORTS) :]
 
@@ -313,7 +283,5 @@ __all__ = [
     "LINE_OF_SIGHT",
     "REFERENCE_PORTS",
     "ControllerWithPorts",
-    "LoopActuator",
     "LoopPorts",
-    "reference_actuators",
 ]

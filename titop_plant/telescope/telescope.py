@@ -24,16 +24,10 @@ from lftkit.uncertainty.parameters import RealParameter
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis, sample_ticks
 from titop_plant.telescope import guide_camera, layout, requirements
-from titop_plant.telescope.devices import (
-    ACTUATOR_FORCE,
-    PLACED_SENSORS,
-    PlacedActuator,
-    PlacedSensor,
-    read_actuators,
-    read_sensors,
-)
+from titop_plant.telescope.actuators import Actuator, reference_actuators
+from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
-from titop_plant.telescope.loop_ports import LoopPorts, reference_actuators
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
@@ -343,12 +337,12 @@ class Telescope:
         return self.camera_kind == guide_camera.IMAGE
 
     @cached_property
-    def placed_sensors(self) -> tuple[PlacedSensor, ...]:
+    def placed_sensors(self) -> tuple[Sensor, ...]:
         """Further sensors, in the order of the file."""
         return read_sensors(self._tables)
 
     @cached_property
-    def placed_actuators(self) -> tuple[PlacedActuator, ...]:
+    def placed_actuators(self) -> tuple[Actuator, ...]:
         """Further actuators, in the order of the file."""
         return read_actuators(self._tables)
 
@@ -356,14 +350,13 @@ class Telescope:
     def loop_ports(self) -> LoopPorts:
         """All sensors and actuators as rows of the loop: those of the reference, then those of the file."""
         mirror, forces = float(self.fsm.authority), float(self.pma.authority)
-        sensors = (*self.sensors, *(one.in_loop(self.washout) for one in self.placed_sensors))
-        further = (one.in_loop(forces) for one in self.placed_actuators)
-        return LoopPorts(sensors, (*reference_actuators(mirror, forces), *further))
+        actuators = (*reference_actuators(mirror, forces), *self.placed_actuators)
+        return LoopPorts((*self.sensors, *self.placed_sensors), actuators)
 
     @property
     def sensor_ports(self) -> tuple[Port, ...]:
         """Output with the values of all further sensors; none where there are none."""
-        units = [sensor.unit for sensor in self.placed_sensors for _ in sensor.axes]
+        units = [sensor.port.unit for sensor in self.placed_sensors for _ in range(sensor.port.size)]
         return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
 
     @property

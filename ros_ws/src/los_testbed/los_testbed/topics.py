@@ -16,7 +16,7 @@ from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.loop_ports import LoopActuator
+    from titop_plant.telescope.actuators import Actuator
     from titop_plant.telescope.sensors import Sensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
@@ -170,12 +170,12 @@ COMMANDED = "actuator"
 """Forces of further actuators that a controller commands have their topics below this name."""
 
 
-def actuator_topics(actuators: Sequence[LoopActuator]) -> tuple[TopicDefinition, ...]:
+def actuator_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...]:
     """Topics of the commands of further actuators, in their order; they are behind the sensors in a bag.
 
     Parameters
     ----------
-    actuators : sequence of LoopActuator
+    actuators : sequence of Actuator
     """
     return tuple(
         TopicDefinition(
