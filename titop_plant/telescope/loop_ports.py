@@ -25,10 +25,19 @@ import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import Port, port_indices, total_size
-from titop_plant.interface import COLUMNS, COMMAND_PORTS, COMMANDED, MEASURED_PORTS, TRUTH, TRUTH_PORTS
+from titop_plant.interface import (
+    COLUMNS,
+    COMMAND_PORTS,
+    COMMANDED,
+    FRAME_TICKS,
+    MEASURED_PORTS,
+    TRUTH,
+    TRUTH_PORTS,
+    sample_ticks,
+)
 from titop_plant.sensor_table import MEASURED_SENSORS
 from titop_plant.telescope.actuators import Actuator, reference_actuators
-from titop_plant.telescope.sensors import Sensor, without_noise
+from titop_plant.telescope.sensors import Sensor, port_alone
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""
@@ -55,7 +64,7 @@ class LoopPorts:
     Parameters
     ----------
     sensors : tuple of Sensor
-        In the order of the measurement. Default: those of the reference, without noise.
+        In the order of the measurement. Default: those of the reference, of unknown noise and bias.
     actuators : tuple of Actuator
         In the order of the command. Default: those of the reference, without limits.
 
@@ -68,7 +77,7 @@ class LoopPorts:
     ()
     """
 
-    sensors: tuple[Sensor, ...] = tuple(without_noise(entry) for entry in MEASURED_SENSORS)
+    sensors: tuple[Sensor, ...] = tuple(port_alone(entry) for entry in MEASURED_SENSORS)
     actuators: tuple[Actuator, ...] = reference_actuators()
 
     @property
@@ -95,6 +104,17 @@ class LoopPorts:
     def noise(self) -> FloatArray:
         """Standard deviation of a sample of each measured value, shape (measurements,) [m/s2, rad/s2, rad]."""
         return np.concatenate([row.noise for row in self.sensors])
+
+    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
+        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
+
+        Parameters
+        ----------
+        frame_ticks : int
+            Ticks of a frame of the camera.
+        """
+        ticks = sample_ticks(frame_ticks)
+        return np.concatenate([row.noise * np.sqrt(ticks.get(row.name, 1)) for row in self.sensors])
 
     @property
     def bias(self) -> FloatArray:

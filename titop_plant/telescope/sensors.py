@@ -89,9 +89,10 @@ class Sensor:
         return self.port.name
 
 
-def without_noise(entry: SensorEntry) -> Sensor:
-    """A sensor of which no values of a telescope are known: without noise, bias and filters."""
-    return Sensor(entry.port, np.zeros(entry.port.size), np.zeros(entry.port.size), entry.framed)
+def port_alone(entry: SensorEntry) -> Sensor:
+    """A sensor of no telescope: its noise and bias are unknown (NaN)."""
+    unknown = np.full(entry.port.size, math.nan)
+    return Sensor(entry.port, unknown, unknown, entry.framed)
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:

@@ -22,7 +22,7 @@ from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis, sample_ticks
+from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
@@ -293,28 +293,6 @@ class Telescope:
     def sensors(self) -> tuple[Sensor, ...]:
         """Sensors of the loop in the order of the measurement."""
         return read_loop_sensors(self._tables["sensors"])
-
-    @property
-    def noise_of_samples(self) -> FloatArray:
-        """Standard deviation of the samples, of a frame for the camera, shape (22,) [m/s2, rad/s2, rad]."""
-        return np.concatenate([sensor.noise for sensor in self.sensors])
-
-    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
-        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
-
-        Parameters
-        ----------
-        frame_ticks : int
-            Ticks of a frame of the camera.
-        """
-        ticks = sample_ticks(frame_ticks)
-        found = (sensor.noise * np.sqrt(ticks.get(sensor.port.name, 1)) for sensor in self.sensors)
-        return np.concatenate(list(found))
-
-    @property
-    def constant_error(self) -> FloatArray:
-        """Bias of the samples, shape (22,) [m/s2, rad/s2, rad]."""
-        return np.concatenate([sensor.bias for sensor in self.sensors])
 
     @property
     def washout(self) -> float:

@@ -15,7 +15,7 @@ from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
 from los_testbed.bags.conditions import conditions
 from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
-from los_testbed.config import is_code, physical_hash
+from los_testbed.config import physical_hash
 from los_testbed.factories import RunParts
 from los_testbed.flight_library import LibraryLaw
 from los_testbed.plugins import source_hashes
@@ -126,7 +126,7 @@ def _sources(parts: RunParts) -> dict[str, str]:
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run; without noise where it has none."""
     config = parts.config
-    noise = parts.telescope.noise_of_samples * float(config.noise)
+    noise = parts.telescope.loop_ports.reference.noise * float(config.noise)
     return tuple(
         RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
         for t in SENSORS
@@ -170,8 +170,7 @@ def final_metadata(
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Controllers that are files or linear systems, as JSON; configuration as YAML; tone and states of the start."""
-    files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)} | parts.files
-    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in files.items()}
+    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in parts.files.items()}
     for name, law in parts.controllers.items() if parts.code else ():
         if f"{name}.json" not in content and isinstance(law, UserBlock) and law.is_linear and law.linear is not None:
             content[f"{name}.json"] = ("application/json", law.linear.to_json().encode())
