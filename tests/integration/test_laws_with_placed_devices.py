@@ -13,7 +13,7 @@ from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.factories import RunParts
 from los_testbed.loop.simulate import run_in_process
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import controller_of, controllers, drive
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_a_budget
 
 import fsm_pma_controller
@@ -27,6 +27,7 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.loop_plant import loop_plant
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
+from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
@@ -283,6 +284,27 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
         for loop in (standard, other)
     ]
     np.testing.assert_allclose(noise[1], noise[0], rtol=1e-6)  # covariances with modes of minutes have 7 digits
+
+
+def test_such_a_run_is_replayed_bit_by_bit(base: RunConfig, tmp_path: Path) -> None:
+    """Also from the bag that a replay has written; other controllers are told what the bag does not hold."""
+    law_with_devices().to_file(tmp_path / "k_pma.json")
+    observer_with_devices().to_file(tmp_path / "k_fsm.json")
+    run_in_process(
+        replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, duration=1.5), Path("bag")
+    )
+    assert not app.main(["--quiet", "replay", "bag", "--output", "again"])
+    assert Run.open(Path("again")).attachments["k_pma.json"] == Path("k_pma.json").read_bytes()
+    assert not app.main(["--quiet", "replay", "again"])
+    run, other = Run.open(Path("bag")), Run.open(Path("again"))
+    for name in ("sensor/at_root", "sensor/on_m1", "actuator/shaker/command"):
+        assert np.array_equal(run[name].values, other[name].values) and run[name].values.any()
+    law = law_with_devices()
+    for port, message in ((Port("idle", 1, "N"), "got idle"), (Port("shaker", 1, "N"), "topic sensor/elsewhere")):
+        unlike = replace(law, inputs=(*K_PMA_INPUTS, Port("elsewhere", 1)), outputs=(*K_PMA_OUTPUTS, port))
+        unlike.to_file(tmp_path / "other.json")
+        with pytest.raises(BagError, match=message):
+            drive(run, controllers(run, k_pma=Path("other.json")), lambda done, total: None)
 
 
 def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(base: RunConfig, tmp_path: Path) -> None:

@@ -37,6 +37,10 @@ from titop_plant.telescope.telescope import Telescope
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
 
 
+FURTHER_AUTHORITY = "actuator_authority"
+"""Key of the largest forces [N] of further actuators."""
+
+
 def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
     """Configuration, constants of the loop and the telescope, hash of the plant's settings, software and commit.
 
@@ -62,6 +66,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **optics_of(parts),
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
+        **_further_limits(parts),
         "rate_hz": str(RATE),
         **_start_up(parts, start),
         **_sources(parts),
@@ -121,6 +126,12 @@ def _sources(parts: RunParts) -> dict[str, str]:
         return {}
     rows = [{"name": s.name, "kind": s.kind, "place": s.place, "remarks": list(s.remarks)} for s in parts.sources]
     return {"disturbances": json.dumps(rows), "disturbances_sha256": parts.sources_digest}
+
+
+def _further_limits(parts: RunParts) -> dict[str, str]:
+    """Largest forces [N] of the further actuators that the controller commands; nothing without any."""
+    limits = {row.name: row.authority for row in parts.used["k_pma"].further_actuators}
+    return {FURTHER_AUTHORITY: json.dumps(limits)} if limits else {}
 
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
