@@ -36,7 +36,7 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
 from los_testbed.loop import compiled_loop
-from los_testbed.loop.simulate import SIGNALS, SampleBlock, run_in_process, simulate
+from los_testbed.loop.simulate import SIGNALS, SampleBlock, SimulatedLoop, run_in_process
 from los_testbed.parts import start as run_start
 from los_testbed.parts.run_parts import RunParts
 from processor_time import least
@@ -138,7 +138,7 @@ def present(parts: RunParts, ticks: int, compiled: bool, keep: bool = False) -> 
     usual = compiled_loop.kernel_for
     compiled_loop.kernel_for = (lambda ticks: compilation.kernel()) if compiled else (lambda ticks: None)
     try:
-        simulate(plant, estimator, controller, ticks, sink, parts.start.command)
+        SimulatedLoop(plant, estimator, controller, parts.start.command).run(ticks, sink)
     finally:
         compiled_loop.kernel_for = usual
     return found

@@ -101,7 +101,7 @@ def kalman_observer(telescope: Telescope, payload: ModalData, *, lead: float = 0
         Ports :data:`titop_plant.interface.K_FSM_INPUTS` and ``K_FSM_OUTPUTS``; no washout.
     """
     C_a = acceleration_sensitivity(telescope, payload)
-    sigma = telescope.noise_of_samples
+    sigma = telescope.loop_ports.reference.noise
     noise, camera = sigma[MODELLED], float(sigma[CAMERA.start])
     Q = np.zeros((4, 4))
     Q[2:, 2:] = (C_a * noise**2) @ C_a.T * DT

@@ -161,7 +161,8 @@ class MemberLoop:
         cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
     ) -> MemberLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
-        loop = ImplementedLoop(OpenLoop(system, telescope, real=True), k_fsm, k_pma, stage)
+        ports = telescope.loop_ports.used_by(k_fsm, k_pma)
+        loop = ImplementedLoop(OpenLoop(system, telescope, real=True, ports=ports), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
         rng = np.random.default_rng(0)
         members = [*telescope.corners(), *system.sample_values(rng, DRAWS)]

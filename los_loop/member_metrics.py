@@ -79,7 +79,7 @@ class MemberMetrics:
     model : MemberLoop
     seen : ndarray, shape (F,)
         Weight of the relative error on the grid.
-    sigma : ndarray, shape (22,)
+    sigma : ndarray, shape (measurements,)
         Noise of a sample; of the camera as if every tick had a frame.
     nominal : ndarray, shape (F,)
         Power density of the noise in the line of sight of the nominal loop, on the grid.
@@ -102,14 +102,15 @@ class MemberMetrics:
         Parameters
         ----------
         system : System
-            Of the family, with its parameters.
+            Of the family, with its parameters, as :func:`los_loop.loop_plant.loop_plant` makes it for the ports that
+            the controllers use.
         telescope : Telescope
             Of the telescope.
         k_fsm, k_pma : SampledSystem
         stage : {"none", "isolator", "fsm", "fsm+pma"}
         """
         model = MemberLoop.of(system, telescope, k_fsm, k_pma, stage)
-        sigma = telescope.noise_of_ticks()
+        sigma = model.loop.ports.noise_of_ticks()
         seen = rpe_weight(model.omega, telescope.weights.rpe_window)
         noise = _exact_noise(model.loop, {})
         everywhere = np.arange(model.omega.size)

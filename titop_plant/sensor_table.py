@@ -40,7 +40,7 @@ class SensorEntry:
     noise : str
         Key of the standard deviation of a sample, in the unit of the port.
     step : str
-        Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`.
+        Its quantisation: a field of :class:`titop_plant.simulation.device_limits.DeviceLimits`; "": none.
     rate : float
         Samples per second; it divides the tick rate. Between its samples the last one is held.
     bias : str
@@ -68,7 +68,7 @@ class SensorEntry:
     frame_id: str
     group: str
     noise: str
-    step: str
+    step: str = ""
     rate: float = TICKS_PER_SECOND
     bias: str = ""
     washout: str = ""

@@ -40,7 +40,7 @@ from titop_plant.interface import (
     HELD,
     K_FSM_INPUTS,
     K_PMA_INPUTS,
-    MEASUREMENTS,
+    MEASURED,
     MIRROR,
     MIRROR_STAGES,
     sample_ticks,
@@ -186,13 +186,12 @@ def noise_frequencies() -> FloatArray:
 def noises(samples: Samples, stages: Sequence[tuple[int, ...]]) -> tuple[ResponseNoise, ...]:
     """Errors by sensor noise at the nominal point; they depend on the parameters by less than 1e-4."""
     telescope, nominal = samples.open_loop.telescope, samples.at_noise_frequencies
-    omega, amplitude, ports = nominal.omega, telescope.noise_of_ticks(), samples.open_loop.ports
+    omega, amplitude = nominal.omega, samples.open_loop.ports.noise_of_ticks()
 
     def noise(stage: tuple[int, ...], row: FigureOfMerit) -> ResponseNoise:
-        heard = ports.noise
-        heard[:MEASUREMENTS] = 0.0
-        for name in row.inputs:
-            heard[COLUMNS[name]] = amplitude[COLUMNS[name]]
+        heard = amplitude.copy()
+        for name in set(MEASURED) - set(row.inputs):
+            heard[COLUMNS[name]] = 0.0
         density = np.broadcast_to(heard, (len(omega), len(heard)))
         step = np.gradient(omega) * (DT / np.pi)
         if row.relative:

@@ -57,9 +57,9 @@ def noise_model(loop: ImplementedLoop) -> LoopModel:
     """The implemented loop from noise of the sensors at the ticks to the line of sight, over the limit of the APE.
 
     The samples of a sensor with frames count as if each tick had one
-    (:func:`titop_plant.telescope.sensors.noise_of_ticks`): held, they have the same mean spectrum.
+    (:meth:`titop_plant.telescope.loop_ports.LoopPorts.noise_of_ticks`): held, they have the same mean spectrum.
     """
-    sigma = loop.telescope.noise_of_ticks()
+    sigma = loop.ports.noise_of_ticks()
     noisy = np.flatnonzero(sigma)
     inputs = np.column_stack([sigma[noisy], np.ones((len(noisy), 2))])
     limit = loop.telescope.weights.ape_limit

@@ -9,7 +9,7 @@ This module imports no controller: `EstimatorCore` and `ControllerCore` say what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -33,36 +33,43 @@ MEASUREMENT: Mapping[str, slice] = {
 }
 #: topic -> columns of the command vector (8)
 COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
-COMMANDS = max(columns.stop for columns in COMMAND.values())
 
 
 @dataclass(frozen=True)
-class SensorLayout:
-    """Which topics make the measurement.
+class LoopLayout:
+    """Which topics the observer and the controller read, and which ones they write.
 
     Attributes
     ----------
-    columns : topic -> columns of the measurement
+    columns : topic -> columns of the joined samples of all sensors
     held : topics with samples at some ticks only, which may be lost
-    platform : topic of the accelerations that the controller measures
+    observer : topics that make the measurement of the observer
+    controller : topics that the controller measures, behind the estimate
+    commands : topic -> columns of the command
     """
 
     columns: Mapping[str, slice]
     held: tuple[str, ...]
-    platform: str
+    observer: tuple[str, ...]
+    controller: tuple[str, ...]
+    commands: Mapping[str, slice]
 
     @property
     def size(self) -> int:
-        """Length of the measurement."""
+        """Number of joined values."""
         return int(max(columns.stop for columns in self.columns.values()))
 
     @property
-    def held_columns(self) -> IntArray:
-        """Columns that are NaN between samples."""
-        return np.concatenate([np.arange(self.size)[self.columns[name]] for name in self.held])
+    def command_size(self) -> int:
+        """Length of the command."""
+        return int(max(columns.stop for columns in self.commands.values()))
+
+    def of(self, topics: Sequence[str]) -> IntArray:
+        """Columns of some topics among the joined values, in their order."""
+        return np.concatenate([np.arange(self.size)[self.columns[name]] for name in topics])
 
 
-REFERENCE_LAYOUT = SensorLayout(MEASUREMENT, ("camera/los",), "isolator/accel")
+REFERENCE_LAYOUT = LoopLayout(MEASUREMENT, ("camera/los",), tuple(MEASUREMENT), ("isolator/accel",), COMMAND)
 """Of the reference telescope."""
 
 
@@ -77,7 +84,10 @@ class EstimatorCore(Protocol):
 
 
 class ControllerCore(Protocol):
-    """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N]."""
+    """Controller at run time: an estimate (2,) [rad] and an acceleration (6,) to a command (8,) [rad, N].
+
+    Values of further sensors are behind the acceleration, forces of further actuators behind the command.
+    """
 
     def step(self, los_estimate: FloatArray, accel_Ip: FloatArray, out: FloatArray) -> None:
         """One tick: write the command into `out`."""
@@ -93,7 +103,8 @@ class Sensors:
     Attributes
     ----------
     stamp : (n,) [ns], ticks on which every sensor is there
-    measurement : (n, 22) in the order of the layout; columns that are held NaN between frames and on dropped frames
+    measurement : (n, layout.size) in the order of the layout; columns that are held NaN between frames and on dropped
+        frames
     period : tick [ns]
     incomplete : ticks left out because a sensor is missing in the bag
     """
@@ -113,23 +124,25 @@ class Replayed:
     stamp : (n,) ticks of the estimates [ns]
     estimate : (n, 2) [rad]
     command_stamp : (m,) ticks of the commands [ns]
-    command : (m, 8) mirror angles [rad] and actuator forces [N]
+    command : (m, layout.command_size) mirror angles [rad] and actuator forces [N]
+    layout : topics that were read and written
     """
 
     stamp: Stamps
     estimate: FloatArray
     command_stamp: Stamps
     command: FloatArray
+    layout: LoopLayout = REFERENCE_LAYOUT
 
     def topics(self) -> dict[str, tuple[Stamps, FloatArray]]:
         """Stamps and values by topic name, ready to be written into a bag."""
         found = {"los_estimate": (self.stamp, self.estimate)}
-        for name, columns in COMMAND.items():
+        for name, columns in self.layout.commands.items():
             found[name] = (self.command_stamp, self.command[:, columns])
         return found
 
 
-def _complete_ticks(run: Run, layout: SensorLayout) -> tuple[Stamps, int, int]:
+def _complete_ticks(run: Run, layout: LoopLayout) -> tuple[Stamps, int, int]:
     """Stamps on which every sensor is there, the tick [ns], and how many ticks lack a sensor."""
     for name, columns in layout.columns.items():
         if name not in run:
@@ -157,7 +170,7 @@ def _complete_ticks(run: Run, layout: SensorLayout) -> tuple[Stamps, int, int]:
     return read_only(stamp), round(fast[0].period * NANO), longest - len(stamp)
 
 
-def sensors(run: Run, layout: SensorLayout = REFERENCE_LAYOUT) -> Sensors:
+def sensors(run: Run, layout: LoopLayout = REFERENCE_LAYOUT) -> Sensors:
     """Join the sensors of a run by stamp.
 
     Parameters
@@ -223,7 +236,7 @@ def replay(
     estimator: EstimatorCore,
     controller: ControllerCore,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    layout: SensorLayout = REFERENCE_LAYOUT,
+    layout: LoopLayout = REFERENCE_LAYOUT,
 ) -> Replayed:
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
 
@@ -235,37 +248,38 @@ def replay(
     run : with the sensor topics
     estimator, controller : both are reset first
     progress : called with (ticks done, all ticks) about every second of the run
-    layout : topics that make the measurement
+    layout : topics that are read and written
     """
-    given, platform = sensors(run, layout), layout.columns[layout.platform]
+    given, observed, measured = sensors(run, layout), layout.of(layout.observer), layout.of(layout.controller)
     recorded = run["los_estimate"].stamp if "los_estimate" in run else None
     rows = _ticks(given.stamp, recorded)
     stamp = _rows_of(given.stamp, rows)
     total = 2 * len(stamp)
     estimator.reset()
     fill = str(run.parameters.get("lost_samples", HOLD))
-    step = GapStepper(estimator.step, layout.size, layout.held_columns, fill)
+    step = GapStepper(estimator.step, observed.size, np.flatnonzero(np.isin(observed, layout.of(layout.held))), fill)
     estimate = _stepped(
-        lambda part: given.measurement[rows[part]], step, stamp, given.period, 2, lambda i: progress(i, total)
+        lambda part: given.measurement[rows[part][:, None], observed],
+        step,
+        stamp,
+        given.period,
+        2,
+        lambda i: progress(i, total),
     )
     acted = _ticks(stamp, run["fsm/command"].stamp if "fsm/command" in run else None)
     command_stamp = _rows_of(stamp, acted)
     controller.reset()
-    step = GapStepper(
-        lambda sample, out: controller.step(sample[:2], sample[2:], out),
-        2 + platform.stop - platform.start,
-        fill=fill,
-    )
+    step = GapStepper(lambda sample, out: controller.step(sample[:2], sample[2:], out), 2 + measured.size, fill=fill)
     command = _stepped(
-        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]], platform]]),
+        lambda part: np.hstack([estimate[acted[part]], given.measurement[rows[acted[part]][:, None], measured]]),
         step,
         command_stamp,
         given.period,
-        COMMANDS,
+        layout.command_size,
         lambda i: progress(len(stamp) + i, total),
     )
     progress(total, total)
-    return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command))
+    return Replayed(read_only(stamp), read_only(estimate), read_only(command_stamp), read_only(command), layout)
 
 
 def _rows_of(stamp: Stamps, rows: IntArray) -> Stamps:
@@ -351,7 +365,7 @@ class Comparison:
         return "; ".join(parts) or "the bag holds neither estimates nor commands to compare with"
 
 
-def compare(run: Run, replayed: Replayed, layout: SensorLayout = REFERENCE_LAYOUT) -> Comparison:
+def compare(run: Run, replayed: Replayed) -> Comparison:
     """Compare a replay with the estimates and commands in the bag, by the bits of each number."""
     found = []
     for name, (stamp, values) in replayed.topics().items():
@@ -369,4 +383,4 @@ def compare(run: Run, replayed: Replayed, layout: SensorLayout = REFERENCE_LAYOU
             largest = max(largest, float(np.fmax.reduce(np.abs(a - b), axis=None))) if len(a) else largest
         lone = len(stamp) + len(topic) - 2 * compared
         found.append(Difference(name, compared, wrong, lone, first, largest))
-    return Comparison(tuple(found), _complete_ticks(run, layout)[2])
+    return Comparison(tuple(found), _complete_ticks(run, replayed.layout)[2])

@@ -17,7 +17,8 @@ from los_testbed.flight_code.export import FLAGS, SOURCES
 from los_testbed.flight_code.laws import FlightLaws, laws_of
 from los_testbed.flight_code.vectors import run_laws
 from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.run.replay import LAYOUT, controllers
+from los_testbed.run.replay import controllers
+from los_testbed.run.replay_ports import layout_of
 from support.flight_library import (
     LEVELS,
     LIBRARY,
@@ -67,7 +68,7 @@ def test_all_ticks_of_the_reference_bag(compiler: str, level: str, recorded: Run
     states = RunStart.from_bytes(recorded.attachments[START_FILE]).states
     assert states is not None
     observer = observer_of(library, (np.array(states.k_fsm), np.array(states.camera)))
-    made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=LAYOUT)
+    made = replay(recorded, observer, FlightController(library, laws.loop, np.array(states.k_pma)), layout=layout_of())
     assert len(made.stamp) == 4100
     for name, (stamp, values) in made.topics().items():
         topic = recorded[name]

@@ -12,7 +12,7 @@ from los_testbed.config import RunConfig
 from los_testbed.flight_code.laws import laws_of
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.flight_library import FlightLibraryError, LibraryLaw
-from los_testbed.run.replay import LAYOUT, controllers, drive, write_bag
+from los_testbed.run.replay import controllers, drive, write_bag
 from support.flight_library import LIBRARY, build, write
 
 from pointing_analysis.read.mcap.records import BagError
@@ -47,7 +47,7 @@ def test_a_replay_through_the_library_is_identical(library: Path) -> None:
     """From the recorded states, which a library of the same order takes."""
     run = Run.open(BAG)
     through = controllers(run, library, library)
-    found = compare(run, drive(run, through, lambda done, total: None), LAYOUT)
+    found = compare(run, drive(run, through, lambda done, total: None))
     assert found.identical and not through.as_recorded and set(through.files) == {"k_fsm.so", "k_pma.so"}
 
 

@@ -56,7 +56,7 @@ def test_the_relative_error_of_noise_is_the_predicted_one(tmp_path: Path) -> Non
     parts = RunParts(config)
     model = parts.tone_model().loop
     assert model.spectral_radius() < 1.0
-    predicted = relative_error(model, parts.telescope.noise_of_samples)
+    predicted = relative_error(model, parts.telescope.loop_ports.reference.noise)
     run_in_process(config, tmp_path / "bag")
     los = np.asarray(Run.open(tmp_path / "bag")["truth/los"].values)[:, :2]
     windows = los.reshape(-1, WINDOW, 2)

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from los_testbed.campaign.member import MemberEvaluator, metric_columns
+from los_testbed.campaign.sampling import COLUMNS, members, settings
 from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.replay import controller_of
+from los_testbed.run.replay import controller_of, controllers, drive
+from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_a_budget
 
 import fsm_pma_controller
 import los_estimator
@@ -23,12 +26,15 @@ from los_design.verification.verification import check_implemented
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
+from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation.plant_config import parameter_values
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import loop_plant, with_sensors
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
 TELESCOPE = """
@@ -152,9 +158,7 @@ def test_a_file_with_these_ports_closes_the_loop(base: RunConfig, tmp_path: Path
     replace(observer, D=D[:, :22], inputs=K_FSM_INPUTS).to_file(tmp_path / "plain.json")
     config = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True)
     parts = RunParts(config)
-    assert set(parts.code) == {"k_fsm", "k_pma"}
-    with pytest.raises(ValueError, match=r"must have the loop's ports only, .* got k_fsm.json"):
-        _ = parts.model_files
+    assert not parts.code and [port.name for port in parts.used["k_pma"].further] == ["at_root", "shaker"]
     bags = {name: tmp_path / name for name in ("k_fsm", "plain")}
     for name, bag in bags.items():
         run_in_process(replace(config, k_fsm=f"{name}.json"), bag)
@@ -240,10 +244,8 @@ position = [0.41569219381653056, 0.24, 0.0]
 """Sensors beside those of the platform, and an actuator where its first one is: 0.48 m at 30 deg, mass along +z."""
 
 
-def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
-    """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
-    (tmp_path / "twins.toml").write_text(TWINS)
-    telescope = load_telescope(tmp_path / "twins.toml")
+def twin_pair(telescope: Telescope) -> tuple[SampledSystem, SampledSystem]:
+    """The stored pair, behind the twin sensors, the force of the first actuator through its twin."""
     k_fsm, k_pma = load_designs("implemented")
     accel, spin = (sensor.port for sensor in telescope.placed_sensors)
     C, D = (np.vstack([0.0 * matrix[:1], matrix[1:], matrix[:1]]) for matrix in (k_pma.C, k_pma.D))
@@ -252,7 +254,14 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
     twin = replace(k_pma, B=B, C=C, D=D, inputs=inputs, outputs=outputs)
     whole = k_fsm.with_inputs(K_FSM_INPUTS)
     B, D = (np.hstack([0.0 * matrix[:, :6], matrix[:, 6:], matrix[:, :6]]) for matrix in (whole.B, whole.D))
-    observer = replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin))  # the noise is that of one sensor
+    return replace(whole, B=B, D=D, inputs=(*K_FSM_INPUTS, accel, spin)), twin  # the noise is that of one sensor
+
+
+def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunConfig, tmp_path: Path) -> None:
+    """Both behind the twin sensors, K_PMA with the twin actuator, against the same with the standard ones: to 1e-9."""
+    (tmp_path / "twins.toml").write_text(TWINS)
+    telescope = load_telescope(tmp_path / "twins.toml")
+    (k_fsm, k_pma), (observer, twin) = load_designs("implemented"), twin_pair(telescope)
     ports, rng = telescope.loop_ports.used_by(observer, twin), np.random.default_rng(1)
     plain = telescope.loop_ports.used_by(k_fsm, k_pma)
     assert ports.scale.tolist() == [1.0] * 9 and not plain.further
@@ -274,6 +283,63 @@ def test_devices_at_the_place_of_the_standard_ones_give_their_figures(base: RunC
         for loop in (standard, other)
     ]
     np.testing.assert_allclose(noise[1], noise[0], rtol=1e-6)  # covariances with modes of minutes have 7 digits
+
+
+def test_such_a_run_is_replayed_bit_by_bit(base: RunConfig, tmp_path: Path) -> None:
+    """Also from the bag that a replay has written; other controllers are told what the bag does not hold."""
+    law_with_devices().to_file(tmp_path / "k_pma.json")
+    observer_with_devices().to_file(tmp_path / "k_fsm.json")
+    run_in_process(
+        replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json", noise=True, disturbance=True, duration=1.5), Path("bag")
+    )
+    assert not app.main(["--quiet", "replay", "bag", "--output", "again"])
+    assert Run.open(Path("again")).attachments["k_pma.json"] == Path("k_pma.json").read_bytes()
+    assert not app.main(["--quiet", "replay", "again"])
+    run, other = Run.open(Path("bag")), Run.open(Path("again"))
+    for name in ("sensor/at_root", "sensor/on_m1", "actuator/shaker/command"):
+        assert np.array_equal(run[name].values, other[name].values) and run[name].values.any()
+    law = law_with_devices()
+    for port, message in ((Port("idle", 1, "N"), "got idle"), (Port("shaker", 1, "N"), "topic sensor/elsewhere")):
+        unlike = replace(law, inputs=(*K_PMA_INPUTS, Port("elsewhere", 1)), outputs=(*K_PMA_OUTPUTS, port))
+        unlike.to_file(tmp_path / "other.json")
+        with pytest.raises(BagError, match=message):
+            drive(run, controllers(run, k_pma=Path("other.json")), lambda done, total: None)
+
+
+def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(base: RunConfig, tmp_path: Path) -> None:
+    """At both depths, without noise in time, where each sensor has its own sequence; a row is that of its run."""
+    (tmp_path / "twins.toml").write_text(TWINS)
+    base = replace(base, parameters="twins.toml", duration=2.0, scenario="imbalance", disturbance=True)
+    for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
+        law.to_file(tmp_path / f"{name}.json")
+    own = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json")
+    member = dict(zip(COLUMNS, map(float, members("uniform", 1, 4)[0]))) | {"seed": 7}
+    for depth in ("time", "model"):
+        rows = [MemberEvaluator.of(one).row(0, member, depth) for one in (base, own)]
+        names = [name for name in metric_columns(depth, RunParts(base).telescope.requirements) if rows[0][name]]
+        figures = [name for name in names if name != "sensitivity_forces"]  # of seven actuators, not of six
+        found, expected = ([row[name] for name in figures] for row in (rows[1], rows[0]))
+        assert rows[1]["status"] == "ok" and len(figures) > 6
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    noisy = replace(own, noise=True)
+    run_in_process(replace(noisy, **settings(member)), tmp_path / "bag")
+    summary = summarise(Run.open(tmp_path / "bag"))
+    row = MemberEvaluator.of(noisy).row(0, member, "time")
+    assert (row["rpe_rms_mas"], row["ape_max_arcsec"]) == (summary.rpe_rms, summary.ape_max)
+
+
+def test_a_budget_has_the_noise_of_the_sensors_that_such_a_pair_uses(base: RunConfig, tmp_path: Path) -> None:
+    (tmp_path / "twins.toml").write_text(TWINS)
+    settings = {"parameters": "twins.toml"}
+    table = {"part": "noise", "settings": settings}
+    standard = sources_of_a_budget(("loop",), table, 1e-9)
+    for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
+        law.to_file(tmp_path / f"{name}.json")
+        settings[name] = f"{name}.json"
+    own = sources_of_a_budget(("loop",), table, 1e-9)
+    assert [one.path[-1] for one in own if "twin" in one.path[-1]] == ["noise, twin_accel", "noise, twin_spin"]
+    total, expected = (sum(one.sigma(0.02) ** 2 for one in found) for found in (own, standard))
+    np.testing.assert_allclose(total, expected, rtol=1e-4)  # a small part of covariances of 7 digits
 
 
 def test_devices_without_use_are_named(base: RunConfig) -> None:

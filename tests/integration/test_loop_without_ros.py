@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import simple_telescope
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
+from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop, run_in_process
 from los_testbed.parts.run_parts import build_controller, build_estimator
 from simple_telescope import SimpleTelescope, write_controllers
 from support.call_count import calls
@@ -31,13 +31,8 @@ class Delayed(SimpleTelescope):
 
 def test_the_command_of_a_tick_is_applied_at_the_next(config):
     plant, rows = Delayed(), []
-    simulate(
-        plant,
-        build_estimator(config),
-        build_controller(config),
-        2500,
-        lambda block, n: rows.append(block.command[:n].copy()),
-    )
+    loop = SimulatedLoop(plant, build_estimator(config), build_controller(config))
+    loop.run(2500, lambda block, n: rows.append(block.command[:n].copy()))
     sent = np.concatenate(rows)
     applied = np.array(plant.commands)
     assert applied.shape == (2500, 8)

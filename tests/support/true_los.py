@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import simulate
-from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator, build_plant
+from los_testbed.loop.simulate import SimulatedLoop
+from los_testbed.parts.run_parts import RunParts
 
 
 def true_los(config: RunConfig) -> np.ndarray:
     """Truth of every tick [rad], shape (n, 2)."""
     found: list[np.ndarray] = []
-    estimator, controller = build_estimator(config), build_controller(config)
-    estimator.reset()
-    controller.reset()
-    simulate(
-        build_plant(config),
-        estimator,
-        controller,
-        config.ticks,
-        lambda block, rows: found.append(block.truth[:rows].copy()),
-        RunParts(config).start.command,
-    )
+    SimulatedLoop.of(RunParts(config)).run(config.ticks, lambda block, rows: found.append(block.truth[:rows].copy()))
     return np.concatenate(found)

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,8 @@ class PlantFamily:
         loop = control_loop_plant(telescope, isolated=config.isolated)
         return cls(telescope, loop, config.parameters, config.isolated)
 
-    def with_sensors(self) -> PlantFamily:
+    @cached_property
+    def sensed(self) -> PlantFamily:
         """The same telescopes with the values of the further sensors behind the line of sight."""
         further = tuple(port.name for port in self.telescope.sensor_ports)
         if not further:
@@ -135,11 +136,11 @@ class PlantFamily:
 
     def bias(self, config: PlantConfig) -> FloatArray:
         """Constant part of the measurement (22,) of a run [m/s2, rad/s2, rad]; zero without noise."""
-        bias = self.telescope.constant_error
+        bias = self.telescope.loop_ports.reference.bias
         return np.asarray(bias if config.noise else np.zeros_like(bias))
 
     def _sensors(self, config: PlantConfig) -> SensorModel:
-        sigma = float(config.noise) * self.telescope.noise_of_samples
+        sigma = float(config.noise) * self.telescope.loop_ports.reference.noise
         frame = frame_ticks(config.camera_rate)
         return SensorModel(sigma, self.bias(config), frame, config.camera_dropout, config.seed)
 

@@ -113,7 +113,7 @@ class LimitedDevices:
         self._filtered = bool(limits.cut_off)
         self._step = np.zeros(MEASUREMENTS)
         for entry in MEASURED_SENSORS:
-            self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step)
+            self._step[COLUMNS[entry.port.name]] = getattr(limits, entry.step) if entry.step else 0.0
         self._coarse = self._step > 0.0
         self._command = np.zeros(authority.size)
         self.reset()

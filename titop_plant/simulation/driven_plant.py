@@ -23,11 +23,11 @@ from titop_plant.interface import COMMANDED, COMMANDS
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
 from titop_plant.simulation.sources.drive import loaded_telescope
+from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors
 from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.loop_ports import LoopActuator
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -107,14 +107,14 @@ class ActuatorInput:
     ----------
     held : ndarray, shape (n + 24 + sensors, actuators)
         Of :func:`held_forces`.
-    actuators : sequence of LoopActuator
+    actuators : sequence of Actuator
     """
 
     name = ""
     lines: FloatArray = np.zeros(0)
     acts = True
 
-    def __init__(self, held: FloatArray, actuators: Sequence[LoopActuator]) -> None:
+    def __init__(self, held: FloatArray, actuators: Sequence[Actuator]) -> None:
         self.held = held
         self.limits = np.array([one.authority for one in actuators])
         self._lowest = -self.limits
@@ -154,7 +154,7 @@ def held_disturbance(family: PlantFamily, config: PlantConfig, dt: float) -> Flo
     return _held(whole, [p.name for p in ports], family, config, dt)[:, -total_size(ports) :]
 
 
-def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[LoopActuator], dt: float) -> FloatArray:
+def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Actuator], dt: float) -> FloatArray:
     """What a unit force of each of these further actuators, held for one tick, adds: columns as `held_disturbance`.
 
     Parameters
@@ -162,7 +162,7 @@ def held_forces(family: PlantFamily, config: PlantConfig, actuators: Sequence[Lo
     family : PlantFamily
     config : PlantConfig
         Member of the family, a telescope of constant parameters.
-    actuators : sequence of LoopActuator
+    actuators : sequence of Actuator
         Of its file.
     dt : float
         Tick [s].

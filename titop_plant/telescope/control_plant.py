@@ -163,7 +163,7 @@ def control_plant(telescope: Telescope, *, camera_period: float = 0.0, command_h
         inputs=(*disturbances_of(assembled), *COMMANDED), outputs=("los_controlled", *MEASURED)
     )
     seen = held_commands(seen, command_hold)
-    sigma, root = telescope.noise_of_samples, np.sqrt(DT)
+    sigma, root = telescope.loop_ports.reference.noise, np.sqrt(DT)
     noise, optical = ACCELEROMETER_NOISE, OPTICAL_NOISE
     ports = {name: seen.output_port(name) for name in MEASURED}
     others = [port for name, port in ports.items() if name not in ACCELEROMETERS]

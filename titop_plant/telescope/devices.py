@@ -18,16 +18,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
-from titop_plant.telescope.loop_ports import LoopActuator
+from titop_plant.telescope.actuators import Actuator, ActuatorMount
 from titop_plant.telescope.sections import OscillatorTable, frozen
-from titop_plant.telescope.sensors import Sensor
+from titop_plant.telescope.sensors import Sensor, SensorMount
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""
@@ -43,125 +42,36 @@ MECHANICS = ("moving_mass", "casing_mass", "inertia", "stiffness", "damping", "a
 """Values of an actuator that are those of ``[pma]`` where its table does not give them."""
 
 
-@dataclass(frozen=True)
-class PlacedSensor:
-    """A sensor at a point of the structure.
-
-    Parameters
-    ----------
-    name, kind, place : str
-    axes : ndarray, shape (k, 3)
-        Unit vectors along which it measures, one to three, in the axes of the body.
-    position : ndarray, shape (3,)
-        From the point [m].
-    noise, bias, step, range : float
-        Standard deviation of a sample at 1 kHz, constant part, quantisation (0: none) and largest value (inf: none),
-        each in its unit.
-    """
-
-    name: str
-    kind: str
-    place: str
-    axes: FloatArray = field(repr=False)
-    position: FloatArray = field(repr=False)
-    noise: float
-    bias: float
-    step: float
-    range: float
-
-    @property
-    def unit(self) -> str:
-        """Unit of its values."""
-        return SENSOR_UNITS[self.kind]
-
-    @property
-    def port(self) -> Port:
-        """Port of its values, an input of a controller."""
-        return Port(self.name, len(self.axes), self.unit)
-
-    def in_loop(self, washout: float) -> Sensor:
-        """Its row among the sensors of the loop, behind a washout with this corner [rad/s]."""
-        size = np.ones(len(self.axes))
-        return Sensor(self.port, self.noise * size, self.bias * size, framed=False, washout=washout, low_pass=())
-
-    @property
-    def rows(self) -> FloatArray:
-        """Its values from the twist of its point, shape (k, 6)."""
-        none = np.zeros_like(self.axes)
-        if self.kind == ANGULAR:
-            return np.hstack([none, self.axes])
-        return np.hstack([self.axes, np.cross(self.position, self.axes)])
-
-
-@dataclass(frozen=True)
-class PlacedActuator:
-    """A proof-mass actuator at a point of the structure.
-
-    Parameters
-    ----------
-    name, place : str
-    axis : ndarray, shape (3,)
-        Unit vector along which its mass moves, in the axes of the body. **A positive force acts on the structure along
-        it, and on the mass against it.**
-    position : ndarray, shape (3,)
-        From the point [m].
-    table : OscillatorTable
-        Its mechanics.
-    """
-
-    name: str
-    place: str
-    axis: FloatArray = field(repr=False)
-    position: FloatArray = field(repr=False)
-    table: OscillatorTable = field(repr=False)
-
-    @property
-    def port(self) -> Port:
-        """Port of its force, an output of a controller."""
-        return Port(self.name, 1, "N")
-
-    def in_loop(self, whole: float) -> LoopActuator:
-        """Its row among the actuators of the loop, whose forces are over the authority `whole` [N]."""
-        return LoopActuator(self.port, self.authority, self.authority / whole)
-
-    @property
-    def authority(self) -> float:
-        """Largest force [N]."""
-        return float(self.table.authority)
-
-
-def read_sensors(tables: Mapping[str, Any]) -> tuple[PlacedSensor, ...]:
-    """Further sensors of the tables of a parameter file, in its order."""
+def read_sensors(tables: Mapping[str, Any]) -> tuple[Sensor, ...]:
+    """Further sensors of the tables of a parameter file, in its order, behind the washout of the reference's."""
     return tuple(_sensor(table, tables) for table in tables.get(SENSOR, ()))
 
 
-def read_actuators(tables: Mapping[str, Any]) -> tuple[PlacedActuator, ...]:
+def read_actuators(tables: Mapping[str, Any]) -> tuple[Actuator, ...]:
     """Further actuators of the tables of a parameter file, in its order."""
-    return tuple(
-        PlacedActuator(
-            str(table["name"]),
-            str(table["place"]),
-            _unit(table["axis"]),
-            _position(table),
-            OscillatorTable(**{key: frozen(table.get(key, tables["pma"][key])) for key in MECHANICS}),
-        )
-        for table in tables.get(ACTUATOR, ())
-    )
+    return tuple(_actuator(table, tables["pma"]) for table in tables.get(ACTUATOR, ()))
 
 
-def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> PlacedSensor:
+def _actuator(table: Mapping[str, Any], usual: Mapping[str, Any]) -> Actuator:
+    mechanics = OscillatorTable(**{key: frozen(table.get(key, usual[key])) for key in MECHANICS})
+    authority = float(mechanics.authority)
+    mount = ActuatorMount(str(table["place"]), _unit(table["axis"]), _position(table), mechanics)
+    return Actuator(Port(str(table["name"]), 1, "N"), authority, authority / float(usual["authority"]), mount)
+
+
+def _sensor(table: Mapping[str, Any], tables: Mapping[str, Any]) -> Sensor:
     kind = str(table.get("kind", ACCELEROMETER))
     usual = tables["sensors"]["accelerometer_noise"][3 if kind == ANGULAR else 0]
-    return PlacedSensor(
-        str(table["name"]),
-        kind,
-        str(table["place"]),
-        np.array([_unit(axis) for axis in table.get("axes", np.eye(3))]),
-        _position(table),
-        noise=float(table.get("noise", usual)),
-        bias=float(table.get("bias", 0.0)),
+    axes = np.array([_unit(axis) for axis in table.get("axes", np.eye(3))])
+    each = np.ones(len(axes))
+    return Sensor(
+        Port(str(table["name"]), len(axes), SENSOR_UNITS[kind]),
+        noise=float(table.get("noise", usual)) * each,
+        bias=float(table.get("bias", 0.0)) * each,
+        washout=float(tables["sensors"]["washout"]),
         step=float(table.get("step", 0.0)),
         range=float(table.get("range", math.inf)),
+        mount=SensorMount(str(table["place"]), axes, _position(table), angular=kind == ANGULAR),
     )
 
 

@@ -25,9 +25,19 @@ import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.systems.ports import Port, port_indices, total_size
-from titop_plant.interface import COLUMNS, COMMAND_PORTS, COMMANDED, MEASURED_PORTS, TRUTH, TRUTH_PORTS
+from titop_plant.interface import (
+    COLUMNS,
+    COMMAND_PORTS,
+    COMMANDED,
+    FRAME_TICKS,
+    MEASURED_PORTS,
+    TRUTH,
+    TRUTH_PORTS,
+    sample_ticks,
+)
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.telescope.sensors import Sensor, without_noise
+from titop_plant.telescope.actuators import Actuator, reference_actuators
+from titop_plant.telescope.sensors import Sensor, port_alone
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""
@@ -48,45 +58,14 @@ class ControllerWithPorts(Protocol):
 
 
 @dataclass(frozen=True)
-class LoopActuator:
-    """An actuator of the loop.
-
-    Parameters
-    ----------
-    port : Port
-        Its part of the command.
-    authority : float
-        Largest value, in the unit of the port.
-    scale : float
-        Value in the unit of the port for a value of 1 in the loop's response: of an actuator of a file its authority
-        over that of the proof-mass actuators, so that one limit holds for all forces.
-    """
-
-    port: Port
-    authority: float = np.inf
-    scale: float = 1.0
-
-    @property
-    def name(self) -> str:
-        """Name of its port."""
-        return self.port.name
-
-
-def reference_actuators(fsm: float = np.inf, pma: float = np.inf) -> tuple[LoopActuator, ...]:
-    """Mirror and proof-mass actuators with their authority [rad], [N]."""
-    mirror, forces = COMMAND_PORTS
-    return LoopActuator(mirror, fsm), LoopActuator(forces, pma)
-
-
-@dataclass(frozen=True)
 class LoopPorts:
     """The rows that a loop has.
 
     Parameters
     ----------
     sensors : tuple of Sensor
-        In the order of the measurement. Default: those of the reference, without noise.
-    actuators : tuple of LoopActuator
+        In the order of the measurement. Default: those of the reference, of unknown noise and bias.
+    actuators : tuple of Actuator
         In the order of the command. Default: those of the reference, without limits.
 
     Examples
@@ -98,8 +77,8 @@ class LoopPorts:
     ()
     """
 
-    sensors: tuple[Sensor, ...] = tuple(without_noise(entry) for entry in MEASURED_SENSORS)
-    actuators: tuple[LoopActuator, ...] = reference_actuators()
+    sensors: tuple[Sensor, ...] = tuple(port_alone(entry) for entry in MEASURED_SENSORS)
+    actuators: tuple[Actuator, ...] = reference_actuators()
 
     @property
     def measured(self) -> tuple[Port, ...]:
@@ -126,6 +105,17 @@ class LoopPorts:
         """Standard deviation of a sample of each measured value, shape (measurements,) [m/s2, rad/s2, rad]."""
         return np.concatenate([row.noise for row in self.sensors])
 
+    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
+        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
+
+        Parameters
+        ----------
+        frame_ticks : int
+            Ticks of a frame of the camera.
+        """
+        ticks = sample_ticks(frame_ticks)
+        return np.concatenate([row.noise * np.sqrt(ticks.get(row.name, 1)) for row in self.sensors])
+
     @property
     def bias(self) -> FloatArray:
         """Constant part of the samples of each measured value, shape (measurements,) [m/s2, rad/s2, rad]."""
@@ -144,7 +134,7 @@ class LoopPorts:
         return self.sensors[len(MEASURED_PORTS) :]
 
     @property
-    def further_actuators(self) -> tuple[LoopActuator, ...]:
+    def further_actuators(self) -> tuple[Actuator, ...]:
         """Rows of actuators behind those of the reference."""
         return self.actuators[len(COMMAND_PORTS) :]
 
@@ -313,7 +303,5 @@ __all__ = [
     "LINE_OF_SIGHT",
     "REFERENCE_PORTS",
     "ControllerWithPorts",
-    "LoopActuator",
     "LoopPorts",
-    "reference_actuators",
 ]

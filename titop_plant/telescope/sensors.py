@@ -1,13 +1,16 @@
-"""The sensors of the loop: ports, noise, bias, which of them have frames, which are behind the washout.
+"""The sensors of the loop: ports, noise, bias, which of them have frames, which are behind the washout, where they are.
 
-The entries of :mod:`titop_plant.sensor_table` with the values of the table ``sensors`` of a parameter file, in the
-order of the measurement. Simulation, generalised plants, sampled loop, tuner and campaign take them from the telescope.
+Those of the reference are the entries of :mod:`titop_plant.sensor_table` with the values of the table ``sensors`` of a
+parameter file, in the order of the measurement; further ones are the tables ``[[sensor]]`` of a user's file
+(:mod:`titop_plant.telescope.devices`). Simulation, generalised plants, sampled loop, tuner and campaign take them from
+the telescope.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,36 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
+
+
+@dataclass(frozen=True)
+class SensorMount:
+    """Where a further sensor is, and along which axes it measures.
+
+    Parameters
+    ----------
+    place : str
+        Point of the structure.
+    axes : ndarray, shape (k, 3)
+        Unit vectors along which it measures, one to three, in the axes of the body.
+    position : ndarray, shape (3,)
+        From the point [m].
+    angular : bool
+        Whether it measures the angular acceleration.
+    """
+
+    place: str
+    axes: FloatArray = field(repr=False)
+    position: FloatArray = field(repr=False)
+    angular: bool = False
+
+    @property
+    def rows(self) -> FloatArray:
+        """Its values from the twist of its point, shape (k, 6)."""
+        none = np.zeros_like(self.axes)
+        if self.angular:
+            return np.hstack([none, self.axes])
+        return np.hstack([self.axes, np.cross(self.position, self.axes)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +66,22 @@ class Sensor:
         Corner of the high-pass before the controllers [rad/s]; 0: none.
     low_pass : tuple of float
         ``c0, c1, c2`` of its low-pass ``c0 / (s^2 + c1 s + c2)``; empty: none.
+    step, range : float
+        Quantisation (0: none) and largest value (inf: none) of a further sensor, in the unit of the port. Those of the
+        reference are limits of the devices (:mod:`titop_plant.simulation.device_limits`).
+    mount : SensorMount, optional
+        Of a further sensor; one of the reference measures an output of the assembled telescope.
     """
 
     port: Port
     noise: FloatArray
     bias: FloatArray
-    framed: bool
-    washout: float
-    low_pass: tuple[float, ...]
+    framed: bool = False
+    washout: float = 0.0
+    low_pass: tuple[float, ...] = ()
+    step: float = 0.0
+    range: float = math.inf
+    mount: SensorMount | None = None
 
     @property
     def name(self) -> str:
@@ -48,9 +89,10 @@ class Sensor:
         return self.port.name
 
 
-def without_noise(entry: SensorEntry) -> Sensor:
-    """A sensor of which no values of a telescope are known: without noise, bias and filters."""
-    return Sensor(entry.port, np.zeros(entry.port.size), np.zeros(entry.port.size), entry.framed, 0.0, ())
+def port_alone(entry: SensorEntry) -> Sensor:
+    """A sensor of no telescope: its noise and bias are unknown (NaN)."""
+    unknown = np.full(entry.port.size, math.nan)
+    return Sensor(entry.port, unknown, unknown, entry.framed)
 
 
 def read_loop_sensors(table: Mapping[str, Any]) -> tuple[Sensor, ...]:

@@ -22,18 +22,12 @@ from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis, sample_ticks
+from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.telescope import guide_camera, layout, requirements
-from titop_plant.telescope.devices import (
-    ACTUATOR_FORCE,
-    PLACED_SENSORS,
-    PlacedActuator,
-    PlacedSensor,
-    read_actuators,
-    read_sensors,
-)
+from titop_plant.telescope.actuators import Actuator, reference_actuators
+from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
 from titop_plant.telescope.layout import MountedBody, WheelOnBoard
-from titop_plant.telescope.loop_ports import LoopPorts, reference_actuators
+from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.places import REFERENCE_POINT
 from titop_plant.telescope.sections import (
     FIRST_BAND_EDGE,
@@ -301,28 +295,6 @@ class Telescope:
         return read_loop_sensors(self._tables["sensors"])
 
     @property
-    def noise_of_samples(self) -> FloatArray:
-        """Standard deviation of the samples, of a frame for the camera, shape (22,) [m/s2, rad/s2, rad]."""
-        return np.concatenate([sensor.noise for sensor in self.sensors])
-
-    def noise_of_ticks(self, frame_ticks: int = FRAME_TICKS) -> FloatArray:
-        """The same as if every tick had a sample: that of a held value is larger by the root of the ticks it is held.
-
-        Parameters
-        ----------
-        frame_ticks : int
-            Ticks of a frame of the camera.
-        """
-        ticks = sample_ticks(frame_ticks)
-        found = (sensor.noise * np.sqrt(ticks.get(sensor.port.name, 1)) for sensor in self.sensors)
-        return np.concatenate(list(found))
-
-    @property
-    def constant_error(self) -> FloatArray:
-        """Bias of the samples, shape (22,) [m/s2, rad/s2, rad]."""
-        return np.concatenate([sensor.bias for sensor in self.sensors])
-
-    @property
     def washout(self) -> float:
         """Corner of the high-pass of accelerations before the controllers [rad/s]."""
         return float(self._tables["sensors"]["washout"])
@@ -343,12 +315,12 @@ class Telescope:
         return self.camera_kind == guide_camera.IMAGE
 
     @cached_property
-    def placed_sensors(self) -> tuple[PlacedSensor, ...]:
+    def placed_sensors(self) -> tuple[Sensor, ...]:
         """Further sensors, in the order of the file."""
         return read_sensors(self._tables)
 
     @cached_property
-    def placed_actuators(self) -> tuple[PlacedActuator, ...]:
+    def placed_actuators(self) -> tuple[Actuator, ...]:
         """Further actuators, in the order of the file."""
         return read_actuators(self._tables)
 
@@ -356,14 +328,13 @@ class Telescope:
     def loop_ports(self) -> LoopPorts:
         """All sensors and actuators as rows of the loop: those of the reference, then those of the file."""
         mirror, forces = float(self.fsm.authority), float(self.pma.authority)
-        sensors = (*self.sensors, *(one.in_loop(self.washout) for one in self.placed_sensors))
-        further = (one.in_loop(forces) for one in self.placed_actuators)
-        return LoopPorts(sensors, (*reference_actuators(mirror, forces), *further))
+        actuators = (*reference_actuators(mirror, forces), *self.placed_actuators)
+        return LoopPorts((*self.sensors, *self.placed_sensors), actuators)
 
     @property
     def sensor_ports(self) -> tuple[Port, ...]:
         """Output with the values of all further sensors; none where there are none."""
-        units = [sensor.unit for sensor in self.placed_sensors for _ in sensor.axes]
+        units = [sensor.port.unit for sensor in self.placed_sensors for _ in range(sensor.port.size)]
         return (Port(PLACED_SENSORS, len(units), ",".join(units)),) if units else ()
 
     @property

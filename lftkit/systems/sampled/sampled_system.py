@@ -140,13 +140,13 @@ class SampledSystem:
             raise ValueError(f"{self.name}: sampling period must be {dt} s, got {self.dt}")
 
     def with_inputs(self, ports: Sequence[Port]) -> SampledSystem:
-        """The system behind more inputs, which it does not use: their columns of B and D are zero.
+        """The system with its inputs in another order, or behind more inputs, whose columns of B and D are zero.
 
         A system with an input that is not among `ports` is returned as it is; :meth:`require` says what is wrong.
         """
         names = [f"{p.name}[{p.size}]" for p in self.inputs]
         wanted = [f"{p.name}[{p.size}]" for p in ports]
-        if names == wanted or not set(names) < set(wanted):
+        if names == wanted or not set(names) <= set(wanted):
             return self
         B, D = (spread_columns(matrix, self.inputs, ports) for matrix in (self.B, self.D))
         return replace(self, B=B, D=D, inputs=tuple(ports))

@@ -38,7 +38,7 @@ def test_the_correlation_is_the_transform_of_the_power_density() -> None:
 def test_without_a_lag_it_is_the_covariance(frame_ticks: int) -> None:
     telescope, own = load_telescope(), loop(frame_ticks)
     plain, _ = covariances(own, telescope, None)
-    found = correlation(own, telescope.noise_of_samples)(0)
+    found = correlation(own, telescope.loop_ports.reference.noise)(0)
     np.testing.assert_allclose(found, plain, rtol=1e-9)
     np.testing.assert_allclose(found, found.T, rtol=1e-9)
 

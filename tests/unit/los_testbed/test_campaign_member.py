@@ -15,7 +15,7 @@ from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_has
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
 from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.simulate import LoopDivergedError, run_in_process, simulate
+from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop, run_in_process
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 
@@ -118,21 +118,22 @@ def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
     start = RunParts(given, pair).start
     rest = np.zeros(evaluator.family.control_loop.order) if start.states is None else start.states.plant
     plant = evaluator.family.build(RunParts(given, pair).physical, rest)
-    estimator, controller = Own(pair["k_fsm"]), assemble_controller(pair, evaluator.telescope, base.loop)
+    estimator, controller = Own(pair["k_fsm"]), assemble_controller(pair, RunParts(base).basis, base.loop)
     if start.states is not None:
         estimator.start_at(start.states.k_fsm, start.states.camera)
         controller.start_at(start.states.k_pma)
     estimator.reset()
     controller.reset()
+    loop = SimulatedLoop(plant, estimator, controller, start.command)
     record = los_testbed.campaign.member._Record(
         np.empty((base.ticks, 4)), evaluator.family.telescope.fsm.los_sensitivity
     )
     if growth:
         with np.errstate(all="ignore"), pytest.raises(LoopDivergedError) as caught:
-            simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
+            loop.run(base.ticks, record.keep)
         assert (row["status"], row["reason"]) == ("diverged", str(caught.value))
     else:
-        simulate(plant, estimator, controller, base.ticks, record.keep, start.command)
+        loop.run(base.ticks, record.keep)
         first = 1000 if start.states is None else 0
         assert {name: row[name] for name in TIME_METRICS} == record.metrics(
             first, evaluator.requirements, evaluator.exposure
@@ -151,21 +152,21 @@ def test_member_that_fails_is_a_row_with_its_reason(
     def diverge(*_: Any) -> None:
         raise LoopDivergedError("the loop diverged within the first 1000 ms")
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate", diverge)
+    monkeypatch.setattr(SimulatedLoop, "run", diverge)
     diverged = evaluator.row(5, member(0), "time")
     assert (diverged["status"], diverged["reason"]) == ("diverged", "the loop diverged within the first 1000 ms")
 
     def without_memory(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate", without_memory)
+    monkeypatch.setattr(SimulatedLoop, "run", without_memory)
     crashed = evaluator.row(5, member(0), "time")
     assert (crashed["status"], crashed["reason"]) == ("crashed", "no memory")
 
     def within_a_step(*_: Any) -> None:
         raise RunFailedError("plant failed at tick 3: MemoryError") from MemoryError()
 
-    monkeypatch.setattr(los_testbed.campaign.member, "simulate", within_a_step)
+    monkeypatch.setattr(SimulatedLoop, "run", within_a_step)
     assert evaluator.row(5, member(0), "time")["status"] == "crashed"
 
 

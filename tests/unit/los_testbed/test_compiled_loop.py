@@ -12,7 +12,7 @@ import pytest
 from los_testbed.config import RunConfig
 from los_testbed.loop import compiled_loop
 from los_testbed.loop.compiled_loop import CompiledLoop, prepare
-from los_testbed.loop.simulate import SIGNALS, SampleBlock, simulate
+from los_testbed.loop.simulate import SIGNALS, SampleBlock, SimulatedLoop
 from los_testbed.parts.run_parts import RunParts
 
 from titop_plant.simulation import compilation
@@ -41,7 +41,7 @@ def record(parts: RunParts, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> 
         blocks.append(b"".join(getattr(block, name)[:rows].tobytes() for name in SIGNALS))
 
     monkeypatch.setattr(compiled_loop, "kernel_for", lambda ticks: compilation.kernel() if compiled else None)
-    simulate(plant, estimator, controller, parts.config.ticks, sink, parts.start.command)
+    SimulatedLoop(plant, estimator, controller, parts.start.command).run(parts.config.ticks, sink)
     return b"".join(blocks), plant.state.tobytes()  # type: ignore[attr-defined]
 
 

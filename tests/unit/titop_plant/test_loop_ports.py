@@ -90,7 +90,7 @@ def test_ports_of_the_response_are_a_partition(own: LoopPorts, count: int) -> No
 
 def test_each_value_has_its_noise_and_scale(own: LoopPorts) -> None:
     telescope = load_telescope()
-    assert np.array_equal(own.noise[:22], telescope.noise_of_samples)
+    assert np.array_equal(own.noise[:22], np.concatenate([row.noise for row in telescope.sensors]))
     assert own.noise[22:25].tolist() == [2e-4] * 3 and own.bias[22:25].tolist() == [3e-3] * 3
     authority = np.concatenate([np.full(row.port.size, row.authority) for row in own.actuators])
     limit = telescope.pma.authority  # one limit for all forces in units of their scale

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lftkit import Port
 from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
 from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
-from titop_plant.telescope.devices import ANGULAR, PlacedSensor
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.readings import SensorReadings
+from titop_plant.telescope.sensors import Sensor, SensorMount
 from titop_plant.telescope.telescope import Telescope
 
 ARM = [0.3, -0.2, 0.5]
@@ -85,8 +86,7 @@ def actuated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Telescope, Assem
 def test_an_accelerometer_measures_the_motion_of_its_point(values: list[float]) -> None:
     a, alpha, r, n = np.array(values).reshape(4, 3)
     axes = (n + 4.0)[None, :] / np.sqrt((n + 4.0) @ (n + 4.0))
-    where = {"axes": axes, "position": r, "noise": 0.0, "bias": 0.0, "step": 0.0, "range": np.inf}
-    linear, angular = (PlacedSensor("s", kind, "bus", **where) for kind in ("accelerometer", ANGULAR))
+    linear, angular = (SensorMount("bus", axes, r, angular=kind) for kind in (False, True))
     twist = np.concatenate([a, alpha])
     assert linear.rows @ twist == pytest.approx(axes @ (a + np.cross(alpha, r)), abs=1e-12)
     assert angular.rows @ twist == pytest.approx(axes @ alpha, abs=1e-12)
@@ -185,9 +185,8 @@ def test_a_file_that_does_not_fit_is_refused(text: str, problem: str, tmp_path: 
 
 
 def test_readings_have_noise_bias_range_and_step() -> None:
-    where = {"place": "bus", "position": np.zeros(3), "kind": "accelerometer"}
-    noisy = PlacedSensor("n", axes=np.eye(3)[:1], noise=0.1, bias=0.2, step=0.0, range=np.inf, **where)
-    coarse = PlacedSensor("c", axes=np.eye(3)[:2], noise=0.0, bias=0.0, step=0.3, range=2.0, **where)
+    noisy = Sensor(Port("n", 1, "m/s2"), np.array([0.1]), np.array([0.2]))
+    coarse = Sensor(Port("c", 2, "m/s2"), np.zeros(2), np.zeros(2), step=0.3, range=2.0)
     readings, true = SensorReadings([noisy, coarse], seed=1, noise=True), np.array([0.5, -0.5, 9.0])
     rows = []
     for _ in range(4000):

@@ -19,10 +19,10 @@ from titop_plant.simulation.driven_plant import ActuatorInput, DisturbanceInput
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
-from titop_plant.telescope.devices import PlacedActuator, PlacedSensor
+from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.load import load_telescope
-from titop_plant.telescope.loop_ports import LoopActuator
 from titop_plant.telescope.placed.readings import SensorReadings
+from titop_plant.telescope.sensors import Sensor
 
 N, FURTHER, TICKS = 5, 2, 200
 SIZE = MEASUREMENTS + TRUTH + FURTHER
@@ -31,8 +31,8 @@ ACTUATOR = load_telescope().pma
 UNLIMITED = DeviceLimits(math.inf, math.inf, math.inf, 0.0, 0.0, 0.0, 0.0)
 SILENT = SensorModel(np.zeros(MEASUREMENTS), np.zeros(MEASUREMENTS), 1, 0.0, 0)
 NOISY = SensorModel(np.full(MEASUREMENTS, 0.1), np.linspace(-1.0, 1.0, MEASUREMENTS), 4, 0.3, 7)
-PLACE = {"place": "bus", "position": np.zeros(3), "kind": "accelerometer"}
-SENSOR = PlacedSensor("s", axes=np.eye(3)[:FURTHER], noise=0.1, bias=0.2, step=0.01, range=50.0, **PLACE)
+EACH = np.ones(FURTHER)
+SENSOR = Sensor(Port("s", FURTHER, "m/s2"), 0.1 * EACH, 0.2 * EACH, step=0.01, range=50.0)
 
 
 class Noise:
@@ -84,9 +84,8 @@ def held(seed: int, columns: int = 3) -> FloatArray:
     return np.random.default_rng(seed).standard_normal((N + SIZE, columns))
 
 
-def actuator() -> LoopActuator:
-    placed = PlacedActuator("a", "A1", np.eye(3)[2], np.zeros(3), replace(ACTUATOR, authority=3.0))
-    return placed.in_loop(6.0)
+def actuator() -> Actuator:
+    return Actuator(Port("a", 1, "N"), authority=3.0, scale=0.5)
 
 
 def whole() -> Plant:

@@ -30,7 +30,7 @@ def telescope():
 def test_each_port_has_its_own_values_in_the_order_of_the_measurement(telescope) -> None:
     found = telescope.sensors
     assert tuple(sensor.port.name for sensor in found) == MEASURED
-    noise, bias = telescope.noise_of_samples, telescope.constant_error
+    noise, bias = telescope.loop_ports.reference.noise, telescope.loop_ports.reference.bias
     for sensor in found:
         part, name = COLUMNS[sensor.port.name], sensor.port.name
         accelerometer = name in ACCELEROMETERS
@@ -42,7 +42,7 @@ def test_each_port_has_its_own_values_in_the_order_of_the_measurement(telescope)
 
 def test_noise_of_a_frame_is_larger_as_if_every_tick_had_one(telescope) -> None:
     """The mean of the samples of a frame's ticks has the frame's noise."""
-    ratio = telescope.noise_of_ticks(25) / telescope.noise_of_samples
+    ratio = telescope.loop_ports.reference.noise_of_ticks(25) / telescope.loop_ports.reference.noise
     assert ratio[COLUMNS["camera_los"]].tolist() == [5.0, 5.0]
     assert np.sum(ratio != 1.0) == 2
 

@@ -11,8 +11,10 @@ from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
 from titop_plant.blocks.reaction_wheel import spin_frame
-from titop_plant.telescope.devices import ACTUATOR_FORCE, PlacedActuator
+from titop_plant.telescope.actuators import ActuatorMount
+from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.places import body_of
+from titop_plant.telescope.sensors import SensorMount
 from titop_plant.telescope.telescope import Telescope
 
 MOTOR = "pma_force"
@@ -21,24 +23,23 @@ MOTOR = "pma_force"
 
 def actuator_wrenches(telescope: Telescope) -> list[tuple[str, str]]:
     """Signal of the wrench of each further actuator, and the node on which it acts."""
-    found = [(one.name, telescope.node_at(one.place)) for one in telescope.placed_actuators]
-    return [(f"{name}.wrench_{node}", node) for name, node in found]
+    return [(f"{name}.wrench_{node}", node) for name, node, _ in _actuators(telescope)]
 
 
-def actuator_block(actuator: PlacedActuator, node: str) -> System:
+def actuator_block(mount: ActuatorMount, node: str) -> System:
     """A further actuator, driven by the motion of its node: ``accel_<node>`` -> ``wrench_<node>``."""
-    table = actuator.table
+    table = mount.table
     data = ProofMassActuator(
         table.moving_mass, table.casing_mass, np.diag(table.inertia), table.stiffness, table.damping
     )
     block = proof_mass_actuator(data).select(outputs=["wrench_P"])
-    return mounted(block, "P", node, position=actuator.position, dcm=spin_frame(actuator.axis))
+    return mounted(block, "P", node, position=mount.position, dcm=spin_frame(mount.axis))
 
 
 def actuator_blocks(telescope: Telescope, *, driven: bool) -> dict[str, System]:
     """The actuators by name, and what parts the input `ACTUATOR_FORCE` where they are driven."""
     actuators = telescope.placed_actuators
-    blocks = {one.name: actuator_block(one, telescope.node_at(one.place)) for one in actuators}
+    blocks = {name: actuator_block(mount, node) for name, node, mount in _actuators(telescope)}
     if not (driven and actuators):
         return {
             name: block.select(inputs=[p.name for p in block.inputs if p.name != MOTOR])
@@ -52,33 +53,44 @@ def actuator_blocks(telescope: Telescope, *, driven: bool) -> dict[str, System]:
 def actuator_wires(telescope: Telescope, systems: Mapping[str, System]) -> list[Connection]:
     """Motion of the nodes to the actuators, and their forces where they are driven."""
     wires: list[Connection] = []
-    for one in telescope.placed_actuators:
-        node = telescope.node_at(one.place)
-        wires.append((_motion(node), f"{one.name}.accel_{node}"))
+    for name, node, _ in _actuators(telescope):
+        wires.append((_motion(node), f"{name}.accel_{node}"))
         if "actuator_split" in systems:
-            wires.append((f"actuator_split.{one.name}", f"{one.name}.{MOTOR}"))
+            wires.append((f"actuator_split.{name}", f"{name}.{MOTOR}"))
     return [*wires, (ACTUATOR_FORCE, f"actuator_split.{ACTUATOR_FORCE}")] if "actuator_split" in systems else wires
 
 
 def sensor_blocks(telescope: Telescope) -> dict[str, System]:
     """What makes the values of the further sensors from the twists of their nodes; nothing without any."""
-    sensors = telescope.placed_sensors
-    if not sensors:
+    mounts = _mounts(telescope)
+    if not mounts:
         return {}
-    at = list(dict.fromkeys(telescope.node_at(one.place) for one in sensors))
-    gain = np.zeros((sum(len(one.axes) for one in sensors), 6 * len(at)))
+    at = list(dict.fromkeys(node for node, _ in mounts))
+    gain = np.zeros((sum(len(mount.axes) for _, mount in mounts), 6 * len(at)))
     row = 0
-    for one in sensors:
-        first = 6 * at.index(telescope.node_at(one.place))
-        gain[row : row + len(one.axes), first : first + 6] = one.rows
-        row += len(one.axes)
+    for node, mount in mounts:
+        first = 6 * at.index(node)
+        gain[row : row + len(mount.axes), first : first + 6] = mount.rows
+        row += len(mount.axes)
     return {"sensors": static_gain(gain, [ports.accel(node) for node in at], telescope.sensor_ports)}
 
 
 def sensor_wires(telescope: Telescope) -> list[Connection]:
     """Motion of the nodes to what makes the values of the sensors."""
-    at = dict.fromkeys(telescope.node_at(one.place) for one in telescope.placed_sensors)
+    at = dict.fromkeys(node for node, _ in _mounts(telescope))
     return [(_motion(node), f"sensors.accel_{node}") for node in at]
+
+
+def _actuators(telescope: Telescope) -> list[tuple[str, str, ActuatorMount]]:
+    """Name, node and mount of each further actuator."""
+    found = [(one.name, one.mount) for one in telescope.placed_actuators if one.mount is not None]
+    return [(name, telescope.node_at(mount.place), mount) for name, mount in found]
+
+
+def _mounts(telescope: Telescope) -> list[tuple[str, SensorMount]]:
+    """Node and mount of each further sensor."""
+    mounts = [sensor.mount for sensor in telescope.placed_sensors if sensor.mount is not None]
+    return [(telescope.node_at(mount.place), mount) for mount in mounts]
 
 
 def _motion(node: str) -> str:

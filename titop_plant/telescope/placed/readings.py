@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from titop_plant.telescope.devices import PlacedSensor
+from titop_plant.telescope.sensors import Sensor
 
 SEED_KEY = 19
 """Of their random numbers among those of a run: the noise of the loop stays as it is."""
@@ -20,7 +20,8 @@ class SensorReadings:
 
     Parameters
     ----------
-    sensors : sequence of PlacedSensor
+    sensors : sequence of Sensor
+        Further sensors of a telescope.
     seed : int
         Of the run.
     noise : bool
@@ -32,12 +33,13 @@ class SensorReadings:
         Readings of all sensors at the last tick, in the order of the file; the same array at every tick.
     """
 
-    def __init__(self, sensors: Sequence[PlacedSensor], seed: int, noise: bool) -> None:
+    def __init__(self, sensors: Sequence[Sensor], seed: int, noise: bool) -> None:
         self._seed, self._with_noise = seed, noise
-        sizes = [len(one.axes) for one in sensors]
-        self._noise, self._bias, self._step, self._range = (
-            np.repeat([getattr(one, name) for one in sensors], sizes) for name in ("noise", "bias", "step", "range")
-        )
+        sizes = [one.port.size for one in sensors]
+        self._noise = np.concatenate([one.noise for one in sensors])
+        self._bias = np.concatenate([one.bias for one in sensors])
+        self._step = np.repeat([one.step for one in sensors], sizes)
+        self._range = np.repeat([one.range for one in sensors], sizes)
         self._coarse = self._step > 0.0
         self.values = np.zeros(sum(sizes))
         self.reset()

@@ -5,7 +5,7 @@ Everything that publishes, records, checks or documents a topic reads this table
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from titop_plant.interface import COMMANDS as COMMAND_SIZE
 from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
-    from titop_plant.telescope.loop_ports import LoopActuator
+    from titop_plant.telescope.actuators import Actuator
     from titop_plant.telescope.sensors import Sensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
@@ -145,6 +145,11 @@ PLACED = "sensor"
 """Further sensors have their topics below this name."""
 
 
+def sensor_topic(name: str, columns: slice, unit: str = "") -> TopicDefinition:
+    """Topic of a further sensor, with its columns among the values of all of them."""
+    return TopicDefinition(f"{PLACED}/{name}", VECTOR3, name, "plant", READINGS, columns, name, unit)
+
+
 def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
     """Topics of the further sensors, in their order; a bag with them has them behind those of the loop.
 
@@ -155,8 +160,7 @@ def sensor_topics(sensors: Sequence[Sensor]) -> tuple[TopicDefinition, ...]:
     found, first = [], 0
     for one in sensors:
         columns = slice(first, first + one.port.size)
-        name = f"{PLACED}/{one.name}"
-        found.append(TopicDefinition(name, VECTOR3, one.name, "plant", READINGS, columns, one.name, one.port.unit))
+        found.append(sensor_topic(one.name, columns, one.port.unit))
         first = columns.stop
     return tuple(found)
 
@@ -170,26 +174,37 @@ COMMANDED = "actuator"
 """Forces of further actuators that a controller commands have their topics below this name."""
 
 
-def actuator_topics(actuators: Sequence[LoopActuator]) -> tuple[TopicDefinition, ...]:
+def actuator_topic(name: str, columns: slice) -> TopicDefinition:
+    """Topic of the command of a further actuator, with its column in the command."""
+    return TopicDefinition(f"{COMMANDED}/{name}/command", VECTOR3, name, "controller", "command", columns, name, "N")
+
+
+def actuator_topics(actuators: Sequence[Actuator]) -> tuple[TopicDefinition, ...]:
     """Topics of the commands of further actuators, in their order; they are behind the sensors in a bag.
 
     Parameters
     ----------
-    actuators : sequence of LoopActuator
+    actuators : sequence of Actuator
     """
-    return tuple(
-        TopicDefinition(
-            f"{COMMANDED}/{one.name}/command",
-            VECTOR3,
-            one.name,
-            "controller",
-            "command",
-            slice(i, i + 1),
-            one.name,
-            "N",
-        )
-        for i, one in enumerate(actuators, start=COMMAND_SIZE)
-    )
+    return tuple(actuator_topic(one.name, slice(i, i + 1)) for i, one in enumerate(actuators, start=COMMAND_SIZE))
+
+
+def further_topics(sizes: Mapping[str, int]) -> tuple[TopicDefinition, ...]:
+    """Topics of further sensors and actuators among those of a bag.
+
+    Parameters
+    ----------
+    sizes : mapping of str to int
+        Values of each topic, named without namespace.
+    """
+    found = []
+    for name, size in sizes.items():
+        match name.split("/"):
+            case [group, sensor] if group == PLACED:
+                found.append(sensor_topic(sensor, slice(0, size)))
+            case [group, actuator, "command"] if group == COMMANDED:
+                found.append(actuator_topic(actuator, slice(0, size)))
+    return tuple(found)
 
 
 DEPTH = 100

@@ -15,7 +15,7 @@ from lftkit.support.input_files import read_bytes
 from los_design.synthesis.provenance import commit
 from los_testbed.bags.conditions import conditions
 from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
-from los_testbed.config import is_code, physical_hash
+from los_testbed.config import physical_hash
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
@@ -35,6 +35,10 @@ from titop_plant.telescope.load import differences
 from titop_plant.telescope.telescope import Telescope
 
 __all__ = ["METADATA_NAME", "attachments", "final_metadata", "run_metadata"]
+
+
+FURTHER_AUTHORITY = "actuator_authority"
+"""Key of the largest forces [N] of further actuators."""
 
 
 def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
@@ -62,6 +66,7 @@ def run_metadata(parts: RunParts, start: RunStart = AT_REST) -> dict[str, str]:
         **optics_of(parts),
         **_camera(parts),
         "sensors": json.dumps([sensor.to_mapping() for sensor in _sensors(parts)]),
+        **_further_limits(parts),
         "rate_hz": str(RATE),
         **_start_up(parts, start),
         **_sources(parts),
@@ -123,10 +128,16 @@ def _sources(parts: RunParts) -> dict[str, str]:
     return {"disturbances": json.dumps(rows), "disturbances_sha256": parts.sources_digest}
 
 
+def _further_limits(parts: RunParts) -> dict[str, str]:
+    """Largest forces [N] of the further actuators that the controller commands; nothing without any."""
+    limits = {row.name: row.authority for row in parts.used["k_pma"].further_actuators}
+    return {FURTHER_AUTHORITY: json.dumps(limits)} if limits else {}
+
+
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run; without noise where it has none."""
     config = parts.config
-    noise = parts.telescope.noise_of_samples * float(config.noise)
+    noise = parts.telescope.loop_ports.reference.noise * float(config.noise)
     return tuple(
         RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
         for t in SENSORS
@@ -170,8 +181,7 @@ def final_metadata(
 
 def attachments(parts: RunParts, start: RunStart = AT_REST) -> dict[str, tuple[str, bytes]]:
     """Controllers that are files or linear systems, as JSON; configuration as YAML; tone and states of the start."""
-    files = {name: Path(text) for name, text in parts.code.items() if not is_code(text)} | parts.files
-    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in files.items()}
+    content = {f"{name}.json": ("application/json", _json_of(path)) for name, path in parts.files.items()}
     for name, law in parts.controllers.items() if parts.code else ():
         if f"{name}.json" not in content and isinstance(law, UserBlock) and law.is_linear and law.linear is not None:
             content[f"{name}.json"] = ("application/json", law.linear.to_json().encode())

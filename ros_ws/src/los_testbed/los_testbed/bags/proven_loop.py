@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from los_testbed.config import ACTIVE, RunConfig, is_code
+from los_testbed.config import ACTIVE, RunConfig
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements import guarantee
 from pointing_analysis.requirements.guarantee import METADATA as PROOF_BOUNDS
@@ -134,10 +134,14 @@ def reasons_against(parts: RunParts) -> list[str]:
         for name, setting in RunConfig.SETTINGS.items()
         if name not in ADMITTED | JUDGED and (value := getattr(config, name)) != setting.default
     ]
-    for name, text in parts.code.items():
-        found.append(f"{name} {'is code' if is_code(text) else 'has ports of further devices'}: {text}")
+    found += [f"{name} is code: {text}" for name, text in parts.code.items()]
     if config.other_plant:
         return found  # nothing more is known of it
+    found += [
+        f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
+        for name, ports in parts.used.items()
+        if ports.further
+    ]
     own = parts.telescope.design_basis
     found += [
         f"{name} is {limit:g}, proofs have the telescope's {proven:g}"

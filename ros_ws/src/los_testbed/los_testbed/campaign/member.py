@@ -23,7 +23,6 @@ from scipy.linalg import LinAlgError
 from lftkit import SampledSystem
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from los_estimator.runtime import LosEstimator
 from los_loop.member_metrics import MemberMetrics, metric_names
 from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
@@ -31,9 +30,8 @@ from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.config import RunConfig
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.simulate import LoopDivergedError, simulate
+from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.source_alone import errors_of_source
-from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
@@ -43,9 +41,10 @@ from pointing_analysis.requirements.exposure import USUAL, exposure_of
 from pointing_analysis.requirements.summary import Knowledge, Performance
 from pointing_analysis.requirements.text import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, run_samples
-from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR, DesignBasis
+from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.compilation import kernel
+from titop_plant.telescope.control_plant import loop_plant
 
 COMMON_METRICS = (
     "ape_max_arcsec",
@@ -137,7 +136,6 @@ class MemberEvaluator:
     family : PlantFamily
     controllers : mapping
         ``k_fsm`` and ``k_pma``.
-    telescope : DesignBasis
     requirements : tuple of Requirement
         Of the telescope, those that a member's run can be judged by.
     optics : Optics, optional
@@ -151,7 +149,6 @@ class MemberEvaluator:
     base: RunConfig
     family: PlantFamily
     controllers: Mapping[str, SampledSystem]
-    telescope: DesignBasis
     requirements: tuple[Requirement, ...]
     optics: Optics | None = None
     sources: tuple[str, ...] = ()
@@ -171,7 +168,7 @@ class MemberEvaluator:
         requirements = tuple(r for r in parts.telescope.requirements if r not in known)
         names = tuple(source.name for source in parts.sources)
         optics, exposure = _image_optics(parts), exposure_of(parts.telescope.requirements)
-        return cls(base, parts.family, parts.models, parts.basis, requirements, optics, names, exposure)
+        return cls(base, parts.family, parts.models, requirements, optics, names, exposure)
 
     def row(self, index: int, values: Mapping[str, Any], depth: str) -> dict[str, Any]:
         """Row of the data set: the member, its metrics, status and hash; a member that fails is a row with its reason.
@@ -231,25 +228,15 @@ class MemberEvaluator:
         ValueError
             No start, or a run that is over before its start-up.
         """
-        parts = RunParts(config, self.controllers, known_family=self.family)
-        start = parts.start
-        unsteady = start.states is None or bool(parts.sources)
+        laws = {name: replace(law) for name, law in self.controllers.items()}  # each with a state of its own
+        parts = RunParts(config, laws, known_family=self.family)
+        unsteady = parts.start.states is None or bool(parts.sources)
         first = round((default_transient(config.duration) if unsteady else 0.0) / DT)
         if first >= config.ticks:
             raise ValueError(f"duration must exceed the start-up of {first * DT:g} s, got {config.duration:g} s")
-        rest = np.zeros(self.family.control_loop.order) if start.states is None else start.states.plant
-        plant = parts.with_sources(self.family.build(parts.physical, rest))
-        controllers = {name: replace(law) for name, law in self.controllers.items()}  # each with a state of its own
-        estimator = LosEstimator(controllers["k_fsm"])
-        controller = assemble_controller(controllers, self.telescope, config.loop)
-        if start.states is not None:
-            estimator.start_at(start.states.k_fsm, start.states.camera)
-            controller.start_at(start.states.k_pma)
-        estimator.reset()
-        controller.reset()
         record = _Record(mapped_arrays.empty((config.ticks, 4)), float(self.family.telescope.fsm.los_sensitivity))
         kernel()  # of many runs, so that the first one pays for all
-        simulate(plant, estimator, controller, config.ticks, record.keep, start.command)
+        SimulatedLoop.of(parts, readings=False).run(config.ticks, record.keep)
         return record.metrics(first, self.requirements, self.exposure, self.optics) | self._of_sources(parts)
 
     def _of_sources(self, parts: RunParts) -> dict[str, float]:
@@ -264,7 +251,12 @@ class MemberEvaluator:
     def _model(self) -> MemberMetrics:
         """What the members share at depth model: a few seconds, once for a process."""
         k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
-        return MemberMetrics.of(self.family.control_loop, self.family.telescope, k_fsm, k_pma, self.base.loop)
+        telescope = self.family.telescope
+        ports = telescope.loop_ports.used_by(k_fsm, k_pma)
+        system = self.family.control_loop
+        if ports.further:
+            system = loop_plant(telescope, ports, isolated=self.family.isolated)
+        return MemberMetrics.of(system, telescope, k_fsm, k_pma, self.base.loop)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:

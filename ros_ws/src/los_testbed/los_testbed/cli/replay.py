@@ -111,7 +111,7 @@ def _through(
     warn(chosen.warnings)
     with Progress("replay [ticks]") as bar:
         replayed = replay_run.drive(run, chosen, bar.report)
-    comparison = compare(run, replayed, replay_run.LAYOUT)
+    comparison = compare(run, replayed)
     found = replay_run.metrics(run, replayed, transient)
     _show(console, comparison, found, chosen.as_recorded, time_text(exposure_of_run(run)))
     content = replay_run.as_dict(run, chosen, comparison, found)
@@ -139,7 +139,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     content["answers"] = {name: len(stamps) for name, (stamps, _) in played.answers.items()}
     content["identical"] = None
     if played.answers:
-        comparison = compare(run, played.replayed(), replay_run.LAYOUT)
+        comparison = compare(run, played.replayed())
         content["identical"] = comparison.identical
         console.print(f"answers of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
     if output is not None:

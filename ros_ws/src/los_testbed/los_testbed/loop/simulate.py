@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lftkit.arrays import FloatArray, IntArray
+from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
@@ -106,108 +106,110 @@ class SampleBlock:
             object.__setattr__(self, name, np.zeros((self.size, width)))
 
 
-def simulate(
-    plant: SteppedPlant,
-    estimator: EstimatorCore,
-    controller: ControllerCore,
-    ticks: int,
-    sink: Callable[[SampleBlock, int], None],
-    first_command: FloatArray | None = None,
-    ports: LoopPorts = REFERENCE_PORTS,
-    used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS),
-) -> None:
-    """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
+@dataclass(frozen=True)
+class SimulatedLoop:
+    """Plant, observer and controller that step each other in one process.
 
     Parameters
     ----------
     plant, estimator, controller
         In the state in which the run starts.
-    ticks : int
-    sink : callable
     first_command : ndarray, shape (8,) or (8 + actuators,), optional
         Command that the first tick applies [rad, N]; default: zero.
     ports : LoopPorts
         Rows of the telescope, whose further sensors are the readings of the plant.
     used : (LoopPorts, LoopPorts)
         Rows that observer and controller use.
-
-    Raises
-    ------
-    LoopDivergedError
-        A signal is no longer finite; the ticks before it are in the sink.
-    RunFailedError
-        Plant, observer or controller raised an exception; what was computed until then is in the sink.
     """
-    from los_testbed.loop.compiled_loop import CompiledLoop
 
-    seen = ports.readings_of(used[0]), ports.readings_of(used[1])
-    command = np.zeros(used[1].commands)
-    block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
-    if first_command is not None:
-        command[: len(first_command)] = first_command
-    start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
-    compiled = CompiledLoop.of(plant, estimator, controller, ticks)
-    for first in range(0, ticks, BLOCK):
-        rows = min(BLOCK, ticks - first)
-        block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
-        if compiled is None or not compiled.run(command, block, rows):
-            error, done = _step_by_step(plant, estimator, controller, command, block, rows, first, seen)
-            if error is not None:
-                sink(block, done)
-                raise RunFailedError(str(error)) from error.__cause__
-        odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
-        sink(block, rows if odd is None else odd[0])
-        if odd is not None:
-            raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
+    plant: SteppedPlant
+    estimator: EstimatorCore
+    controller: ControllerCore
+    first_command: FloatArray | None = None
+    ports: LoopPorts = REFERENCE_PORTS
+    used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS)
 
+    @classmethod
+    def of(cls, parts: RunParts, own: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
+        """The loop of a run in the state in which it starts; `own` stands for the plant of `parts`.
 
-def _step_by_step(
-    plant: SteppedPlant,
-    estimator: EstimatorCore,
-    controller: ControllerCore,
-    command: FloatArray,
-    block: SampleBlock,
-    rows: int,
-    first: int,
-    seen: tuple[IntArray, IntArray],
-) -> tuple[RunFailedError | None, int]:
-    """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then.
+        Without `readings` further sensors that no controller uses are left out.
+        """
+        estimator, controller = parts.estimator(), parts.controller()
+        plant, first = (parts.plant(readings=readings), parts.start.command) if own is None else (own, None)
+        estimator.reset()
+        controller.reset()
+        return cls(plant, estimator, controller, first, parts.ports, (parts.used["k_fsm"], parts.used["k_pma"]))
 
-    `seen` are the readings that observer and controller take in behind their other inputs.
-    """
-    plant_step, estimate, control = plant.step, estimator.step, controller.step
-    done, who = 0, "plant"
-    camera = image_camera_of(plant)
-    image = None if camera is None else camera.image.ravel()
-    readings = readings_of(plant)
-    observed, felt = np.zeros(MEASUREMENTS + len(seen[0])), np.zeros(ACCELERATIONS + len(seen[1]))
-    try:
-        # what overflows is found by the caller, with tick and port
-        with np.errstate(over="ignore", invalid="ignore"):
-            for y, truth, los, u in zip(
-                block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
-            ):
-                who = "plant"
-                plant_step(command, y, truth)
-                if image is not None and (first + done) % plant.frame_ticks == 0:
-                    block.image[done] = image
-                block.readings[done] = readings
-                who = "observer"
-                observed[:MEASUREMENTS], observed[MEASUREMENTS:] = y, readings[seen[0]]
-                estimate(observed, los)
-                who = "controller"
-                felt[:ACCELERATIONS], felt[ACCELERATIONS:] = y[PLATFORM], readings[seen[1]]
-                control(los, felt, u)
-                command[:] = u
-                done += 1
-    except RAISED as error:
-        # a block of the user says itself who failed at which tick
-        own = isinstance(error, BlockFailedError)
-        text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
-        failed = RunFailedError(text)
-        failed.__cause__ = error
-        return failed, done
-    return None, done
+    def run(self, ticks: int, sink: Callable[[SampleBlock, int], None]) -> None:
+        """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
+
+        Raises
+        ------
+        LoopDivergedError
+            A signal is no longer finite; the ticks before it are in the sink.
+        RunFailedError
+            Plant, observer or controller raised an exception; what was computed until then is in the sink.
+        """
+        from los_testbed.loop.compiled_loop import CompiledLoop
+
+        command, plant = np.zeros(self.used[1].commands), self.plant
+        block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
+        if self.first_command is not None:
+            command[: len(self.first_command)] = self.first_command
+        start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
+        compiled = CompiledLoop.of(plant, self.estimator, self.controller, ticks)
+        for first in range(0, ticks, BLOCK):
+            rows = min(BLOCK, ticks - first)
+            block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
+            if compiled is None or not compiled.run(command, block, rows):
+                error, done = self._step_by_step(command, block, rows, first)
+                if error is not None:
+                    sink(block, done)
+                    raise RunFailedError(str(error)) from error.__cause__
+            odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
+            sink(block, rows if odd is None else odd[0])
+            if odd is not None:
+                raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
+
+    def _step_by_step(
+        self, command: FloatArray, block: SampleBlock, rows: int, first: int
+    ) -> tuple[RunFailedError | None, int]:
+        """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
+        plant, estimate, control = self.plant, self.estimator.step, self.controller.step
+        plant_step, done, who = plant.step, 0, "plant"
+        camera = image_camera_of(plant)
+        image = None if camera is None else camera.image.ravel()
+        readings = readings_of(plant)
+        seen, felt = (self.ports.readings_of(ports) for ports in self.used)
+        observed, taken = np.zeros(MEASUREMENTS + len(seen)), np.zeros(ACCELERATIONS + len(felt))
+        try:
+            # what overflows is found by the caller, with tick and port
+            with np.errstate(over="ignore", invalid="ignore"):
+                for y, truth, los, u in zip(
+                    block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+                ):
+                    who = "plant"
+                    plant_step(command, y, truth)
+                    if image is not None and (first + done) % plant.frame_ticks == 0:
+                        block.image[done] = image
+                    block.readings[done] = readings
+                    who = "observer"
+                    observed[:MEASUREMENTS], observed[MEASUREMENTS:] = y, readings[seen]
+                    estimate(observed, los)
+                    who = "controller"
+                    taken[:ACCELERATIONS], taken[ACCELERATIONS:] = y[PLATFORM], readings[felt]
+                    control(los, taken, u)
+                    command[:] = u
+                    done += 1
+        except RAISED as error:
+            # a block of the user says itself who failed at which tick
+            own = isinstance(error, BlockFailedError)
+            text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
+            failed = RunFailedError(text)
+            failed.__cause__ = error
+            return failed, done
+        return None, done
 
 
 def readings_of(plant: object) -> FloatArray:
@@ -278,14 +280,12 @@ def record(
     own: SteppedPlant | None = None,
 ) -> dict[str, dict[str, str]]:
     """Simulate and record what a run is made of, as :func:`run_in_process`; `own` stands for the plant of `parts`."""
-    estimator, controller = parts.estimator(), parts.controller()
+    loop = SimulatedLoop.of(parts, own)
+    plant, start, name = loop.plant, AT_REST, {}
     if own is None:
-        plant, start, name = parts.plant(), parts.start, {}
+        start = parts.start
     else:
-        plant, start = own, AT_REST
         name = {"plant": parts.config.plant or f"{type(own).__module__}:{type(own).__qualname__}"}
-    estimator.reset()
-    controller.reset()
     statistics = {"plant": {"ticks": "0", "missed_ticks": "0", **plant_notes(plant), **name}}
     topics = parts.topics if own is None else TOPICS
     bag = BagWriter(
@@ -295,7 +295,6 @@ def record(
         topics=topics,
     )
     sink, done = BagSink(bag, plant.frame_ticks, topics), 0
-    used = parts.used["k_fsm"], parts.used["k_pma"]
 
     def write(block: SampleBlock, rows: int) -> None:
         nonlocal done
@@ -305,7 +304,7 @@ def record(
 
     try:
         with one_thread():
-            simulate(plant, estimator, controller, parts.config.ticks, write, start.command, parts.ports, used)
+            loop.run(parts.config.ticks, write)
     except BaseException as error:
         statistics["plant"]["failure"] = str(error) or f"interrupted at tick {done}"
         raise

@@ -15,7 +15,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.loop.simulate import SampleBlock, simulate
+from los_testbed.loop.simulate import SampleBlock, SimulatedLoop
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import RunStart
 from pointing_analysis.indices.errors import default_transient
@@ -90,21 +90,21 @@ def errors_of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
 def _of_source(parts: RunParts, index: int, ticks: int) -> FloatArray:
     alone, source = _quiet(parts), parts.sources[index : index + 1]
     with one_thread():
-        family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
+        family, telescope = alone.loop_family, _at_rest(alone)
         held = source_matrix(family, alone.settings, source, telescope.dt)
         driving = DisturbanceInput(held, Sources(source, telescope.dt), source[0].name)
         driven = replace(telescope, inputs=(driving,))
-    return _simulated(alone, driven, parts, ticks)
+    return _simulated(alone, driven, ticks)
 
 
 def _of_code(parts: RunParts, ticks: int) -> FloatArray:
     alone, disturbance = _quiet(parts), parts.disturbance()
     disturbance.reset()
     with one_thread():
-        family, telescope = alone.sensed_family if parts.code else alone.family, _at_rest(alone, parts)
+        family, telescope = alone.loop_family, _at_rest(alone)
         held = held_disturbance(family, alone.settings, telescope.dt)
         driven = replace(telescope, inputs=(DisturbanceInput(held, disturbance, disturbance.name),))
-    return _simulated(alone, driven, parts, ticks)
+    return _simulated(alone, driven, ticks)
 
 
 def _started(parts: RunParts, noise: bool, ticks: int) -> FloatArray:
@@ -116,10 +116,10 @@ def _started(parts: RunParts, noise: bool, ticks: int) -> FloatArray:
         start = alone.find_start(laws, start.tone)
     alone = RunParts(config, _laws(parts), start, parts.family)
     with one_thread():
-        family = alone.sensed_family if parts.code else alone.family
+        family = alone.loop_family
         state = np.zeros(family.control_loop.order) if start.states is None else start.states.plant
         telescope = family.build(alone.physical, state)
-    return _simulated(alone, telescope, parts, ticks)
+    return _simulated(alone, telescope, ticks)
 
 
 def _quiet(parts: RunParts) -> RunParts:
@@ -133,14 +133,14 @@ def _laws(parts: RunParts) -> dict[str, SampledSystem] | None:
     return None if parts.code else {name: replace(law) for name, law in parts.models.items()}
 
 
-def _at_rest(alone: RunParts, parts: RunParts) -> Plant:
-    family = alone.sensed_family if parts.code else alone.family  # code may read further sensors
+def _at_rest(alone: RunParts) -> Plant:
+    family = alone.loop_family
     return family.build(alone.settings, np.zeros(family.control_loop.order))
 
 
-def _simulated(alone: RunParts, telescope: Plant, parts: RunParts, ticks: int) -> FloatArray:
+def _simulated(alone: RunParts, telescope: Plant, ticks: int) -> FloatArray:
     """True line of sight of the loop with this plant."""
-    plant = alone.with_devices(telescope) if parts.code else telescope
+    plant = alone.with_devices(telescope)
     estimator, controller = alone.estimator(), alone.controller()
     for part in (plant, estimator, controller):
         part.reset()
@@ -155,5 +155,5 @@ def _simulated(alone: RunParts, telescope: Plant, parts: RunParts, ticks: int) -
     with one_thread():
         first = None if alone.states is None else alone.states.command
         used = alone.used["k_fsm"], alone.used["k_pma"]
-        simulate(plant, estimator, controller, ticks, keep, first, alone.ports, used)
+        SimulatedLoop(plant, estimator, controller, first, alone.ports, used).run(ticks, keep)
     return found

@@ -24,7 +24,17 @@ from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.processes.domains import domain_lock
 from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, domain_of
-from los_testbed.topics import FSM_COMMAND, IMAGE_NAME, LOS_ESTIMATE, PMA_COMMAND, SENSORS, TRUTH_LOS, TopicDefinition
+from los_testbed.topics import (
+    FSM_COMMAND,
+    IMAGE_NAME,
+    LOS_ESTIMATE,
+    PMA_COMMAND,
+    READINGS,
+    SENSORS,
+    TRUTH_LOS,
+    TopicDefinition,
+    further_topics,
+)
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import IMAGE
 from pointing_analysis.read.run import Run
@@ -111,7 +121,9 @@ class _Player:
     """Publishers of the sensors, subscriptions of the answers."""
 
     def __init__(self, context: NodeContext, run: Run, others: OtherPlants) -> None:
-        topics = [topic for topic in (*SENSORS, TRUTH_LOS) if topic.name in run]
+        further = further_topics({name: run[name].values.shape[1] for name in run.topics})
+        placed = [topic for topic in further if topic.vector == READINGS]
+        topics = [topic for topic in (*placed, *SENSORS, TRUTH_LOS) if topic.name in run]
         self.context = context
         self._others = others
         self.sent = tuple(topic.name for topic in topics)

@@ -10,7 +10,7 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.user_blocks import UserBlock
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
-from titop_plant.telescope.loop_ports import REFERENCE_PORTS
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 
 def compare_with_telescope(
@@ -36,6 +36,7 @@ def assemble_controller(
     telescope: DesignBasis,
     loop: str,
     fade_ticks: int = FADE_TICKS,
+    ports: LoopPorts = REFERENCE_PORTS,
 ) -> FsmPmaController:
     """Mirror and proof-mass laws.
 
@@ -49,6 +50,8 @@ def assemble_controller(
         Stage.
     fade_ticks : int
         Length of the fade after a change of the stage.
+    ports : LoopPorts
+        Rows that ``k_pma`` uses.
 
     Raises
     ------
@@ -57,8 +60,6 @@ def assemble_controller(
     """
     k_fsm = controllers["k_fsm"]
     mirror, force = telescope.authority
-    law = controllers["k_pma"]
-    ports = law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
     return FsmPmaController(
         controllers["k_pma"],
         loop,

@@ -21,7 +21,7 @@ from los_testbed.members import check_ranges
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
-from los_testbed.parts.user_blocks import LAWS, UserBlock, check_controller_file, linear_law, make_disturbance, make_law
+from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, make_law, read_law, with_further_ports
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_settings import with_scenario
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
@@ -106,18 +106,11 @@ class RunParts:
 
     @cached_property
     def code(self) -> dict[str, str]:
-        """Names of the controllers that no model has: code of the user, and files with ports of further devices."""
+        """Names of the controllers that are code of the user."""
         if self.recorded is not None:
             return {}
         named = {name: text for name in LAWS if (text := getattr(self.config, name))}
-        return {name: text for name, text in named.items() if is_code(text) or self._uses_devices(name, text)}
-
-    def _uses_devices(self, name: str, text: str) -> bool:
-        """Whether a file of a controller has ports of further sensors or actuators."""
-        if not self.ports.further:
-            return False
-        law = linear_law(name, text)
-        return law is not None and bool(self.ports.among(law.inputs, law.outputs).further)
+        return {name: text for name, text in named.items() if is_code(text)}
 
     @cached_property
     def files(self) -> dict[str, Path]:
@@ -145,16 +138,11 @@ class RunParts:
         return self._law("k_pma")
 
     def _law(self, name: str) -> SampledSystem | UserBlock:
-        if self.recorded is not None:
-            return self.recorded[name]
         if name in self.code:
             return make_law(self.config, name, self.ports)
-        check_controller_file(self.files[name])
-        if self.files[name].suffix == ".json":  # as all stored ones are; nothing else is loaded for them
-            return SampledSystem.from_file(self.files[name])
-        from lftkit.systems.exchange import read_sampled
-
-        return read_sampled(self.files[name])
+        known = self.recorded
+        law = read_law(self.files[name]) if known is None else known[name]
+        return with_further_ports(name, str(self.files[name]), law, self.ports)
 
     @property
     def controllers(self) -> dict[str, SampledSystem | UserBlock]:
@@ -165,9 +153,7 @@ class RunParts:
     def model_files(self) -> dict[str, Path]:
         """Files of the controllers; ValueError: one of them is code of the user, of which no model is known."""
         for name, text in self.code.items():
-            if is_code(text):
-                raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
-            raise ValueError(f"{name} must have the loop's ports only, `los-testbed run` takes others, got {text}")
+            raise ValueError(f"{name} must be a file here, only `los-testbed run` takes code, got {text}")
         return self.files
 
     @property
@@ -251,10 +237,9 @@ class RunParts:
 
     def _loop_with(self, laws: Mapping[str, SampledSystem]) -> tuple[PlantFamily, LoopPorts]:
         """Telescopes for the loop with these controllers, and the rows that it has."""
-        used = {name: self.ports.among(law.inputs, law.outputs) for name, law in laws.items()}
-        sensed = any(ports.further_sensors for ports in used.values())
-        sensors = self.ports.sensors if sensed else self.ports.reference.sensors
-        return self.sensed_family if sensed else self.family, replace(used["k_pma"], sensors=sensors)
+        used, k_pma = self.ports.used_by(*laws.values()), laws["k_pma"]
+        driven = self.ports.among(k_pma.inputs, k_pma.outputs)
+        return self.sensed_family if used.further_sensors else self.family, replace(driven, sensors=used.sensors)
 
     @cached_property
     def physical(self) -> PlantConfig:
@@ -271,8 +256,8 @@ class RunParts:
             made for another sensitivity of the mirror; code of the user that breaks its contract.
         """
         if isinstance(self.k_fsm, SampledSystem):
-            LosEstimator(self.k_fsm)
-        assemble_controller(self.controllers, self.basis, self.config.loop)
+            LosEstimator(self.k_fsm, self._used("k_fsm").further_measured)
+        assemble_controller(self.controllers, self.basis, self.config.loop, ports=self._used("k_pma"))
         self._check_commanded()
         return self.compare()
 
@@ -305,7 +290,8 @@ class RunParts:
     def estimator(self) -> LosEstimator | UserBlock:
         """Observer; its reset leads to the start of the run. ValueError as :meth:`check`, for K_FSM."""
         design_warnings([self.k_fsm], self.basis, closed=self.config.loop in MIRROR_STAGES)
-        estimator = self.k_fsm if isinstance(self.k_fsm, UserBlock) else LosEstimator(self.k_fsm)
+        law, sensors = self.k_fsm, self._used("k_fsm").further_measured
+        estimator = law if isinstance(law, UserBlock) else LosEstimator(law, sensors)
         if self.states is not None:
             estimator.start_at(self.states.k_fsm, self.states.camera)
         return estimator
@@ -316,13 +302,21 @@ class RunParts:
         Its reset leads to the start of the run. ValueError as :meth:`check`.
         """
         self.compare()
-        controller = assemble_controller(self.controllers, self.basis, self.config.loop, self.config.fade_ticks)
+        config = self.config
+        controller = assemble_controller(
+            self.controllers, self.basis, config.loop, config.fade_ticks, ports=self._used("k_pma")
+        )
         if self.states is not None:
             controller.start_at(self.states.k_pma)
         return controller
 
-    def plant(self) -> SteppedPlant:
+    def plant(self, *, readings: bool = True) -> SteppedPlant:
         """Telescope, sampled at the tick rate, in the state in which the run starts; or the user's own plant.
+
+        Parameters
+        ----------
+        readings : bool
+            Whether further sensors that no controller uses are simulated, too, for a record.
 
         Raises
         ------
@@ -335,7 +329,7 @@ class RunParts:
             return _user_plant(config)
         with one_thread():  # of all parts: their bits depend on the number of threads
             state = np.zeros(self.family.control_loop.order) if self.start.states is None else self.start.states.plant
-            telescope = self.sensed_family.build(self.physical, state)
+            telescope = (self.sensed_family if readings else self.loop_family).build(self.physical, state)
             own = config.disturbance_source if config.disturbance else None
             driven = telescope if own is None else self._driven(telescope, own)
             return self._with_images(self._with_limits(self.with_devices(self.with_sources(driven))))
@@ -343,7 +337,7 @@ class RunParts:
     @cached_property
     def sensed_family(self) -> PlantFamily:
         """The family with the values of the further sensors of this run."""
-        return self.family.with_sensors() if self.ports.further_sensors else self.family
+        return self.family.sensed if self.ports.further_sensors else self.family
 
     @cached_property
     def ports(self) -> LoopPorts:
@@ -355,23 +349,37 @@ class RunParts:
     def _used(self, name: str) -> LoopPorts:
         """Rows that a controller uses."""
         law = getattr(self, name)
-        return law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
+        return law.ports if isinstance(law, UserBlock) else self.ports.among(law.inputs, law.outputs)
 
     @property
     def used(self) -> dict[str, LoopPorts]:
         """Rows that ``k_fsm`` and ``k_pma`` use: those of the reference, then those that each of them names."""
         return {name: self._used(name) for name in LAWS}
 
+    @property
+    def uses_devices(self) -> bool:
+        """Whether a controller uses further sensors or actuators."""
+        return any(ports.further for ports in self.used.values())
+
+    @property
+    def loop_family(self) -> PlantFamily:
+        """The family with what the controllers use: the values of further sensors only where one of them does."""
+        return self.sensed_family if self.uses_devices else self.family
+
+    def _family_of(self, plant: Plant) -> PlantFamily:
+        """The family that a plant was built from."""
+        return self.sensed_family if plant.sensed.size else self.family
+
     def with_devices(self, plant: Plant) -> Plant:
-        """The telescope with further actuators that the controller commands, and further sensors, if there are any."""
+        """The telescope with the actuators that the controller commands, and the readings of its further sensors."""
         actuators = self._used("k_pma").further_actuators
         if actuators:
             from titop_plant.simulation.driven_plant import ActuatorInput, held_forces
 
             with one_thread():
-                held = held_forces(self.sensed_family, self.settings, actuators, plant.dt)
+                held = held_forces(self._family_of(plant), self.settings, actuators, plant.dt)
                 plant = replace(plant, inputs=(*plant.inputs, ActuatorInput(held, actuators)))
-        if self.ports.further_sensors:
+        if plant.sensed.size:
             from titop_plant.telescope.placed.readings import SensorReadings
 
             sensors = self.telescope.placed_sensors
@@ -439,9 +447,8 @@ class RunParts:
         from titop_plant.simulation.sources.drive import Sources, source_matrix
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
-        family = self.sensed_family if plant.sensed.size else self.family
         with one_thread():
-            held = source_matrix(family, self.physical, self.sources, plant.dt)
+            held = source_matrix(self._family_of(plant), self.physical, self.sources, plant.dt)
             return replace(plant, inputs=(*plant.inputs, DisturbanceInput(held, drive, name)))
 
     @cached_property

@@ -35,7 +35,7 @@ from lftkit.support.file_kind import kind_of_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import RunConfig, is_code, is_library
+from los_testbed.config import RunConfig, is_library
 from los_testbed.parts.law_models import difference, element, told_model
 from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
@@ -284,32 +284,57 @@ def make_law(config: RunConfig, setting: str, ports: LoopPorts = REFERENCE_PORTS
         block, used = LibraryLaw(Path(text), setting), REFERENCE_PORTS
     elif law := linear_law(setting, text):
         used = ports.among(law.inputs, law.outputs)
-        block = _checked(setting, text, law, used)
+        block = _checked(setting, text, with_further_ports(setting, text, law, ports), used)
     else:
         block = make(config, setting)
         used = _named(setting, text, block, ports)
-    _refuse_commands(setting, text, used)
+        _refuse_commands(setting, text, used)
     inputs, outputs = LAWS[setting]
     made = UserBlock(setting, text, block, (*inputs, *used.further_measured), (*outputs, *used.further_commanded), used)
     made.check()
     return made
 
 
+def read_law(path: Path) -> SampledSystem:
+    """Controller of a file; ValueError: the file holds none."""
+    check_controller_file(path)
+    if path.suffix == ".json":  # as all stored ones are; nothing else is loaded for them
+        return SampledSystem.from_file(path)
+    from lftkit.systems.exchange import read_sampled
+
+    return read_sampled(path)
+
+
+def with_further_ports(setting: str, text: str, law: SampledSystem, ports: LoopPorts) -> SampledSystem:
+    """A linear controller with the inputs of its loop in their order, where it names further rows; else as it is.
+
+    Raises
+    ------
+    ContractError
+        An observer that commands an actuator; other ports, another period.
+    """
+    used = ports.among(law.inputs, law.outputs)
+    if not used.further:
+        return law
+    _refuse_commands(setting, text, used)
+    inputs, outputs = LAWS[setting]
+    measured = *inputs, *used.further_measured
+    try:
+        law = law.with_inputs(measured)
+        law.require(measured, (*outputs, *used.further_commanded), DT)
+    except ValueError as error:
+        raise ContractError(f"{setting} {text}: {error}") from None
+    return law
+
+
 def linear_law(setting: str, text: str) -> SampledSystem | None:
-    """A controller file, or a system of python-control or of lftkit by its name; None for anything else.
+    """A system of python-control or of lftkit by its name; None for anything else.
 
     Raises
     ------
     ValueError
-        A file that is no controller; a system that is not sampled.
+        A system that is not sampled.
     """
-    if not is_code(text):
-        check_controller_file(text)
-        if text.endswith(".json"):  # as all stored ones are; nothing else is loaded for them
-            return SampledSystem.from_file(text)
-        from lftkit.systems.exchange import read_sampled
-
-        return read_sampled(Path(text))
     found = load(text, setting)
     if isinstance(found, SampledSystem):
         return found

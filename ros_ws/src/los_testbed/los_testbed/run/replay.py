@@ -30,8 +30,10 @@ from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart
+from los_testbed.parts.user_blocks import with_further_ports
 from los_testbed.run.processes.memory_file import memory_file
-from los_testbed.topics import ISOLATOR_ACCEL, SENSORS, TOPICS
+from los_testbed.run.replay_ports import layout_of, rows_of
+from los_testbed.topics import TOPICS, TopicDefinition, further_topics
 from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
@@ -45,17 +47,12 @@ from pointing_analysis.read.mapped_arrays import SortedValues, parts, release
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
+from pointing_analysis.replay.replay import LoopLayout
 from pointing_analysis.requirements.summary import exposure_of_run
 from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 CHUNK_NS = RATE * TICK_NS
-
-LAYOUT = replay.SensorLayout(
-    {topic.name: topic.columns for topic in sorted(SENSORS, key=lambda topic: topic.columns.start)},
-    tuple(topic.name for topic in SENSORS if topic.framed),
-    ISOLATOR_ACCEL.name,
-)
-"""The sensors of the loop."""
 
 Signals = Mapping[str, tuple[NDArray[np.int64], FloatArray]]
 
@@ -74,6 +71,8 @@ class Controllers:
         Whether all of this is as the bag has recorded it.
     estimator : LosEstimator
     controller : FsmPmaController
+    layout : LoopLayout
+        Topics that they read and write.
     warnings : tuple of str
         One line for each controller that was made for other parameters or limits than those of the bag.
     """
@@ -83,6 +82,7 @@ class Controllers:
     as_recorded: bool
     estimator: LosEstimator | LibraryLaw
     controller: FsmPmaController
+    layout: LoopLayout
     warnings: tuple[str, ...] = ()
 
 
@@ -123,19 +123,22 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     if stage not in STAGES:
         where = "--loop" if loop is not None else f"{run.path}: the loop stage of the bag"
         raise BagError(f"{where} must be one of {', '.join(STAGES)}, got {stage!r}" + ("" if loop else ": give --loop"))
-    fsm, fsm_file = _law_of(run, "k_fsm", k_fsm)
-    pma, pma_file = _law_of(run, "k_pma", k_pma)
-    chosen, telescope = {"k_fsm": fsm, "k_pma": pma}, telescope_of(run)
+    found = {"k_fsm": _law_of(run, "k_fsm", k_fsm), "k_pma": _law_of(run, "k_pma", k_pma)}
+    chosen, telescope = {name: law for name, (law, _) in found.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
-    controller = assemble_controller(chosen, _completed(telescope), stage)
-    files = {_file_name(name, law): data for (name, law), data in zip(chosen.items(), (fsm_file, pma_file))}
+    rows = {name: REFERENCE_PORTS if isinstance(law, LibraryLaw) else rows_of(run, law) for name, law in chosen.items()}
+    fsm, pma = (_in_order(name, law, rows[name]) for name, law in chosen.items())
+    controller = assemble_controller({"k_fsm": fsm, "k_pma": pma}, _completed(telescope), stage, ports=rows["k_pma"])
+    files = {_file_name(name, law): data for name, (law, data) in found.items()}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
-    estimator, states = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm), _states(run)
+    estimator = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm, rows["k_fsm"].further_measured)
+    states = _states(run)
     if states is not None and _starts_as_recorded(fsm, same, "k_fsm.json", states.k_fsm):
         estimator.start_at(states.k_fsm, states.camera)
     if states is not None and _starts_as_recorded(pma, same, "k_pma.json", states.k_pma) and stage == recorded:
         controller.start_at(states.k_pma)
-    return Controllers(files, stage, stage == recorded and all(same.values()), estimator, controller, warnings)
+    as_recorded, layout = stage == recorded and all(same.values()), layout_of(rows["k_fsm"], rows["k_pma"])
+    return Controllers(files, stage, as_recorded, estimator, controller, layout, warnings)
 
 
 def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | LibraryLaw, bytes]:
@@ -143,6 +146,11 @@ def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | Li
     if given is not None and is_library(str(given)):
         return LibraryLaw(given, name), read_bytes(given, SYSTEM)
     return controller_of(run, name, given)
+
+
+def _in_order(name: str, law: SampledSystem | LibraryLaw, rows: LoopPorts) -> SampledSystem | LibraryLaw:
+    """A controller with the inputs of its loop in their order."""
+    return law if isinstance(law, LibraryLaw) else with_further_ports(name, _file_name(name, law), law, rows)
 
 
 def _file_name(name: str, law: SampledSystem | LibraryLaw) -> str:
@@ -189,7 +197,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
         Observer or controller leave the finite numbers.
     """
     with one_thread(), np.errstate(all="ignore"):
-        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, LAYOUT)
+        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, chosen.layout)
     _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
     _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed
@@ -281,14 +289,19 @@ def write_signal_bag(
     """Write a new bag of stamped signals, as `write_signals` does; it appears whole or not at all."""
     with (
         atomic_folder(path) as folder,
-        BagWriter(folder, {METADATA_NAME: metadata}, files, name=path.name) as bag,
+        BagWriter(folder, {METADATA_NAME: metadata}, files, topics=_topics(signals), name=path.name) as bag,
     ):
         write_signals(bag, signals)
 
 
+def _topics(signals: Signals) -> tuple[TopicDefinition, ...]:
+    """Topics of the loop, and those of further sensors and actuators among the signals."""
+    return (*TOPICS, *further_topics({name: values.shape[1] for name, (_, values) in signals.items()}))
+
+
 def write_signals(bag: BagWriter, signals: Signals) -> None:
     """Write stamped signals, named without namespace, second by second; times are the stamps."""
-    known = [(topic, codec_for(topic), *signals[topic.name]) for topic in TOPICS if topic.name in signals]
+    known = [(topic, codec_for(topic), *signals[topic.name]) for topic in _topics(signals) if topic.name in signals]
     known = [row for row in known if len(row[2])]
     first, last = min(int(row[2][0]) for row in known), max(int(row[2][-1]) for row in known)
     for begin in range(first, last + 1, CHUNK_NS):

@@ -26,11 +26,11 @@ from los_testbed.run_settings import of_designs
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
 from pointing_analysis.requirements.text import Requirement
-from titop_plant.interface import COLUMNS, DT, MIRROR_STAGES, STAGES
+from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.sensor_table import MEASURED_SENSORS
-from titop_plant.telescope.telescope import Telescope
+from titop_plant.telescope.loop_ports import LoopPorts
 
-GROUPS = tuple(dict.fromkeys(entry.group for entry in MEASURED_SENSORS))
+GROUPS = {entry.port.name: entry.group for entry in MEASURED_SENSORS}
 PARTS = ("tones", "noise", "sources", "all")
 SETTINGS = {
     *MEMBER,
@@ -76,7 +76,8 @@ def testbed_sources(path: tuple[str, ...], table: Mapping[str, Any], unit: float
     if part in ("sources", "all"):
         found += _of_files(path, parts, unit)
     if part in ("noise", "all") and config.loop in MIRROR_STAGES and config.noise:
-        found += _noise(path, model.loop, parts.telescope, unit)
+        ports = parts.telescope.loop_ports.used_by(*parts.models.values())
+        found += _noise(path, model.loop, ports, unit)
     return found
 
 
@@ -120,13 +121,16 @@ def _of_files(path: tuple[str, ...], parts: RunParts, unit: float) -> list[Error
     ]
 
 
-def _noise(path: tuple[str, ...], loop: SampledLoop, telescope: Telescope, unit: float) -> list[ErrorSource]:
-    sigma = telescope.noise_of_samples
-    found = []
-    for name in GROUPS:
+def _noise(path: tuple[str, ...], loop: SampledLoop, ports: LoopPorts, unit: float) -> list[ErrorSource]:
+    """One source for each group of sensors, and for each further sensor of the telescope."""
+    sigma, found = ports.noise, []
+    groups = [GROUPS.get(sensor.port.name, sensor.port.name) for sensor in ports.sensors]
+    for name in dict.fromkeys(groups):
         chosen = np.zeros_like(sigma)
-        for rows in (COLUMNS[entry.port.name] for entry in MEASURED_SENSORS if entry.group == name):
-            chosen[rows] = sigma[rows]
+        rows = ports.measured_columns(row.port for row, group in zip(ports.sensors, groups) if group == name)
+        chosen[rows] = sigma[rows]
+        if not chosen.any():
+            continue
         with one_thread():
             correlated = correlation(loop, chosen, unit)
         found.append(kinds.gaussian((*path, f"noise, {name}"), correlated(0), _within(correlated), "noise"))

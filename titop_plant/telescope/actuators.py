@@ -1,0 +1,73 @@
+"""The actuators of the loop: ports, authority, where further ones are.
+
+Those of the reference are the mirror and the proof-mass actuators of the isolator; further ones are the tables
+``[[actuator]]`` of a user's file (:mod:`titop_plant.telescope.devices`). This module needs numpy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.ports import Port
+from titop_plant.interface import COMMAND_PORTS
+from titop_plant.telescope.sections import OscillatorTable
+
+
+@dataclass(frozen=True)
+class ActuatorMount:
+    """Where a further actuator is, and its mechanics: those of a proof-mass actuator.
+
+    Parameters
+    ----------
+    place : str
+        Point of the structure.
+    axis : ndarray, shape (3,)
+        Unit vector along which its mass moves, in the axes of the body. **A positive force acts on the structure along
+        it, and on the mass against it.**
+    position : ndarray, shape (3,)
+        From the point [m].
+    table : OscillatorTable
+        Its mechanics.
+    """
+
+    place: str
+    axis: FloatArray = field(repr=False)
+    position: FloatArray = field(repr=False)
+    table: OscillatorTable = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """An actuator of the loop: of the reference, or of a telescope's file.
+
+    Parameters
+    ----------
+    port : Port
+        Its part of the command.
+    authority : float
+        Largest value, in the unit of the port.
+    scale : float
+        Value in the unit of the port for a value of 1 in the loop's response: of an actuator of a file its authority
+        over that of the proof-mass actuators, so that one limit holds for all forces.
+    mount : ActuatorMount, optional
+        Of a further actuator.
+    """
+
+    port: Port
+    authority: float = np.inf
+    scale: float = 1.0
+    mount: ActuatorMount | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def name(self) -> str:
+        """Name of its port."""
+        return self.port.name
+
+
+def reference_actuators(fsm: float = np.inf, pma: float = np.inf) -> tuple[Actuator, ...]:
+    """Mirror and proof-mass actuators with their authority [rad], [N]."""
+    mirror, forces = COMMAND_PORTS
+    return Actuator(mirror, fsm), Actuator(forces, pma)
