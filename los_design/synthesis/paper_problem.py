@@ -28,10 +28,12 @@ from functools import cached_property
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit import System
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.responses import ControllerBlock, PlantSamples, ResponseGain, ResponseNoise, ResponseProblem
 from lftkit.tuning.responses.blocks import gain_matrices
 from los_design.search.worst_case_search import Search, SearchOptions
+from los_design.synthesis.hidden_peaks import hidden_peaks
 from los_design.synthesis.pair_problem import (
     ACTUATORS,
     ALONE,
@@ -46,6 +48,7 @@ from los_design.synthesis.pair_problem import (
     noise_frequencies,
     sample,
 )
+from los_design.synthesis.store import DESIGN_PACKAGES, design_ports, matrices_of
 from los_design.synthesis.task import Task
 from los_estimator.problem import ORDER as OBSERVER_ORDER
 from los_loop.continuous_loop import ContinuousLoop, paper_gains
@@ -212,3 +215,16 @@ class PaperTask(Task):
     def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
         return all(self.loop(x, stage).decay(values or {}) < 0.0 for stage in self.stages)
+
+    def missed_peaks(self, x: FloatArray, tuned: Mapping[str, float]) -> list[float]:
+        """Peaks between or above the samples, by the norms of the assembled loop."""
+        telescope, ports = self.samples.open_loop.telescope, self.samples.open_loop.ports
+        pair = [
+            System(*matrices_of(kind, M, ports), *design_ports(kind, ports), kind)
+            for kind, M in zip(DESIGN_PACKAGES, gain_matrices(self.blocks, x), strict=True)
+        ]
+        peaks = list[float]()
+        for stage in self.stages:
+            reached = {name: tuned[named(name, stage)] for name in self.limits(stage)}
+            peaks += hidden_peaks(telescope, pair, STAGE_NAMES[stage], reached)
+        return [*dict.fromkeys(peaks)]

@@ -78,9 +78,11 @@ def design_in_rounds(
     effort: Effort,
     report: Report = lambda text: None,
     kept: Kept | None = None,
-    hidden: Callable[[Outcome], Sequence[float]] = lambda outcome: (),
 ) -> Outcome:
     """Tune, search, add, until the thorough search finds nothing worse or the rounds are over.
+
+    While the nominal loop has peaks that were missed (:meth:`los_design.synthesis.task.Task.missed_peaks`), the rounds
+    begin anew with samples at them, :data:`MAX_HIDDEN` times and within the wall limit.
 
     Parameters
     ----------
@@ -93,15 +95,12 @@ def design_in_rounds(
         Receives one line for each step.
     kept : (Path, mapping), optional
         File of the state in and after each descent and each search, and what it must have been made for.
-    hidden : callable
-        Frequencies [rad/s] of peaks of the nominal loop that samples and searches have missed. While there are some
-        the rounds begin anew with samples at them, :data:`MAX_HIDDEN` times and within the wall limit.
     """
     begin = time.monotonic()
     state = _begin(task, start, effort, report, kept)
     while True:
         outcome = _in_rounds(_Design(task, state, effort, report, kept, begin))
-        if not (peaks := hidden(outcome)):
+        if not (peaks := task.missed_peaks(outcome.x, outcome.tuned)):
             return outcome
         if time.monotonic() >= begin + task.wall_limit:
             return replace(outcome, status=TuningStatus.OUT_OF_TIME)
@@ -109,7 +108,7 @@ def design_in_rounds(
             return replace(outcome, status=TuningStatus.ROUNDS)
         at = ", ".join(f"{omega:.5g}" for omega in peaks)
         report(f"goes on: the nominal loop has peaks beside the samples at {at} rad/s")
-        state.hidden.append((len(state.added), list(peaks)))
+        state.hidden.append((len(state.added), peaks))
         state.number, state.descent, state.searched, state.exceeded = 0, None, 0, []
         sample_peaks(task, peaks)
         state.save(kept)

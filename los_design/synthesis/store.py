@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lftkit import Port, SampledSystem, System, state_space
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.ports import spread_columns
 from titop_plant.interface import K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import LoopPorts
@@ -96,3 +96,9 @@ def design_ports(kind: str, ports: LoopPorts) -> tuple[tuple[Port, ...], tuple[P
     if kind == "k-fsm":
         return (*K_FSM_INPUTS, *ports.further_measured), K_FSM_OUTPUTS
     return (*K_PMA_INPUTS, *ports.further_measured), (*K_PMA_OUTPUTS, *ports.further_commanded)
+
+
+def matrices_of(kind: str, M: FloatArray, ports: LoopPorts) -> Matrices:
+    """A, B, C, D of a controller of this kind whose gain matrix ``[A, B; C, D]`` is M."""
+    n = len(M) - sum(port.size for port in design_ports(kind, ports)[1])
+    return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]

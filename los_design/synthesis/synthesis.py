@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from fsm_pma_controller.problem import sampled_controller
-from lftkit import SampledSystem, System, state_space
-from lftkit.arrays import FloatArray, Matrices
+from lftkit import SampledSystem, state_space
+from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
 from los_design.search.worst_points import WorstPoint, load_worst_points
-from los_design.synthesis.hidden_peaks import hidden_peaks
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.pair_problem import (
     ACTUATORS,
@@ -33,7 +32,6 @@ from los_design.synthesis.pair_problem import (
     STAGE_NAMES,
     Samples,
     blocks,
-    named,
 )
 from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask
 from los_design.synthesis.paper_start import choose_paper_start
@@ -42,7 +40,7 @@ from los_design.synthesis.round_state import Kept, Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import zero_controller
-from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports
+from los_design.synthesis.store import DESIGN_PACKAGES, continuous, design_ports, matrices_of
 from los_design.synthesis.task import ImplementedTask, Task
 from los_estimator.kalman import sampled_observer
 from los_loop.continuous_loop import continuous_open_loop
@@ -209,8 +207,7 @@ def _designed(
         else:
             task = _paper_task(telescope, options, tuned, workers or own, observer)
             start = partial(choose_paper_start, task, options, observer, law, report, compared)
-        hidden = partial(_hidden, task, telescope)
-        outcome = design_in_rounds(task, start, _effort(options), report, kept, hidden)
+        outcome = design_in_rounds(task, start, _effort(options), report, kept)
     common = {
         "command": _command("all" if len(kinds) > 1 else kinds[0], options),
         "commit": ", ".join(outcome.commits),
@@ -227,27 +224,11 @@ def _designed(
     found = []
     ports = task.samples.open_loop.ports
     for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
-        A, B, C, D = _state_space(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
+        A, B, C, D = matrices_of(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
         matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
         provenance = {**common, **_values(outcome, stage), "continuous": matrices}
         found.append(_sampled(kind, (A, B, C, D), telescope, options, provenance, ports))
     return found[0], found[1]
-
-
-def _hidden(task: Task, telescope: Telescope, outcome: Outcome) -> list[float]:
-    """Peaks of the nominal loop between or above the samples of a design of the paper's problem, by its norms."""
-    if not isinstance(task, PaperTask):
-        return []
-    ports = task.samples.open_loop.ports
-    pair = [
-        System(*_state_space(kind, M, ports), *design_ports(kind, ports), kind)
-        for kind, M in zip(DESIGN_PACKAGES, gain_matrices(task.blocks, outcome.x), strict=True)
-    ]
-    peaks = list[float]()
-    for stage in task.stages:
-        reached = {name: outcome.tuned[named(name, stage)] for name in task.limits(stage)}
-        peaks += hidden_peaks(telescope, pair, STAGE_NAMES[stage], reached)
-    return [*dict.fromkeys(peaks)]
 
 
 def _effort(options: DesignOptions) -> Effort:
@@ -288,7 +269,7 @@ def _task(
 
     def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
         k_fsm, k_pma = (
-            _sampled(kind, _state_space(kind, M, ports), telescope, options, None, ports)
+            _sampled(kind, matrices_of(kind, M, ports), telescope, options, None, ports)
             for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned), x)))
         )
         return k_fsm, k_pma
@@ -323,12 +304,6 @@ def _in_newton(M: FloatArray, ports: LoopPorts) -> FloatArray:
     size = np.ones(len(M))
     size[-len(forces) :] = forces
     return size[:, None] * M
-
-
-def _state_space(kind: str, M: FloatArray, ports: LoopPorts) -> Matrices:
-    """The matrices in a gain matrix."""
-    n = len(M) - sum(port.size for port in design_ports(kind, ports)[1])
-    return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
 
 
 def _sampled(

@@ -76,6 +76,18 @@ class Task(ABC):
     def stable(self, x: FloatArray, values: Mapping[str, float] | None = None) -> bool:
         """Whether the loops of all stages are stable at a parameter point, default the nominal one."""
 
+    def missed_peaks(self, x: FloatArray, tuned: Mapping[str, float]) -> list[float]:
+        """Frequencies [rad/s] of peaks of the nominal loop that samples and searches have missed.
+
+        Parameters
+        ----------
+        x : ndarray
+            Entries of both gain matrices.
+        tuned : mapping
+            Value of each gain of :meth:`problem` with them.
+        """
+        return []
+
 
 @dataclass(frozen=True)
 class ImplementedTask(Task):

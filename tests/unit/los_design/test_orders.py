@@ -16,6 +16,7 @@ from lftkit.analysis.frequency_response import frequency_response
 from lftkit.tuning.structures.structures import controller
 from los_design.synthesis import paper_start, synthesis
 from los_design.synthesis.options import DesignOptions
+from los_design.synthesis.paper_problem import PaperTask
 from los_design.synthesis.provenance import digest
 from los_design.synthesis.starts import padded, random_law, zero_controller
 from los_design.synthesis.store import continuous
@@ -77,7 +78,7 @@ def test_a_padded_controller_has_the_same_response(order: int) -> None:
 def test_a_design_begins_with_the_one_of_lower_order(telescope, monkeypatch) -> None:
     """Its first look has the values that the other ended with; K_PMA compares no random starts."""
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=6))
-    monkeypatch.setattr(synthesis, "hidden_peaks", lambda *given: [])
+    monkeypatch.setattr(PaperTask, "missed_peaks", lambda *given: [])
     monkeypatch.setattr(paper_start, "STEPS", 1)
     low, high = (DesignOptions(nominal=True, loop_delay=0.0, order=order, starts=1) for order in (1, 2))
     k_fsm = synthesis.design_observer(telescope, low)

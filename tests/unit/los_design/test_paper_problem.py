@@ -12,7 +12,7 @@ from fsm_pma_controller.problem import actuator_plant, actuator_structure
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.tuning import certify
-from los_design.synthesis import synthesis
+from los_design.synthesis import paper_problem, synthesis
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.state_space_requirements import observer_requirements, paper_requirements
 from los_design.synthesis.store import continuous
@@ -92,7 +92,7 @@ def test_a_design_goes_on_while_the_norms_show_hidden_peaks(monkeypatch) -> None
         return answers.pop(0)
 
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
-    monkeypatch.setattr(synthesis, "hidden_peaks", peaks)
+    monkeypatch.setattr(paper_problem, "hidden_peaks", peaks)
     options = DesignOptions(nominal=True, loop_delay=0.0)
     design_observer(load_telescope(FILE), options, lines.append)
     assert looked == [("fsm", ["APE", "RPE", "mirror"])] * 2

@@ -91,21 +91,23 @@ class Bench:
     def stable(self, task, x, values=None):
         return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
 
-    def design(self, count: int = 5, kept=None, points: int = 0, known=(), hidden=lambda outcome: [], limit=np.inf):
+    def design(self, count: int = 5, kept=None, points: int = 0, known=(), hidden=list, limit=np.inf):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
+        self.hidden = hidden
         task = ImplementedTask(self.samples, (BOTH,), (0, 1), 0, limit, known=known, sampled=no_controllers)
-        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept, hidden)
+        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
 
 
 @pytest.fixture
 def bench(monkeypatch):
-    """A bench whose `search` and `stable` are methods of the task."""
+    """A bench whose `search`, `stable` and `hidden` are methods of the task."""
 
     def make(answers, **options):
         made = Bench(monkeypatch, answers, **options)
         monkeypatch.setattr(ImplementedTask, "search", lambda task, *rest: made.search(task, *rest))
         monkeypatch.setattr(ImplementedTask, "stable", lambda task, *rest: made.stable(task, *rest))
+        monkeypatch.setattr(ImplementedTask, "missed_peaks", lambda task, x, tuned: made.hidden())
         return made
 
     return make
@@ -306,7 +308,7 @@ def test_hidden_peaks_begin_the_rounds_anew_with_what_is_there(bench) -> None:
     """Points and worst points stay, nothing is sampled twice, and all requirements are looked at again."""
     hidden = iter([[7.0, 8.0], []])
     made = bench([[peak("soft tones", 0.6, 10.0)], [], [], [], []])
-    found = made.design(points=2, hidden=lambda outcome: next(hidden))
+    found = made.design(points=2, hidden=lambda: next(hidden))
     assert found.status == "converged" and made.tuned == [3, 4, 4]
     assert len(made.samples.points) == 4 and made.samples.around == [10.0, 7.0, 8.0]
     assert [seed for seed, _, _ in made.searched] == [1, 1, 2, 1, 2]
@@ -320,7 +322,7 @@ def test_an_interrupted_design_has_its_hidden_peaks_again_in_their_order(bench, 
     known, late = [peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]
     hidden = iter([[7.0], [8.0], []])
 
-    def peaks(outcome):
+    def peaks():
         return next(hidden)
 
     with pytest.raises(StopIteration):
@@ -336,7 +338,7 @@ def test_hidden_peaks_end_with_the_wall_limit_or_their_number(bench, monkeypatch
     """Each going on takes 40 s of 100 s, and there is always another peak."""
     now = [0.0]
 
-    def peaks(outcome):
+    def peaks():
         now[0] += 40.0
         return [1.0]
 

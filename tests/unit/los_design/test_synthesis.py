@@ -11,7 +11,7 @@ from los_design.synthesis.options import LOOP_DELAY, DesignOptions
 from los_design.synthesis.pair_problem import ALONE, BOTH, grid, limits, named
 from los_design.synthesis.rounds import Effort
 from los_design.synthesis.starts import stored_start, zero_controller
-from los_design.synthesis.store import continuous, load_designs
+from los_design.synthesis.store import continuous, load_designs, matrices_of
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.implemented_loop import ImplementedLoop, loop_metrics
@@ -109,7 +109,7 @@ def test_the_stored_start_stabilises_the_reference_telescope(telescope) -> None:
         control_loop_plant(telescope).at({}),
         ControlLaws(
             *(
-                synthesis._sampled(k, synthesis._state_space(k, M, ports), telescope, options, None, ports)
+                synthesis._sampled(k, matrices_of(k, M, ports), telescope, options, None, ports)
                 for k, M in zip(PORTS, matrices)
             ),
             "fsm+pma",
