@@ -1,4 +1,7 @@
-"""From a configuration to plant, observer and controller; heavy packages are imported here when they are needed."""
+"""From a configuration to plant, observer and controller.
+
+What computes with scipy is imported where it is used: the command line and the nodes of the controllers start without.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from los_estimator.runtime import LosEstimator
 from los_testbed.config import RunConfig, is_code
 from los_testbed.members import check_ranges
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
+from los_testbed.parts.image_camera import ImageCamera
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, make_law, read_law, with_further_ports
@@ -26,7 +30,11 @@ from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_settings import with_scenario
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
 from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.simulation.plant_config import PlantConfig, motion
+from titop_plant.telescope.guide_camera import star_camera
+from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.placed.readings import SensorReadings
 
 if TYPE_CHECKING:
     from los_loop.sampled_loop import Delays
@@ -36,7 +44,7 @@ if TYPE_CHECKING:
     from los_testbed.parts.disturbance_kinds import DisturbanceTable
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
-    from titop_plant.simulation.build import PlantConfig, PlantFamily
+    from titop_plant.simulation.build import PlantFamily
     from titop_plant.simulation.plant import Plant
     from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.telescope import Telescope
@@ -75,8 +83,6 @@ class RunParts:
     @cached_property
     def telescope(self) -> Telescope:
         """Values of the telescope; ValueError: the file cannot be read, an exposure that is longer than a frame."""
-        from titop_plant.telescope.load import load_telescope
-
         known = self.known_family
         found = load_telescope(self.config.parameters) if known is None else known.telescope
         found.check_exposure(self.config.frame_ticks)
@@ -170,8 +176,6 @@ class RunParts:
         ValueError
             A parameter outside its range; the message names both.
         """
-        from titop_plant.simulation.build import PlantConfig
-
         config = self.config
         check_ranges(config, self.telescope)
         told = config.scenario_acts and config.scenario != "worst_case"
@@ -380,8 +384,6 @@ class RunParts:
                 held = held_forces(self._family_of(plant), self.settings, actuators, plant.dt)
                 plant = replace(plant, inputs=(*plant.inputs, ActuatorInput(held, actuators)))
         if plant.sensed.size:
-            from titop_plant.telescope.placed.readings import SensorReadings
-
             sensors = self.telescope.placed_sensors
             plant = replace(plant, further_sensors=SensorReadings(sensors, self.config.seed, self.config.noise))
         return plant
@@ -399,16 +401,12 @@ class RunParts:
         """The telescope with the camera that takes images, where the parameter file asks for it."""
         if self.star_camera is None:
             return plant
-        from los_testbed.parts.image_camera import ImageCamera
-
         camera = ImageCamera(self.star_camera, plant.frame_ticks, self.config.seed, self.config.noise)
         return replace(plant, camera=camera)
 
     @cached_property
     def star_camera(self) -> StarCamera | None:
         """Camera that takes images; None where it takes none."""
-        from titop_plant.telescope.guide_camera import star_camera
-
         if self.config.other_plant or not self.telescope.takes_images:
             return None
         table = self.telescope
@@ -458,7 +456,6 @@ class RunParts:
             return ()
         from los_testbed.parts.disturbance_files import make_sources
         from los_testbed.parts.disturbance_kinds import RunConditions
-        from titop_plant.simulation.plant_config import motion
         from titop_plant.simulation.sources.mechanisms import mechanism_sources
 
         profile = motion(self.settings, self.telescope)
