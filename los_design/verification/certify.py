@@ -25,7 +25,7 @@ import numpy as np
 from lftkit.proofs.entries import each, index, number, pair, record, text, truth
 from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
-from lftkit.proofs.sampled_loop.bounds import DEEPEST
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.trusted.checker import covered
 from lftkit.proofs.trusted.premises import require_strip
@@ -134,7 +134,7 @@ class ProofPart:
     file: Path
     others: tuple[Path, ...] = ()
     """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
-    deepest: int = DEEPEST
+    deepest: int = BisectionOptions.deepest
     """Most bisections of the box."""
 
 
@@ -174,7 +174,7 @@ class PartTask:
     level: float
     seconds: float
     others: tuple[tuple[Strip, ...], ...] = ()
-    deepest: int = DEEPEST
+    deepest: int = BisectionOptions.deepest
 
 
 Prover = Callable[[Sequence[ProofPart]], Iterable[PartResult]]
@@ -232,7 +232,7 @@ def prove_task(task: PartTask) -> PartResult:
     until = time.monotonic() + task.seconds
     known = next((strips for strips in task.others if _useful(task, strips)), ())
     claim = task.model, task.box, task.band, task.level
-    found = prove_level(*claim, until=until, known=known, deepest=task.deepest)
+    found = prove_level(*claim, until=until, known=known, options=BisectionOptions(deepest=task.deepest))
     return PartResult(
         tuple(found.strips),
         sorted({band for _, band in found.uncovered}),

@@ -20,7 +20,7 @@ from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
 from lftkit.proofs.options import BoundOptions
-from lftkit.proofs.sampled_loop.bounds import prove_level
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
@@ -120,11 +120,12 @@ class _Axis:
     def prove(self, level: float, until: float, seed: int) -> bool:
         """Prove the pieces that are left; True if none is left now."""
         waiting, self.pieces = self.pieces, []
+        options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_level(self._model(beyond), box, band, level, until=until, seed=seed, part=PART)
+            found = prove_level(self._model(beyond), box, band, level, until=until, options=options)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
