@@ -18,6 +18,7 @@ import pytest
 from los_testbed.cli.app import main
 
 import los_design
+from los_design.synthesis.options import DesignOptions
 
 PROGRAM = """
 import signal, sys
@@ -128,12 +129,12 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
 
     limits = []
 
-    def stored(telescope: Any, folder: Path, *, wall_limit: float, **_: object) -> SimpleNamespace:
-        limits.append(wall_limit)
+    def stored(telescope: Any, folder: Path, options: DesignOptions, **_: object) -> SimpleNamespace:
+        limits.append(options.wall_limit)
         for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
             system.to_file(folder / name)
         shutil.copy(Path(redesign.__file__).parent / "search" / "worst_points.json", folder)
-        time.sleep(wall_limit / commands.ROUNDS_OF_ALL + 0.1)
+        time.sleep(options.wall_limit / commands.ROUNDS_OF_ALL + 0.1)
         return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
 
     monkeypatch.setattr(redesign, "design_all", stored)
