@@ -46,7 +46,7 @@ from threadpoolctl import threadpool_limits
 
 from lftkit import System, hinf_norm
 from lftkit.tuning import HinfGain, TuningOptions, state_space, tune
-from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS, plant_of
+from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS, CompleibPlant
 
 try:
     from slycot import ab13dd
@@ -84,7 +84,7 @@ def plants() -> dict[str, Callable[[], System]]:
     for name in sorted(module.SUPPORTED_COMPLEIB_SYSTEMS - set(PLANTS)):
         data = module.COMPleib(name)
         if all(size is not None and size > 0 for size in data[8:]):
-            found[name] = partial(plant_of, name, *data[:8])
+            found[name] = partial(CompleibPlant(*data[:8]).system, name)
     return found
 
 

@@ -12,7 +12,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from lftkit import System, transfer
-from lftkit.tuning import ClosedLoopPoles, HinfGain, TuningOptions, TuningResult, WorstCaseOptions, pid, tune_robust
+from lftkit.tuning import (
+    ClosedLoopPoles,
+    HinfGain,
+    RobustOptions,
+    TuningOptions,
+    TuningResult,
+    WorstCaseOptions,
+    pid,
+    tune_robust,
+)
 
 BOX = {"m": (1.8, 4.2), "c": (0.8, 1.2), "k": (1.4, 2.6)}
 
@@ -49,8 +58,7 @@ def main() -> TuningResult:
         REQUIREMENTS,
         structure,
         initial=[[5.0, 1.0, 2.0]],
-        options=TuningOptions(starts=0, wall_limit=600.0),
-        search=WorstCaseOptions(samples=30, climbs=1),
+        options=RobustOptions(TuningOptions(starts=0, wall_limit=600.0), WorstCaseOptions(samples=30, climbs=1)),
     )
     kp, ki, kd = result.x
     print(f"{result.status}: Kp {kp:.3g}, Ki {ki:.3g}, Kd {kd:.3g}; {result.advice}")

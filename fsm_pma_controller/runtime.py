@@ -40,6 +40,18 @@ class ForceLaw(Protocol):
         """Back to the zero state, or to another `state` (order,)."""
 
 
+class ForceActuator(Protocol):
+    """A further actuator; :class:`titop_plant.telescope.loop_ports.LoopActuator` is one."""
+
+    @property
+    def port(self) -> Port:
+        """Its force, an output of K_PMA."""
+
+    @property
+    def authority(self) -> float:
+        """Largest force [N]."""
+
+
 class FsmPmaController:
     """Mirror law ``u_fsm = -LOS_hat / los_sensitivity`` and proof-mass law ``u_pma = K_PMA accel_Ip``.
 
@@ -61,10 +73,6 @@ class FsmPmaController:
     ----------
     k_pma : ForceLaw
         Input ``accel_Ip`` (6), output ``pma_force`` (6), period one tick.
-    sensors, actuators : sequence of Port
-        Further inputs and outputs of K_PMA; the outputs are forces [N].
-    actuator_authority : sequence of float
-        Limit of each of them [N].
     loop : {"none", "isolator", "fsm", "fsm+pma"}
         Stage: which of the loops are closed.
     los_sensitivity : float
@@ -72,6 +80,10 @@ class FsmPmaController:
         (:meth:`titop_plant.interface.DesignBasis.mirror_sensitivity`).
     fsm_authority, pma_authority : float
         Limits per channel [rad], [N].
+    sensors : sequence of Port
+        Further inputs of K_PMA.
+    actuators : sequence of ForceActuator
+        Further outputs of K_PMA, with their limits.
     fade_ticks : int
         Length of the fade after a change of the stage.
 
@@ -102,8 +114,7 @@ class FsmPmaController:
         fsm_authority: float,
         pma_authority: float,
         sensors: Sequence[Port] = (),
-        actuators: Sequence[Port] = (),
-        actuator_authority: Sequence[float] = (),
+        actuators: Sequence[ForceActuator] = (),
         fade_ticks: int = FADE_TICKS,
     ) -> None:
         if loop not in STAGES:
@@ -112,16 +123,16 @@ class FsmPmaController:
             "los_sensitivity": los_sensitivity,
             "fsm_authority": fsm_authority,
             "pma_authority": pma_authority,
-            **{f"authority of {port.name}": limit for port, limit in zip(actuators, actuator_authority, strict=True)},
+            **{f"authority of {actuator.port.name}": actuator.authority for actuator in actuators},
         }
         for name, value in positive.items():
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive and finite, got {value}")
-        k_pma.require((*K_PMA_INPUTS, *sensors), (*K_PMA_OUTPUTS, *actuators), DT)
+        k_pma.require((*K_PMA_INPUTS, *sensors), (*K_PMA_OUTPUTS, *(a.port for a in actuators)), DT)
         self.k_pma = k_pma
         self.los_sensitivity = los_sensitivity
         self._mirror_gain = -1.0 / los_sensitivity
-        self._limit: FloatArray = np.concatenate([np.zeros(COMMANDS), np.array(actuator_authority, dtype=float)])
+        self._limit: FloatArray = np.array([0.0] * COMMANDS + [actuator.authority for actuator in actuators])
         self._negative_limit = -self._limit
         self.limit(fsm_authority, pma_authority)
         self._mirror_fade, self._force_fade = Fade(fade_ticks), Fade(fade_ticks)

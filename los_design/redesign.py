@@ -37,13 +37,14 @@ from los_design.verification.verification import (
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.files.atomic_output import write_text
-from titop_plant.interface import MIRROR_STAGES, STAGES
+from titop_plant.interface import LOOP_DELAY, MIRROR_STAGES, STAGES
 from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.loop_ports import LoopPorts
 from titop_plant.telescope.telescope import Telescope
 
 Report = Callable[[str], None]
-EFFORTS = ("full", "short")
+PAIR = DesignOptions(wall_limit=3600.0)
+"""Options where none are given."""
 ROUNDS_FILE = "rounds.json"
 """State of a design between its rounds; it stays where the wall limit ended the design, which can then go on."""
 OUT_OF_TIME = "out_of_time"
@@ -91,13 +92,10 @@ class DesignSummary:
 def design_all(
     telescope: Telescope,
     folder: Path,
+    options: DesignOptions = PAIR,
     *,
-    seed: int = 0,
-    effort: str = "full",
     report: Report = lambda text: None,
     resume: bool = True,
-    wall_limit: float = 3600.0,
-    nominal: bool = False,
     workers: Workers | None = None,
     verify_further: Callable[[Report], tuple[Mapping[str, Any], list[str]]] = lambda report: ({}, []),
 ) -> DesignSummary:
@@ -109,19 +107,17 @@ def design_all(
         Of :func:`titop_plant.telescope.load.load_telescope`.
     folder : Path
         Made if it does not exist.
-    seed : int
-    effort : {"full", "short"}
+    options : DesignOptions
+        Of the implemented loop. The wall limit is that of the rounds; the last thorough search and the verification
+        come after it, and a design that it ended goes on in another call. With less effort there are also fewer
+        points in searches and verification. Of a nominal design, too, the verification is that of the whole box.
     report : callable
         Receives one line for each step and round.
     resume : bool
         Keep the steps that are there already.
-    wall_limit : float
-        Of the rounds [s]; the last thorough search and the verification come after it. A design that it ended goes on
-        in another call.
-    nominal : bool
-        Tune at the nominal parameters alone; the verification is that of the whole box.
     workers : Workers, optional
-        Processes of searches and verification; the result does not depend on them.
+        Processes of searches and verification; default: as many as the options say. The result does not depend on
+        them.
     verify_further : callable
         Verifies more of the designs, which are in the folder when it is called: content for ``verification.json``, and
         a line for each requirement that is not met.
@@ -129,17 +125,16 @@ def design_all(
     Raises
     ------
     ValueError
-        Unknown effort, or a folder that cannot be written to.
+        Another loop delay than that of the testbed, or a folder that cannot be written to.
     """
-    if effort not in EFFORTS:
-        raise ValueError(f"effort must be one of {', '.join(EFFORTS)}, got {effort!r}")
+    if options.loop_delay != LOOP_DELAY:
+        raise ValueError(f"loop_delay must be that of the testbed, {LOOP_DELAY:g} s, got {options.loop_delay:g}")
     _check_writable(folder)
-    workers = workers or Workers()
-    short, threads = effort == "short", workers.count
-    options = DesignOptions(seed=seed, short=short, wall_limit=wall_limit, nominal=nominal, workers=threads)
-    with one_thread():
-        key = _key(telescope, seed, effort) | ({"nominal": True} if nominal else {})
-        k_fsm, k_pma = _pair(folder, telescope, options, key, resume, report, workers)
+    effort = _effort(options)
+    with one_thread(), Workers(options.workers) as own:
+        workers = workers or own
+        options = replace(options, workers=workers.count)
+        k_fsm, k_pma = _pair(folder, telescope, options, resume, report, workers)
         report("worst points of the stages")
         found = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
         adversarial = adversarial_points(found, (k_fsm, k_pma))
@@ -147,7 +142,7 @@ def design_all(
         worst = [replace(p, requirement=name) for table in found.values() for name, p in worst_of(table).items()]
         store_worst_points(folder / "worst_points.json", worst, basis, adversarial)
         system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
-        at = verification_points(telescope, system, SAMPLES[effort], seed + 1, EVERY[effort])
+        at = verification_points(telescope, system, SAMPLES[effort], options.seed + 1, EVERY[effort])
         report(f"verification at {len(at) + len(adversarial)} parameter points")
         check = check_implemented(system, telescope, k_fsm, k_pma, [*at, *adversarial], workers=workers)
     further, lines = verify_further(report)
@@ -202,10 +197,16 @@ def adversarial_points(
     return list({tuple(values.items()): values for values in points}.values())
 
 
-def _key(telescope: Telescope, seed: int, effort: str) -> dict[str, Any]:
-    key = {"parameters_hash": telescope.parameters_hash, "seed": seed, "effort": effort}
-    ports = telescope.loop_ports  # sensors are not part of the hash
-    return {**key, "devices": _devices(ports)} if ports.further else key
+def _effort(options: DesignOptions) -> str:
+    return "short" if options.short else "full"
+
+
+def _key(telescope: Telescope, options: DesignOptions) -> dict[str, Any]:
+    """What a design is the same for."""
+    effort, ports = _effort(options), telescope.loop_ports  # sensors are not part of the hash
+    key: dict[str, Any] = {"parameters_hash": telescope.parameters_hash, "seed": options.seed, "effort": effort}
+    devices = {"devices": _devices(ports)} if ports.further else {}
+    return {**key, **devices, **({"nominal": True} if options.nominal else {})}
 
 
 def _devices(ports: LoopPorts) -> str:
@@ -221,12 +222,12 @@ def _pair(
     folder: Path,
     telescope: Telescope,
     options: DesignOptions,
-    key: dict[str, Any],
     resume: bool,
     report: Report,
     workers: Workers,
 ) -> tuple[SampledSystem, SampledSystem]:
     """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
+    key = _key(telescope, options)
     files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
     if resume and all(path.exists() for path in files):
         k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.checked_proof import CheckedProof
     from lftkit.proofs.checking import check_proof
     from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
+    from lftkit.proofs.options import BoundOptions
     from lftkit.proofs.profiles import Profile, gain_profile, stability_profile
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
     from lftkit.proofs.state_space.bounds import ProvenBounds
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.trusted.proof import ProofError
 
 __all__ = [
+    "BoundOptions",
     "CheckedProof",
     "DiskMarginBounds",
     "MuBounds",
@@ -51,6 +53,7 @@ __getattr__ = names_on_demand(
         "structured.bounds": ("MuBounds", "mu"),
         "structured.certificate": ("MuCertificate", "check_mu"),
         "blocks.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
+        "options": ("BoundOptions",),
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("ProvenBounds",),

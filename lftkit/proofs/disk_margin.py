@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.robustness import worst_case_gain
 from lftkit.proofs.state_space.bounds import ProvenBounds
 from lftkit.systems.exchange import as_system
@@ -45,9 +46,7 @@ def worst_case_disk_margin(
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     skew: float = 0.0,
-    gap: float = 0.05,
-    wall_limit: float = 600.0,
-    seed: int = 0,
+    options: BoundOptions | None = None,
 ) -> DiskMarginBounds:
     """Smallest disk margin of a loop with one signal over a box of its parameters (wcdiskmargin of the toolbox).
 
@@ -62,7 +61,7 @@ def worst_case_disk_margin(
         Intervals inside the ranges of the parameters.
     skew : float
         0: gain may rise and fall alike; 1: disks about S; -1: about T.
-    gap, wall_limit, seed
+    options : BoundOptions, optional
         As for :func:`lftkit.proofs.worst_case_gain`.
 
     Raises
@@ -83,7 +82,7 @@ def worst_case_disk_margin(
     (2.0, True)
     """
     shifted = sensitivity(as_system(loop), 0.5 * (skew - 1.0))
-    bounds = worst_case_gain(shifted, box, gap=gap, wall_limit=wall_limit, seed=seed)
+    bounds = worst_case_gain(shifted, box, options=options)
     lower = 1.0 / bounds.upper if bounds.upper > 0.0 else math.inf
     upper = 1.0 / bounds.lower if bounds.lower > 0.0 else math.inf
     gains = disk_gains(lower, skew)

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.bounds import gain_over_axis
+from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.bounds import (
     SHARE,
     WHOLE,
@@ -37,8 +38,8 @@ STEPS = 12
 """Most factors that are tried, by search and by proof."""
 BELOW, LESS = 0.999, 0.75
 """Part of the smallest factor that reaches the level at which the next is looked for; of one not proven in time."""
-PART, MAX_CELLS = 0.6, 5000
-"""Part of the time that is left for the proof of a factor, and its most cells."""
+PART = 0.6
+"""Part of the time that is left for the proof of a factor."""
 RAY, PRECISION = 64, 1e-7
 """Points of a ray at which the gain is looked at, and the precision of the first one that reaches the level."""
 
@@ -55,8 +56,7 @@ class PerformanceProblem:
     box : list of (low, high)
         Of its real elements.
     level : float
-    seed : int
-        Of searches.
+    options : BoundOptions
     over_axis : bool
         Whether proofs are those of the frequency axis; by cells otherwise.
     """
@@ -64,7 +64,7 @@ class PerformanceProblem:
     system: System
     box: Box
     level: float
-    seed: int
+    options: BoundOptions
     over_axis: bool
 
     @cached_property
@@ -77,14 +77,15 @@ class PerformanceProblem:
         """Complex and dynamic elements."""
         return disks_of(self.system)
 
-    def bounds(self, largest: float, gap: float, until: float) -> ProvenBounds:
-        """Bounds of the factor, up to `largest`, as near as `gap`; ``time.monotonic()`` ends it.
+    def bounds(self, largest: float) -> ProvenBounds:
+        """Bounds of the factor, up to `largest`.
 
         Raises
         ------
         ValueError
             A nominal member outside of the box, or not stable.
         """
+        until, gap = time.monotonic() + self.options.wall_limit, self.options.gap
         if not all(low <= at <= high for at, (low, high) in zip(self.nominal, self.box)):
             raise ValueError("box must contain the nominal values, got another")
         first = member_gain(self.system, self.nominal, WHOLE)
@@ -99,7 +100,7 @@ class PerformanceProblem:
             left = until - time.monotonic()
             if left <= 0.0:
                 break
-            found, member = self._attempt(aim, gap, PART * left)
+            found, member = self._attempt(aim, PART * left)
             if found.status == "closed":
                 lower, proof = aim, found.proof
                 break
@@ -119,13 +120,14 @@ class PerformanceProblem:
     def _scaled(self, factor: float) -> tuple[System, Box]:
         return scaled_elements(self.system, factor), scaled_box(self.system, self.box, factor)
 
-    def _attempt(self, factor: float, gap: float, seconds: float) -> tuple[ProvenBounds, Member]:
+    def _attempt(self, factor: float, seconds: float) -> tuple[ProvenBounds, Member]:
         """Try to prove the level for a factor; the bounds and the worst member."""
         scaled, ends = self._scaled(factor)
+        options = replace(self.options, wall_limit=seconds)
         if self.over_axis:
-            return gain_over_axis(scaled, ends, WHOLE, self.level, gap, seconds, self.seed)
+            return gain_over_axis(scaled, ends, WHOLE, self.level, options)
         by_cells = DiskGainByCells if self.disks else GainByCells
-        cells = by_cells(scaled, ends, WHOLE, self.level, gap, seconds, MAX_CELLS, self.seed, False)
+        cells = by_cells(scaled, ends, WHOLE, self.level, options)
         return cells.run(), cells.worst
 
     def _least_found(self, largest: float) -> tuple[float, Member] | None:
@@ -134,9 +136,9 @@ class PerformanceProblem:
         for _ in range(STEPS):
             scaled, ends = self._scaled(factor)
             if self.disks:
-                member = DiskSearch(scaled, ends, WHOLE, self.seed).worst_member()
+                member = DiskSearch(scaled, ends, WHOLE, self.options.seed).worst_member()
             else:
-                member = worst_member(scaled, ends, WHOLE, seed=self.seed)
+                member = worst_member(scaled, ends, WHOLE, seed=self.options.seed)
             met = self._first_on_way(member)
             if met is not None:
                 worst, factor = met, met[0] * BELOW
@@ -165,7 +167,7 @@ class PerformanceProblem:
 
     def _way_of_disks(self, member: Member) -> Callable[[float], DiskMember]:
         """The same, with their gain at its frequency."""
-        search = DiskSearch(self.system, self.box, WHOLE, self.seed)
+        search = DiskSearch(self.system, self.box, WHOLE, self.options.seed)
         M = search.response(member.frequency)
         given: Mapping[str, ComplexArray] = member.disks if isinstance(member, DiskMember) else {}
         disks = {d.name: given.get(d.name, np.zeros((d.outputs, d.inputs), complex)) for d in self.disks}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lftkit.proofs.axis.bounds import axis_takes, gain_over_axis, stability_over_axis
+from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.performance import PerformanceProblem
 from lftkit.proofs.state_space.bounds import (
     WHOLE,
@@ -34,13 +34,8 @@ def worst_case_gain(
     outputs: Sequence[str] | None = None,
     band: tuple[float, float] = WHOLE,
     level: float | None = None,
-    gap: float = 0.05,
     *,
-    wall_limit: float = 600.0,
-    max_tests: int = 5000,
-    seed: int = 0,
-    progress: bool = False,
-    method: str | None = None,
+    options: BoundOptions | None = None,
 ) -> ProvenBounds:
     """Largest gain of an uncertain system over a box of constant real parameters and a band of frequencies.
 
@@ -56,19 +51,7 @@ def worst_case_gain(
         Frequencies [rad/s]; upper may be infinite. Only for the whole axis is every member shown to be stable.
     level : float, optional
         Prove the gain below this level, or find a member that exceeds it; without it the bounds are brought together.
-    gap : float
-        Relative distance of the bounds that ends the computation.
-    wall_limit : float
-        Seconds. Then the best bounds so far are given, with what is not covered.
-    max_tests : int
-        Most cells that are tried; as the wall limit, but the same on every machine.
-    seed : int
-        Of the search.
-    progress : bool
-    method : {"cells", "axis"}, optional
-        Cells of parameters and frequency, or scalings over the frequency axis. By default cells up to
-        :data:`FEW_STATES` states, and where the other cannot be used: it needs uncertain elements, and a nominal member
-        in the box that is stable with separate poles.
+    options : BoundOptions, optional
 
     Returns
     -------
@@ -78,8 +61,8 @@ def worst_case_gain(
     Raises
     ------
     ValueError
-        Unknown names; intervals outside the ranges; a band, a level, a gap or a wall limit that makes no sense; a
-        method that cannot be used.
+        Unknown names; intervals outside the ranges; a band or a level that makes no sense; a method that cannot be
+        used.
 
     Examples
     --------
@@ -96,21 +79,20 @@ def worst_case_gain(
     >>> check_proof(bounds.proof).level == bounds.upper
     True
     """
-    checked_band(band, level, gap, wall_limit)
+    checked_band(band, level)
+    options = options or BoundOptions()
     chosen = real_first(as_system(system).select(inputs=inputs, outputs=outputs))
     ends = intervals_of(chosen, box)
-    over_axis = _over_axis(chosen, ends, method, bool(chosen.inputs and chosen.outputs))
+    over_axis = _over_axis(chosen, ends, options.method, bool(chosen.inputs and chosen.outputs))
     with one_thread():
         if over_axis:
-            return gain_over_axis(chosen, ends, band, level, gap, wall_limit, seed)[0]
+            return gain_over_axis(chosen, ends, band, level, options)[0]
         by_cells = DiskGainByCells if disks_of(chosen) else GainByCells
-        return by_cells(chosen, ends, band, level, gap, wall_limit, max_tests, seed, progress).run()
+        return by_cells(chosen, ends, band, level, options).run()
 
 
 def _over_axis(system: System, box: list[tuple[float, float]], method: str | None, usual: bool = True) -> bool:
     """Whether the frequency axis is the method; what is chosen by size where none is given."""
-    if method not in (None, "cells", "axis"):
-        raise ValueError(f"method must be cells or axis, got {method!r}")
     if method == "axis":
         system.require_continuous()
     if method is not None:
@@ -123,12 +105,7 @@ def robust_stability(
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
-    gap: float = 0.05,
-    wall_limit: float = 600.0,
-    max_tests: int = 5000,
-    seed: int = 0,
-    progress: bool = False,
-    method: str | None = None,
+    options: BoundOptions | None = None,
 ) -> ProvenBounds:
     """Largest factor by which the box, scaled about the nominal values, stays free of unstable members.
 
@@ -137,7 +114,7 @@ def robust_stability(
 
     Parameters
     ----------
-    system, gap, wall_limit, max_tests, seed, progress, method
+    system, options
         As for :func:`worst_case_gain`; ports do not matter.
     box : mapping of str to (lowest, highest), optional
         Intervals inside the ranges of the parameters that contain the nominal values.
@@ -165,17 +142,19 @@ def robust_stability(
     >>> bounds.lower <= 2.0, round(bounds.upper, 6), bounds.upper / bounds.lower < 1.05
     (True, 2.0, True)
     """
-    if not gap > 0.0 or not wall_limit > 0.0 or not largest > 0.0:
-        raise ValueError(f"gap, wall_limit and largest must be positive, got {gap}, {wall_limit} and {largest}")
+    _check_largest(largest)
+    options = options or BoundOptions()
     chosen = real_first(as_system(system).select(inputs=(), outputs=()))
     ends = intervals_of(chosen, box)
     require_nominal(chosen, ends)
-    until = time.monotonic() + wall_limit
-    over_axis = _over_axis(chosen, ends, method)
+    over_axis = _over_axis(chosen, ends, options.method)
     with one_thread():
-        if over_axis:
-            return stability_over_axis(chosen, ends, largest, gap, until, seed)
-        return stability_by_cells(chosen, ends, largest, gap, until, max_tests, seed, progress)
+        return (stability_over_axis if over_axis else stability_by_cells)(chosen, ends, largest, options)
+
+
+def _check_largest(largest: float) -> None:
+    if not largest > 0.0:
+        raise ValueError(f"largest must be positive, got {largest}")
 
 
 def robust_performance(
@@ -184,9 +163,7 @@ def robust_performance(
     box: Mapping[str, tuple[float, float]] | None = None,
     *,
     largest: float = 10.0,
-    gap: float = 0.05,
-    wall_limit: float = 600.0,
-    seed: int = 0,
+    options: BoundOptions | None = None,
 ) -> ProvenBounds:
     """Largest factor by which the box, scaled about the nominal values, keeps the worst-case gain below a level.
 
@@ -202,8 +179,8 @@ def robust_performance(
         It contains the nominal values.
     largest : float
         Largest factor that is looked at.
-    gap, wall_limit, seed
-        As for :func:`worst_case_gain`; the gap is that of the factors.
+    options : BoundOptions, optional
+        The gap is that of the factors, the number of cells that of each factor.
 
     Returns
     -------
@@ -227,15 +204,16 @@ def robust_performance(
     >>> bounds.lower <= 1.0 <= bounds.upper <= 1.05 * bounds.lower
     True
     """
-    checked_band(WHOLE, level, gap, wall_limit)
-    if not largest > 0.0:
-        raise ValueError(f"largest must be positive, got {largest}")
+    checked_band(WHOLE, level)
+    _check_largest(largest)
+    options = options or BoundOptions()
     system = as_system(system)
     if not (system.inputs and system.outputs):
-        return robust_stability(system, box, largest=largest, gap=gap, wall_limit=wall_limit, seed=seed)
+        return robust_stability(system, box, largest=largest, options=options)
     system.require_continuous()
     chosen = real_first(system)
-    ends, until = intervals_of(chosen, box), time.monotonic() + wall_limit
-    over_axis = (chosen.order > FEW_STATES or not disks_of(chosen)) and axis_takes(chosen, ends)
+    ends = intervals_of(chosen, box)
+    usual = (chosen.order > FEW_STATES or not disks_of(chosen)) and axis_takes(chosen, ends)
+    over_axis = usual if options.method is None else options.method == "axis"
     with one_thread():
-        return PerformanceProblem(chosen, ends, level, seed, over_axis).bounds(largest, gap, until)
+        return PerformanceProblem(chosen, ends, level, options, over_axis).bounds(largest)

@@ -26,7 +26,7 @@ from lftkit.tuning.goals import (
 )
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
 from lftkit.tuning.result import Round, TuningResult, WorstCase
-from lftkit.tuning.robust.robust import tune_robust
+from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.bounds import Bounds
@@ -59,6 +59,7 @@ __all__ = [
     "Overshoot",
     "Passivity",
     "Requirement",
+    "RobustOptions",
     "Round",
     "Sensitivity",
     "StableStateSpace",

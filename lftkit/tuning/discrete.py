@@ -79,7 +79,6 @@ def tune_discrete(
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
-    met: float = -np.inf,
     min_decay: float = MIN_DECAY,
     options: TuningOptions | None = None,
 ) -> TuningResult:
@@ -96,7 +95,7 @@ def tune_discrete(
     structure : Structure
         Of the discrete controller: entries are those of its matrices, also fixed and bounded ones. A PID has the
         sampling period (``pid(..., dt=0.1)``) and is that of the trapezoidal rule.
-    initial, met, min_decay, options
+    initial, min_decay, options
         As in :func:`lftkit.tuning.tune`; initial parameters are those of discrete controllers, and
         the decay is that of the image, ``-log|z| / T`` for slow poles [rad/s].
 
@@ -130,9 +129,7 @@ def tune_discrete(
     starts = [start_checked(x, structure) for x in initial]
     if isinstance(law, AffineStructure):
         starts = [_parameters_of_image(law, x, dt) for x in starts]
-    found = tune(
-        [image_of(m) for m in ready], images, law, initial=starts, met=met, min_decay=min_decay, options=options
-    )
+    found = tune([image_of(m) for m in ready], images, law, initial=starts, min_decay=min_decay, options=options)
     K = law.sampled(found.x) if isinstance(law, StructureOnImage) else sampled_from_image(found.controller, dt)
     certificate = certified(ready, K, needs, dt)
     status, advice = found.status, found.advice

@@ -84,11 +84,7 @@ def _plants(problem: Problem) -> list[ExtendedPlant]:
             measured,
             commanded,
             0,
-            inputs=r.inputs,
-            outputs=r.outputs,
-            weight_in=r.weight_in,
-            weight_out=r.weight_out,
-            scale=1.0 / r.bound,
+            r,
             loop_delay=problem.loop_delay,
             pade_order=problem.pade_order,
         )

@@ -181,18 +181,7 @@ class Problem:
         for i in self.h2:
             r = self.requirements[i]
             assert isinstance(r, H2Gain)
-            variances[i] = extended_plant(
-                model,
-                self._measurements,
-                self._commands,
-                order,
-                inputs=r.inputs,
-                outputs=r.outputs,
-                weight_in=r.weight_in,
-                weight_out=r.weight_out,
-                scale=1.0 / r.bound,
-                **common,
-            )
+            variances[i] = extended_plant(model, self._measurements, self._commands, order, r, **common)
             self._refuse_feedthrough(variances[i], r.name)
         gains: Any = tuple(self.given[i] for i in self.gain_numbers)
         loop = (

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 
@@ -44,26 +46,36 @@ def published_plant(name: str) -> System:
     """
     if name not in _DATA:
         raise ValueError(f"name must be one of {', '.join(_DATA)}, got {name!r}")
-    return plant_of(name, *(_DATA[name][key] for key in ("A", "B1", "B", "C1", "C", "D11", "D12", "D21")))
+    return CompleibPlant(**{field.name: _DATA[name][field.name] for field in fields(CompleibPlant)}).system(name)
 
 
-def plant_of(
-    name: str,
-    A: ArrayLike,
-    B1: ArrayLike,
-    B: ArrayLike,
-    C1: ArrayLike,
-    C: ArrayLike,
-    D11: ArrayLike,
-    D12: ArrayLike,
-    D21: ArrayLike,
-) -> System:
-    """System of the matrices of COMPleib, in its order."""
-    A, B1, B, C1, C, D11, D12, D21 = (np.array(M, dtype=float) for M in (A, B1, B, C1, C, D11, D12, D21))
-    D = np.block([[D11, D12], [D21, np.zeros((len(C), B.shape[1]))]])
-    inputs = Port("w", B1.shape[1]), Port("u", B.shape[1])
-    outputs = Port("z", len(C1)), Port("y", len(C))
-    return System(A, np.hstack([B1, B]), np.vstack([C1, C]), D, inputs, outputs, name)
+@dataclass(frozen=True)
+class CompleibPlant:
+    """Matrices of a plant of COMPleib, in its notation and order.
+
+    Parameters
+    ----------
+    A, B1, B, C1, C, D11, D12, D21 : array_like
+        ``x' = A x + B1 w + B u, z = C1 x + D11 w + D12 u, y = C x + D21 w``.
+    """
+
+    A: ArrayLike
+    B1: ArrayLike
+    B: ArrayLike
+    C1: ArrayLike
+    C: ArrayLike
+    D11: ArrayLike
+    D12: ArrayLike
+    D21: ArrayLike
+
+    def system(self, name: str) -> System:
+        """From w, u to z, y."""
+        matrices: list[FloatArray] = [np.array(getattr(self, field.name), dtype=float) for field in fields(self)]
+        A, B1, B, C1, C, D11, D12, D21 = matrices
+        D = np.block([[D11, D12], [D21, np.zeros((len(C), B.shape[1]))]])
+        inputs = Port("w", B1.shape[1]), Port("u", B.shape[1])
+        outputs = Port("z", len(C1)), Port("y", len(C))
+        return System(A, np.hstack([B1, B]), np.vstack([C1, C]), D, inputs, outputs, name)
 
 
 PLANTS: dict[str, Callable[[], System]] = {name: partial(published_plant, name) for name in _DATA}

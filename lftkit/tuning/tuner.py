@@ -75,6 +75,10 @@ class TuningOptions:
         See :class:`lftkit.tuning.descent.minimax.minimax.DescentOptions`.
     target : float
         Stop as soon as the worst soft value is below, hard ones kept.
+    met : float
+        Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
+        whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
+        the certificate's upper sides say so: no controller has less, and the stationarity is zero.
     band : float
         Peaks above this fraction of the largest enter the quadratic programs.
     progress : bool
@@ -91,6 +95,7 @@ class TuningOptions:
     iterations: int = 300
     tolerance: float = 1e-4
     target: float = -np.inf
+    met: float = -np.inf
     band: float = 0.3
     progress: bool = False
     parameter_limit: float = 1e8
@@ -117,7 +122,6 @@ def tune(
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
     min_decay: float = MIN_DECAY,
-    met: float = -np.inf,
     options: TuningOptions | None = None,
 ) -> TuningResult:
     """Tune `structure` against `requirements` on all `models` at once.
@@ -140,10 +144,6 @@ def tune(
         Delay of the loop [s].
     min_decay : float
         Stable means that every closed-loop pole decays faster than this [rad/s].
-    met : float
-        Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
-        whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
-        the certificate's upper sides say so: no controller has less, and the stationarity is zero.
     options : TuningOptions, optional
 
     Returns
@@ -174,7 +174,7 @@ def tune(
         raise ValueError("models must be in continuous time, got discrete ones: tune_discrete takes them")
     required_period(structure, 0.0)
     # a little below, so that the upper side of the certificate is not above
-    options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
+    options = replace(options, target=max(options.target, options.met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
     given = [start_checked(x, structure) for x in initial]
@@ -196,7 +196,7 @@ def tune(
         runs = [*runs, *feasibility_runs(problem, runs, *further)]
         runs = [*runs, *refined_runs(problem, runs, *further)]
         result = result_of(problem, runs, time.monotonic() - start_time)
-    if all_met(problem.given, result.certificate, met):
+    if all_met(problem.given, result.certificate, options.met):
         return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
     settled = result.status is TuningStatus.CONVERGED and result.soft == -np.inf
     if search.complete or settled or result.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET):

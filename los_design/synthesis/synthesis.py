@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -103,7 +103,7 @@ def design_observer(
         hash, seed, status, tuned values and the continuous controller.
     """
     _check_start(options, start)
-    return _designed(telescope, options, report, (OBSERVER,), ["k-fsm"], start, kept)[0]
+    return _Synthesis(telescope, options, "k-fsm", (OBSERVER,), observer=start).run(report, kept)[0]
 
 
 def design_actuators(
@@ -136,7 +136,7 @@ def design_actuators(
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
     _check_start(options, start)
-    return _designed(telescope, options, report, (ACTUATORS,), ["k-pma"], observer, kept, law=start)[1]
+    return _Synthesis(telescope, options, "k-pma", (ACTUATORS,), observer, law=start).run(report, kept)[1]
 
 
 def design_pair(
@@ -171,11 +171,9 @@ def design_pair(
     (K_FSM, K_PMA)
         With the same provenance.
     """
-    kinds = ["k-fsm", "k-pma"]
     if STAGE_NAMES[BOTH] in telescope.stages:
-        tuned = (OBSERVER, ACTUATORS)
-        return _designed(telescope, options, report, tuned, kinds, observer, kept, workers)
-    k_fsm, _ = _designed(telescope, options, report, (OBSERVER,), kinds, kept=kept, workers=workers)
+        return _Synthesis(telescope, options, "all", (OBSERVER, ACTUATORS), observer).run(report, kept, workers)
+    k_fsm, _ = _Synthesis(telescope, options, "all", (OBSERVER,)).run(report, kept, workers)
     made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
@@ -185,50 +183,106 @@ def _check_start(options: DesignOptions, start: SampledSystem | None) -> None:
         raise ValueError("start must be left out with a loop delay, got one")
 
 
-def _designed(
-    telescope: Telescope,
-    options: DesignOptions,
-    report: Report,
-    tuned: tuple[int, ...],
-    kinds: Sequence[str],
-    observer: SampledSystem | None = None,
-    kept: Kept | None = None,
-    workers: Workers | None = None,
-    law: SampledSystem | None = None,
-) -> tuple[SampledSystem, SampledSystem]:
-    """Design some of the controllers in rounds; the others stay as they are."""
-    begin = time.monotonic()
-    compared: list[dict[str, Any]] = []
-    task: Task
-    with Workers(options.workers) as own:
-        if options.implemented:
-            task = _task(telescope, options, tuned, workers or own)
-            start = partial(choose_start, task, telescope, options, observer, report)
-        else:
-            task = _paper_task(telescope, options, tuned, workers or own, observer)
-            start = partial(choose_paper_start, task, options, observer, law, report, compared)
-        outcome = design_in_rounds(task, start, _effort(options), report, kept)
-    common = {
-        "command": _command("all" if len(kinds) > 1 else kinds[0], options),
-        "commit": ", ".join(outcome.commits),
-        "seed": options.seed,
-        "loop_delay": options.loop_delay,
-        "status": str(outcome.status),
-        "seconds": round(time.monotonic() - begin, 1),
-        "active_models": outcome.active,
-    }
-    if compared:
-        common["starts"] = compared
-    if given := observer if OBSERVER in tuned else law:
-        common["start"] = digest(given)
-    found = []
-    ports = task.samples.open_loop.ports
-    for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
-        A, B, C, D = matrices_of(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
-        matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
-        provenance = {**common, **_values(outcome, stage), "continuous": matrices}
-        found.append(_sampled(kind, (A, B, C, D), telescope, options, provenance, ports))
-    return found[0], found[1]
+@dataclass(frozen=True)
+class _Synthesis:
+    """Design of one or both controllers.
+
+    Parameters
+    ----------
+    telescope : Telescope
+    options : DesignOptions
+    command : {"all", "k-fsm", "k-pma"}
+        Of ``los-testbed design``, for the provenance.
+    tuned : tuple of int
+        Which controllers are tuned.
+    observer, law : SampledSystem or None
+        K_FSM and K_PMA that are given: a start where they are tuned, otherwise they stay as they are.
+    """
+
+    telescope: Telescope
+    options: DesignOptions
+    command: str
+    tuned: tuple[int, ...]
+    observer: SampledSystem | None = None
+    law: SampledSystem | None = None
+
+    def run(
+        self, report: Report, kept: Kept | None, workers: Workers | None = None
+    ) -> tuple[SampledSystem, SampledSystem]:
+        """Design in rounds, and sample."""
+        begin = time.monotonic()
+        compared: list[dict[str, Any]] = []
+        with Workers(self.options.workers) as own:
+            task = self._task(workers or own)
+            start = partial(self._start, task, report, compared)
+            outcome = design_in_rounds(task, start, _effort(self.options), report, kept)
+        common = self._provenance(outcome, compared, time.monotonic() - begin)
+        found = []
+        ports = task.samples.open_loop.ports
+        for kind, stage, M in zip(DESIGN_PACKAGES, (ALONE, BOTH), gain_matrices(task.blocks, outcome.x), strict=True):
+            A, B, C, D = matrices_of(kind, _in_newton(M, ports) if stage == BOTH else M, ports)
+            matrices = {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "D": D.tolist()}
+            provenance = {**common, **_values(outcome, stage), "continuous": matrices}
+            found.append(_sampled(kind, (A, B, C, D), self.telescope, self.options, provenance, ports))
+        return found[0], found[1]
+
+    def _start(self, task: Task, report: Report, compared: list[dict[str, Any]]) -> FloatArray:
+        """Entries of both gain matrices; `compared` gets the starts of the paper's problem that were compared."""
+        if isinstance(task, PaperTask):
+            return choose_paper_start(task, self.options, self.observer, self.law, report, compared)
+        return choose_start(task, self.telescope, self.options, self.observer, report)
+
+    def _provenance(self, outcome: Outcome, compared: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+        """What both controllers have in their provenance."""
+        common = {
+            "command": _command(self.command, self.options),
+            "commit": ", ".join(outcome.commits),
+            "seed": self.options.seed,
+            "loop_delay": self.options.loop_delay,
+            "status": str(outcome.status),
+            "seconds": round(seconds, 1),
+            "active_models": outcome.active,
+        }
+        if compared:
+            common["starts"] = compared
+        if given := self.observer if OBSERVER in self.tuned else self.law:
+            common["start"] = digest(given)
+        return common
+
+    def _task(self, workers: Workers) -> Task:
+        """The task, with no parameter points yet."""
+        return self._implemented_task(workers) if self.options.implemented else self._paper_task(workers)
+
+    def _paper_task(self, workers: Workers) -> PaperTask:
+        options = self.options
+        samples = PaperSamples(continuous_open_loop(self.telescope), options.workers)
+        given = ORDERS[0] if self.observer is None else continuous(self.observer).order
+        orders = (options.order, ORDERS[1]) if self.tuned == (OBSERVER,) else (given, options.order)
+        fine = not options.nominal
+        common = options.seed, options.wall_limit, workers
+        return PaperTask(samples, STAGES_OF[self.tuned], self.tuned, *common, orders=orders, fine=fine)
+
+    def _implemented_task(self, workers: Workers) -> ImplementedTask:
+        telescope, options, tuned = self.telescope, self.options, self.tuned
+        stages, ports = STAGES_OF[tuned], telescope.loop_ports
+
+        def in_newton(both: Sequence[FloatArray]) -> list[FloatArray]:
+            return [both[0], _in_newton(both[1], ports)]
+
+        def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
+            k_fsm, k_pma = (
+                _sampled(kind, matrices_of(kind, M, ports), telescope, options, None, ports)
+                for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned), x)))
+            )
+            return k_fsm, k_pma
+
+        samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports=ports), options.workers)
+        known: tuple[WorstPoint, ...] = ()
+        if not (options.nominal or is_reference(telescope)):
+            names = [STAGE_NAMES[stage] for stage in stages]
+            known = tuple(point for name in names for point in load_worst_points()[name].values())
+        common = options.seed, options.wall_limit, workers, known
+        return ImplementedTask(samples, stages, tuned, *common, sampled=pair)
 
 
 def _effort(options: DesignOptions) -> Effort:
@@ -237,50 +291,6 @@ def _effort(options: DesignOptions) -> Effort:
     if not options.implemented:
         return PAPER_EFFORT
     return SHORT_EFFORT if options.short else EFFORT
-
-
-def _paper_task(
-    telescope: Telescope,
-    options: DesignOptions,
-    tuned: tuple[int, ...],
-    workers: Workers,
-    observer: SampledSystem | None,
-) -> PaperTask:
-    """The task of the paper's problem, with no parameter points yet."""
-    samples = PaperSamples(continuous_open_loop(telescope), options.workers)
-    given = ORDERS[0] if observer is None else continuous(observer).order
-    orders = (options.order, ORDERS[1]) if tuned == (OBSERVER,) else (given, options.order)
-    fine = not options.nominal
-    common = options.seed, options.wall_limit, workers
-    return PaperTask(samples, STAGES_OF[tuned], tuned, *common, orders=orders, fine=fine)
-
-
-def _task(
-    telescope: Telescope,
-    options: DesignOptions,
-    tuned: tuple[int, ...],
-    workers: Workers,
-) -> ImplementedTask:
-    """The task for a telescope, with no parameter points yet."""
-    stages, ports = STAGES_OF[tuned], telescope.loop_ports
-
-    def in_newton(both: Sequence[FloatArray]) -> list[FloatArray]:
-        return [both[0], _in_newton(both[1], ports)]
-
-    def pair(x: FloatArray) -> tuple[SampledSystem, SampledSystem]:
-        k_fsm, k_pma = (
-            _sampled(kind, matrices_of(kind, M, ports), telescope, options, None, ports)
-            for kind, M in zip(DESIGN_PACKAGES, in_newton(gain_matrices(blocks(telescope, tuned), x)))
-        )
-        return k_fsm, k_pma
-
-    samples = Samples(OpenLoop(loop_plant(telescope, ports), telescope, ports=ports), options.workers)
-    known: tuple[WorstPoint, ...] = ()
-    if not (options.nominal or is_reference(telescope)):
-        names = [STAGE_NAMES[stage] for stage in stages]
-        known = tuple(point for name in names for point in load_worst_points()[name].values())
-    common = options.seed, options.wall_limit, workers, known
-    return ImplementedTask(samples, stages, tuned, *common, sampled=pair)
 
 
 def _values(outcome: Outcome, stage: tuple[int, ...]) -> dict[str, Any]:

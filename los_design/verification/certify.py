@@ -25,7 +25,7 @@ import numpy as np
 from lftkit.proofs.entries import each, index, number, pair, record, text, truth
 from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
-from lftkit.proofs.sampled_loop.bounds import DEEPEST
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.trusted.checker import covered
 from lftkit.proofs.trusted.premises import require_strip
@@ -112,6 +112,26 @@ class FigureBounds:
         return {**vars(self), "upper": self.upper if math.isfinite(self.upper) else None}
 
 
+@dataclass(frozen=True)
+class ProofLevel:
+    """Level below which a figure is to be proven.
+
+    Parameters
+    ----------
+    limit_fraction : float
+        Level over the limit of the figure.
+    gap : float, optional
+        The level is above the largest value known by at most this fraction instead.
+    """
+
+    limit_fraction: float = 1.0
+    gap: float | None = None
+
+    def above(self, known: float) -> float:
+        """Level over the limit for the largest value known over the limit."""
+        return self.limit_fraction if self.gap is None else (1.0 + 0.95 * self.gap) * known
+
+
 def parts_of(band: Interval) -> list[Interval]:
     """A band cut into parts."""
     low, high = band
@@ -134,7 +154,7 @@ class ProofPart:
     file: Path
     others: tuple[Path, ...] = ()
     """The same part for other levels and figures, the best one first: what holds of it need not be found again."""
-    deepest: int = DEEPEST
+    deepest: int = BisectionOptions.deepest
     """Most bisections of the box."""
 
 
@@ -174,7 +194,7 @@ class PartTask:
     level: float
     seconds: float
     others: tuple[tuple[Strip, ...], ...] = ()
-    deepest: int = DEEPEST
+    deepest: int = BisectionOptions.deepest
 
 
 Prover = Callable[[Sequence[ProofPart]], Iterable[PartResult]]
@@ -232,7 +252,7 @@ def prove_task(task: PartTask) -> PartResult:
     until = time.monotonic() + task.seconds
     known = next((strips for strips in task.others if _useful(task, strips)), ())
     claim = task.model, task.box, task.band, task.level
-    found = prove_level(*claim, until=until, known=known, deepest=task.deepest)
+    found = prove_level(*claim, until=until, known=known, options=BisectionOptions(deepest=task.deepest))
     return PartResult(
         tuple(found.strips),
         sorted({band for _, band in found.uncovered}),
@@ -289,8 +309,7 @@ def _useful(part: PartTask, strips: tuple[Strip, ...]) -> bool:
 def certify_figure(
     loop: ImplementedLoop,
     name: str,
-    level: float | None,
-    gap: float,
+    level: ProofLevel,
     known: Sequence[WorstPoint],
     folder: Path,
     prove: Prover,
@@ -303,10 +322,7 @@ def certify_figure(
     ----------
     loop : ImplementedLoop
     name : str
-    level : float or None
-        To be proven; None: as far above the largest value known as the gap says.
-    gap : float
-        Relative.
+    level : ProofLevel
     known : sequence of WorstPoint
         Of a search; the lower bound.
     folder : Path
@@ -325,7 +341,7 @@ def certify_figure(
             gain = float(loop.gain(point.omega, metric, loop.point(dict(point.parameters)))[0])
             if gain > lower:
                 lower, omega, values = gain, point.omega, dict(point.parameters)
-    target = (1.0 + 0.95 * gap) * lower if level is None else level
+    target = level.above(lower)
     if not target > 0.0:
         raise ValueError(f"a level, or a worst point of {name}, must be given")
     if lower >= target:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,30 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import ACCEL, DEFINITIONS, JOINT_STATE, VECTOR3
+
+NAMESPACE = "/telescope"
+"""Of topics with relative names."""
+
+
+@dataclass(frozen=True)
+class McapStorage:
+    """How a bag's MCAP file stores the messages.
+
+    Attributes
+    ----------
+    compression : of the chunks: ``zstd``, ``lz4`` or ``none``
+    chunk_size : [byte] of messages in a chunk
+    chunks : whether messages are in chunks at all
+    index : whether there are message indexes
+    """
+
+    compression: str = "zstd"
+    chunk_size: int = 1 << 20
+    chunks: bool = True
+    index: bool = True
+
+
+DEFAULT_STORAGE = McapStorage()
 
 
 def _schema_of(width: int) -> str:
@@ -35,11 +60,7 @@ def write_bag(
     periods: Mapping[str, int] | None = None,
     stamps: Mapping[str, ArrayLike] | None = None,
     parameters: Mapping[str, Any] | None = None,
-    namespace: str = "/telescope",
-    compression: str = "zstd",
-    chunk_size: int = 1 << 20,
-    index: bool = True,
-    chunks: bool = True,
+    storage: McapStorage = DEFAULT_STORAGE,
     start: int = 1_700_000_000 * 10**9,
 ) -> Path:
     """Write a rosbag2 folder (one MCAP file and metadata.yaml) holding the given signals.
@@ -47,13 +68,13 @@ def write_bag(
     Parameters
     ----------
     path : folder to make; must not exist
-    signals : topic name without namespace -> (n, 2), (n, 3) or (n, 6) samples; ``pma/command`` becomes a JointState
+    signals : topic name -> (n, 2), (n, 3) or (n, 6) samples; ``pma/command`` becomes a JointState. A relative name is
+        one in the namespace ``/telescope``, one that begins with a slash is absolute
     dt : sampling period [s]
     periods : topic -> period as a multiple of `dt` (camera frames), default 1
     stamps : topic -> (n,) stamps [ns] in place of the regular ones, in the order of recording
     parameters : metadata of the run; values are stored as JSON
-    compression : ``zstd``, ``lz4`` or ``none``
-    index, chunks : write message indexes; write chunks at all
+    storage : of the MCAP file
     start : stamp of the first sample [ns]
 
     Returns
@@ -76,29 +97,34 @@ def write_bag(
     with file.open("wb") as stream:
         writer = Writer(
             stream,
-            chunk_size=chunk_size,
-            compression=CompressionType[compression.upper()],
-            index_types=IndexType.ALL if index else IndexType.NONE,
-            use_chunking=chunks,
+            chunk_size=storage.chunk_size,
+            compression=CompressionType[storage.compression.upper()],
+            index_types=IndexType.ALL if storage.index else IndexType.NONE,
+            use_chunking=storage.chunks,
         )
         writer.start(profile="ros2", library="pointing_analysis.indices.synthetic")
         text = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (parameters or {}).items()}
         writer.add_metadata(METADATA_NAME, text)
-        _write_messages(writer, typed, events, namespace)
+        _write_messages(writer, typed, events)
         writer.finish()
-    _write_yaml(folder, file.name, namespace, typed, np.array([e[0] for e in events], dtype=np.int64))
+    _write_yaml(folder, file.name, typed, np.array([e[0] for e in events], dtype=np.int64))
     return folder
 
 
 _Signals = dict[str, tuple[str, FloatArray]]
 
 
-def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]], namespace: str) -> None:
+def _topic(name: str) -> str:
+    """Absolute name of a topic, as ROS resolves it."""
+    return name if name.startswith("/") else f"{NAMESPACE}/{name}"
+
+
+def _write_messages(writer: Writer, typed: _Signals, events: list[tuple[int, int, str, int]]) -> None:
     channels, encoders = {}, {}
     for name, (schema, values) in typed.items():
-        encoders[name] = Encoder(schema, values.shape[1], name.replace("/", "_"))
+        encoders[name] = Encoder(schema, values.shape[1], name.strip("/").replace("/", "_"))
         number = writer.register_schema(schema, "ros2msg", DEFINITIONS[schema].encode())
-        channels[name] = writer.register_channel(f"{namespace}/{name}", "cdr", number)
+        channels[name] = writer.register_channel(_topic(name), "cdr", number)
     for logged, stamp, name, row in events:
         data = bytes(encoders[name].encode(stamp, typed[name][1][row]))
         writer.add_message(channels[name], logged, data, logged, sequence=row)
@@ -116,7 +142,7 @@ def _events(
     events = []
     for name, signal in signals.items():
         values = np.atleast_2d(np.asarray(signal, dtype=float))
-        schema = JOINT_STATE if name == "pma/command" else _schema_of(values.shape[1])
+        schema = JOINT_STATE if _topic(name).endswith("/pma/command") else _schema_of(values.shape[1])
         if values.shape[1] == 2:
             values = np.column_stack([values, np.zeros(len(values))])
         typed[name] = (schema, values)
@@ -127,11 +153,11 @@ def _events(
     return typed, sorted(events, key=lambda event: event[0])
 
 
-def _write_yaml(folder: Path, file: str, namespace: str, typed: _Signals, times: IntArray) -> None:
+def _write_yaml(folder: Path, file: str, typed: _Signals, times: IntArray) -> None:
     topics = [
         {
             "topic_metadata": {
-                "name": f"{namespace}/{name}",
+                "name": _topic(name),
                 "type": schema,
                 "serialization_format": "cdr",
                 "offered_qos_profiles": [],

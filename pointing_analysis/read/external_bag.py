@@ -20,7 +20,7 @@ from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
 from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
-from pointing_analysis.read.series import ORIGIN, Series, make_series
+from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
 
 TIME_SOURCES = ("auto", "header", "log")
 LISTED = 8
@@ -255,12 +255,7 @@ def read_external(
         unit=unit,
         rate=rate,
         published=published[fitting],
-        path=path,
-        schema=chosen.schema,
-        parameters=about,
-        problems=problems,
-        kind="bag",
-        label=chosen.name,
+        provenance=Provenance(path, "bag", chosen.name, chosen.schema, about, problems),
     )
     loss = next((loss for loss in reading.losses() if loss.topic == chosen.topic), None)
     before, after = loss.ends(found.topic.integrity.missing) if loss is not None else (0, 0)

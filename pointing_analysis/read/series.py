@@ -92,6 +92,31 @@ class Series:
         return self.topic
 
 
+@dataclass(frozen=True)
+class Provenance:
+    """Where the samples of a line of sight come from.
+
+    Attributes
+    ----------
+    path : of the file, or a name
+    kind : ``bag``, ``CSV``, ``arrays`` ...
+    label : name of the samples there: a topic, or columns
+    schema : type of their messages; empty where there are none
+    parameters : what is known of the run
+    problems : defects, one sentence each
+    """
+
+    path: str | os.PathLike[str] = "series"
+    kind: str = "arrays"
+    label: str = "line of sight"
+    schema: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    problems: Sequence[str] = ()
+
+
+ARRAYS = Provenance()
+
+
 def scale_of(unit: str | None) -> float:
     """Radians per unit.
 
@@ -203,12 +228,7 @@ def make_series(
     unit: str | None,
     rate: float | None = None,
     published: IntArray | None = None,
-    path: str | os.PathLike[str] = "series",
-    schema: str = "",
-    parameters: Mapping[str, Any] = _NOTHING,
-    problems: Sequence[str] = (),
-    kind: str = "arrays",
-    label: str = "line of sight",
+    provenance: Provenance = ARRAYS,
 ) -> Series:
     """Line of sight from stamps and samples.
 
@@ -220,7 +240,7 @@ def make_series(
     rate : sampling rate [Hz] to whose grid the stamps are moved; by default that of the stamps, where they have one but
         for rounding (2 % of the period)
     published : (n,) [ns]; by default the stamps
-    path, schema, parameters, problems, kind, label : what is known of the samples
+    provenance : where the samples come from
 
     Raises
     ------
@@ -231,7 +251,7 @@ def make_series(
     if values.ndim != 2 or values.shape[1] not in (2, 3) or len(values) != len(stamps):
         raise ValueError(f"xy must have the shape ({len(stamps)}, 2), got {values.shape}")
     values, notes = _angles(values[:, :2] * scale_of(unit))
-    _check_wrap(values, label)
+    _check_wrap(values, provenance.label)
     timing: TimeGrid | None = None
     period: float | None = None
     if sampling_rate(rate) is not None:
@@ -244,10 +264,21 @@ def make_series(
         stamps, timing = regular(stamps)
         period = timing.period if timing is not None and timing.fits else None
     sent = (stamps if published is None else published).copy()
-    topic = make_topic(LOS, schema, "rad", ("x", "y"), stamps.copy(), values, sent, period)
-    about = {**parameters, "unit_of_the_samples": unit, "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0}
+    topic = make_topic(LOS, provenance.schema, "rad", ("x", "y"), stamps.copy(), values, sent, period)
+    about = {
+        **provenance.parameters,
+        "unit_of_the_samples": unit,
+        "sampling_rate_hz": 1 / topic.period if len(topic) > 1 else 0.0,
+    }
     about[SAMPLING] = str(timing) if timing is not None else f"{rate:g} Hz, given" if rate else "unknown"
-    return Series(topic, Path(path), MappingProxyType(about), (*problems, *notes), kind=kind, label=label)
+    return Series(
+        topic,
+        Path(provenance.path),
+        MappingProxyType(about),
+        (*provenance.problems, *notes),
+        kind=provenance.kind,
+        label=provenance.label,
+    )
 
 
 def _angles(values: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
@@ -298,4 +329,4 @@ def series(
     values = np.asarray(xy, dtype=float)
     if values.ndim != 2:
         raise ValueError(f"xy must have the shape (n, 2), got {values.shape}")
-    return make_series(stamps_of(t, len(values), rate), values, unit=unit, rate=rate, path=name)
+    return make_series(stamps_of(t, len(values), rate), values, unit=unit, rate=rate, provenance=Provenance(name))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -35,9 +35,9 @@ from pointing_analysis.report.exposure_figure import over_exposure
 from pointing_analysis.report.figures import Picture, RunView, windows_text
 from pointing_analysis.report.image_figures import ImageView, image_views
 from pointing_analysis.report.inline_svg import inline
-from pointing_analysis.report.loop_figures import LoopCurves, nyquist, sensitivity
+from pointing_analysis.report.loop_figures import nyquist, sensitivity
+from pointing_analysis.report.model_results import NO_MODEL, ModelResults
 from pointing_analysis.report.moving_tones import moving_pictures
-from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits, rows_of
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, exposure_of_run, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
@@ -49,8 +49,6 @@ from pointing_analysis.spectra.sidebands import FoundLine
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 #: topic -> largest value that its actuator can do, a name of `telescope_value`
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
-#: label of a run (`labels`) -> frequencies [rad/s] and LOS rms [rad] that the model expects of the recorded disturbance
-Model = Mapping[str, tuple[FloatArray, FloatArray]]
 
 
 def labels(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -130,15 +128,13 @@ class Drawn:
     Parameters
     ----------
     views : of all runs
-    model : what a model expects at the disturbance lines
     requirements : of all runs
-    loops : of each run its loop, broken at one place after the other; empty without any
+    model : what a model says of them
     """
 
     views: Sequence[RunView]
-    model: Model
     requirements: Sequence[Requirement] = ()
-    loops: Sequence[Sequence[LoopCurves]] = ()
+    model: ModelResults = NO_MODEL
 
     @property
     def names(self) -> list[str]:
@@ -177,29 +173,23 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     lambda d: figures.density(d.views) if d.has_spectrum else None,
     lambda d: cumulative(d.views) if d.has_spectrum else None,
     lambda d: moving_pictures(d.views, d.requirements),
-    lambda d: figures.by_line(d.views, d.model),
+    lambda d: figures.by_line(d.views, d.model.lines),
     lambda d: distributions(d.views, d.requirements),
     lambda d: over_exposure(d.views, d.requirements),
     lambda d: figures.commands(d.views, _authority([v.run for v in d.views])),
-    lambda d: nyquist(d.names, d.loops),
-    lambda d: sensitivity(d.names, d.loops),
+    lambda d: nyquist(d.names, d.model.loops),
+    lambda d: sensitivity(d.names, d.model.loops),
     _intervals,
     _latency,
 )
 """Pictures of the page in reading order; None where the runs have nothing to show in one."""
 
 
-def pictures(
-    views: Sequence[RunView],
-    requirements: Sequence[Requirement],
-    model: Model | None = None,
-    loops: Sequence[Sequence[LoopCurves]] = (),
-) -> list[Picture]:
+def pictures(shown: Drawn) -> list[Picture]:
     """All pictures of the page, in reading order."""
-    drawn = Drawn(views, model or {}, requirements, loops)
     made: list[Picture] = []
     for draw in PICTURES:
-        found = draw(drawn)
+        found = draw(shown)
         several = [found] if found is None or isinstance(found, Picture) else found
         made += [p for p in several if p is not None]
     return made
@@ -240,12 +230,9 @@ def render(
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
-    model: Model | None = None,
-    predictions: Sequence[Prediction | None] = (),
+    model: ModelResults = NO_MODEL,
     remarks: Sequence[Sequence[str]] = (),
-    sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
-    loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> str:
     """The report as HTML text.
 
@@ -254,30 +241,26 @@ def render(
     runs : one or several opened bags, for instance the four loop stages
     transient : seconds to drop at the start of each
     requirements : by default of each run those that it holds
-    model : what a model expects at the disturbance lines, drawn beside the measured lines of several runs
-    predictions : for each run what a model predicts of its tones, or None; by default none at all
+    model : what a model of the telescope says of the runs, beside what was measured; by default nothing
     remarks : for each run sentences to print beside its verdict; by default none at all
-    sources : for each run its sources of disturbance with their own errors; by default none at all
     summaries : for each run what `summarise` made of it with the same arguments; by default made here
-    loops : for each run its loop as a model has it, for Nyquist curves and sensitivity; by default none at all
 
     Raises
     ------
     BagError
         A run has no truth topic or only transient.
     ValueError
-        No run was given, or predictions for another number of runs.
+        No run was given, or results of a model for another number of runs.
     """
     if not runs:
         raise ValueError("runs must hold at least one run, got none")
-    if predictions and len(predictions) != len(runs):
-        raise ValueError(f"predictions must be one for each of the {len(runs)} runs, got {len(predictions)}")
+    model.check(len(runs))
     if remarks and len(remarks) != len(runs):
         raise ValueError(f"remarks must be one list for each of the {len(runs)} runs, got {len(remarks)}")
     names = labels(runs)
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]
-    drawn = pictures(views, [v.requirement for s in summaries for v in s.verdicts], model, loops)
+    drawn = pictures(Drawn(views, [v.requirement for s in summaries for v in s.verdicts], model))
     rows = _rows(names, summaries)
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -302,8 +285,8 @@ def render(
             for p in drawn
         ],
         sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
-        sources=[(n, [one.shown for one in found]) for n, found in zip(names, sources) if found],
-        predictions=[_prediction(n, p) for n, p in zip(names, predictions) if p is not None],
+        sources=[(n, [one.shown for one in found]) for n, found in zip(names, model.sources) if found],
+        predictions=[_prediction(n, p) for n, p in zip(names, model.predictions) if p is not None],
         false_lines=f"{FALSE_LINES:g}",
         no_spectrum=[v.label for v in views if v.spectrum is None],
         untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
@@ -352,18 +335,15 @@ def write_report(
     *,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
-    model: Model | None = None,
-    predictions: Sequence[Prediction | None] = (),
+    model: ModelResults = NO_MODEL,
     remarks: Sequence[Sequence[str]] = (),
-    sources: Sequence[Sequence[SourceShare]] = (),
     summaries: Sequence[Summary] = (),
-    loops: Sequence[Sequence[LoopCurves]] = (),
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, predictions, remarks, sources, summaries, loops : see `render`
+    runs, transient, requirements, model, remarks, summaries : see `render`
     path : HTML file to write; an existing one is replaced
 
     Returns
@@ -373,15 +353,7 @@ def write_report(
     target = Path(path)
     check_output(target, "the report")
     page = render(
-        runs,
-        transient=transient,
-        requirements=requirements,
-        model=model,
-        predictions=predictions,
-        remarks=remarks,
-        sources=sources,
-        summaries=summaries,
-        loops=loops,
+        runs, transient=transient, requirements=requirements, model=model, remarks=remarks, summaries=summaries
     )
     write_text(target, page)
     return target

@@ -29,6 +29,7 @@ FOLDERS = {
 }
 MODULES = sorted((package, path) for package, folder in FOLDERS.items() for path in files_of(folder))
 FUNCTION = 60
+PARAMETERS = 8
 
 
 def tree(path: Path) -> ast.Module:
@@ -47,6 +48,13 @@ def lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """Lines from the first statement behind the docstring to the last."""
     body = function.body[1:] if ast.get_docstring(function) is not None else function.body
     return int(body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[str]:
+    """Names of a function's parameters but the object or class of a method."""
+    of = function.args
+    found = [*of.posonlyargs, *of.args, *of.kwonlyargs, *(rest for rest in (of.vararg, of.kwarg) if rest is not None)]
+    return [one.arg for one in found if one.arg not in ("self", "cls")]
 
 
 def test_modules_have_telling_names() -> None:
@@ -92,6 +100,19 @@ def test_functions_are_short() -> None:
         if lines_of_code(function) >= FUNCTION
     ]
     assert long == []
+
+
+def test_functions_have_few_parameters() -> None:
+    """But the commands, which have one for each of their options."""
+    commands = FOLDERS["los_testbed"] / "cli"
+    many = [
+        f"{identifier(case)}: {function.name} has {len(parameters(function))} parameters"
+        for case in MODULES
+        if commands not in case[1].parents
+        for function in functions(case[1])
+        if len(parameters(function)) > PARAMETERS
+    ]
+    assert many == []
 
 
 def test_every_package_is_in_one_distribution() -> None:

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs import ProofError, check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_level, write_loop_proof
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.files import read_loop_proof
@@ -98,9 +98,9 @@ def originals(folder: Path) -> list[Path]:
     both = tuple(prove_level(two, box, (0.0, NYQUIST), level=TWO).strips)
     NoiseProof(two, names, box, (NoisePart((0, 1), (0.0, NYQUIST), TWO, both),)).to_file(files[1])
     for file, method in ((files[2], "axis"), (files[3], "cells")):
-        proof: Any = worst_case_gain(system, method=method).proof
+        proof: Any = worst_case_gain(system, options=BoundOptions(method=method)).proof
         proof.to_file(file)
-    proven: Any = robust_stability(system, largest=1.0, method="cells").proof
+    proven: Any = robust_stability(system, largest=1.0, options=BoundOptions(method="cells")).proof
     proven.to_file(files[4])
     for file in files:
         check_proof(file)

@@ -19,6 +19,7 @@ from simple_telescope import SimpleTelescope, write_controllers
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.run import Run
+from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import render
 from titop_plant.interface import COMMANDS
 
@@ -113,7 +114,10 @@ def test_it_is_the_controllers_in_the_bag_that_are_modelled(quiet, tmp_path) -> 
 
 def test_the_same_bag_gives_the_same_page(quiet, tmp_path) -> None:
     moved = shutil.copytree(quiet, tmp_path / "elsewhere" / quiet.name)
-    pages = [render([run], predictions=predictions([run])) for run in map(Run.open, (quiet, quiet, moved))]
+    pages = [
+        render([run], model=ModelResults(predictions=predictions([run])))
+        for run in map(Run.open, (quiet, quiet, moved))
+    ]
     assert pages[0] == pages[1] == pages[2]
     assert TITLE in pages[0]
 
@@ -138,7 +142,7 @@ def test_there_is_no_table_where_there_is_nothing_to_predict(quiet, tmp_path) ->
     for bag in bags:
         run = Run.open(bag)
         assert predictions([run]) == [None]
-        assert TITLE not in render([run], predictions=predictions([run]))
+        assert TITLE not in render([run], model=ModelResults(predictions=predictions([run])))
 
 
 class LateCommands:
@@ -215,7 +219,7 @@ def test_a_rig_that_is_not_predicted_has_the_reason_in_its_report(late, tmp_path
 def test_what_cannot_be_modelled_says_why(quiet, tmp_path, change, words) -> None:
     run = Run.open(rewritten(Run.open(quiet), tmp_path / "bag", **change))
     (found,) = predictions([run])
-    page = render([run], predictions=[found])
+    page = render([run], model=ModelResults(predictions=[found]))
     assert not found.tones and found.note
     assert "no prediction: " in page
     assert str(tmp_path) not in page

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.indices.synthetic import McapStorage, write_bag
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 
@@ -35,7 +35,7 @@ def files(tmp_path_factory) -> Files:
         "plain": {"compression": "none"},
         "unchunked": {"chunks": False},
     }.items():
-        bag = write_bag(folder / name, signals, chunk_size=5000, parameters={"seed": 1}, **options)
+        bag = write_bag(folder / name, signals, parameters={"seed": 1}, storage=McapStorage(chunk_size=5000, **options))
         file = bag / f"{name}_0.mcap"
         found[name] = (file, file.read_bytes())
     return found

@@ -5,13 +5,15 @@ Loops with dynamics that are not modelled have their own file, the two-mass benc
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lftkit import System, dynamic, h2_norm, hinf_norm, real, s, z
-from lftkit.proofs import check_proof, robust_performance, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, check_proof, robust_performance, robust_stability, worst_case_gain
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 
 
 def third_order_on_samples() -> System:
@@ -58,7 +60,7 @@ def test_the_variance_of_a_discrete_system() -> None:
 def test_a_margin_that_is_discontinuous_over_frequency() -> None:
     """Getting reliable estimates of robustness margins: 1 at 1 rad/s, which a grid of frequencies misses."""
     c = real("c", 1, percent=100)
-    margin = robust_stability((1 / (s**2 + c * s + 1)).system("force", "position"), gap=0.01, wall_limit=LONG)
+    margin = robust_stability((1 / (s**2 + c * s + 1)).system("force", "position"), options=replace(LONG, gap=0.01))
     assert margin.status == "closed" and margin.lower <= 1.0
     assert margin.upper == pytest.approx(1.0, abs=1e-6) and margin.frequency == pytest.approx(1.0, abs=1e-6)
     assert margin.lower > 0.99 and check_proof(margin.proof).stable
@@ -74,9 +76,9 @@ def sensitivity(factor: float) -> System:
 @pytest.mark.slow
 def test_the_level_of_a_sensitivity_is_between_the_printed_margins() -> None:
     """Page of robgain: the peak gain stays below 1.5 up to a factor between 0.7821 and 0.7837, at 7.8566 rad/s."""
-    below = worst_case_gain(sensitivity(0.7821), gap=0.001, wall_limit=LONG)
+    below = worst_case_gain(sensitivity(0.7821), options=replace(LONG, gap=0.001))
     assert below.upper < 1.5 and check_proof(below.proof).level == below.upper
-    above = worst_case_gain(sensitivity(0.7837), gap=0.001, wall_limit=LONG)
+    above = worst_case_gain(sensitivity(0.7837), options=replace(LONG, gap=0.001))
     assert above.lower >= 1.5 and above.frequency == pytest.approx(7.8566, rel=0.03)
     member = sensitivity(0.7837).at(above.point)
     assert hinf_norm(*member.matrices).value >= 1.5
@@ -85,7 +87,7 @@ def test_the_level_of_a_sensitivity_is_between_the_printed_margins() -> None:
 @pytest.mark.slow
 def test_the_printed_margin_of_a_level_is_found() -> None:
     """The same page by one call."""
-    margin = robust_performance(sensitivity(1.0), level=1.5, gap=0.02, wall_limit=LONG)
+    margin = robust_performance(sensitivity(1.0), level=1.5, options=replace(LONG, gap=0.02))
     assert margin.status == "closed" and margin.upper == pytest.approx(0.7837, abs=1e-4)
     assert margin.frequency == pytest.approx(7.8566, rel=0.03)
     assert margin.lower >= margin.upper / 1.02 and check_proof(margin.proof).level == 1.5

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes, de_gaston_safonov, tangent_crossing, two_mass_benchmark
 
-from lftkit.proofs import check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.barrier import FULL, REAL, BarrierBlock, find_scalings
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 """Wall limit [s] that no machine reaches; the number of cells ends a computation."""
 
 SLICOT_AB13MD = np.array(
@@ -43,7 +44,7 @@ def test_the_example_of_slicot_ab13md() -> None:
 
 
 def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
-    bounds = robust_stability(de_gaston_safonov(), wall_limit=LONG)
+    bounds = robust_stability(de_gaston_safonov(), options=LONG)
     assert bounds.status == "closed"
     assert bounds.lower < 3.41740 and bounds.upper == pytest.approx(3.41740, abs=1e-5)
     assert bounds.upper <= 1.05 * bounds.lower
@@ -52,7 +53,7 @@ def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
 
 @pytest.mark.slow
 def test_the_margin_of_the_two_mass_benchmark() -> None:
-    bounds = robust_stability(two_mass_benchmark(), wall_limit=LONG)
+    bounds = robust_stability(two_mass_benchmark(), options=LONG)
     assert bounds.status == "closed" and bounds.lower < 2.8826
     assert bounds.upper == pytest.approx(2.8864, abs=1e-4) and bounds.upper <= 1.05 * bounds.lower
     assert bounds.frequency == pytest.approx(575.0339, abs=0.01)
@@ -65,7 +66,7 @@ def test_the_margin_of_the_two_mass_benchmark() -> None:
 def test_the_stiffness_margin_of_the_two_mass_benchmark() -> None:
     """With the spring alone the characteristic polynomial is affine in k: its roots give the crossing."""
     system = two_mass_benchmark(masses=False)
-    bounds = robust_stability(system, wall_limit=LONG)
+    bounds = robust_stability(system, options=LONG)
     lead = 100.0 * np.poly1d([1.0, 1.0]) ** 3
     lag = np.poly1d([1e-3, 1.0]) ** 3
     fixed, by_k = np.poly1d([1.0, 0, 0, 0, 0]) * lag, np.poly1d([2.0, 0, 0]) * lag + lead
@@ -92,7 +93,7 @@ def _imaginary_roots(fixed: np.poly1d, by_k: np.poly1d) -> list[float]:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_aligned_modes_have_the_worst_gain_of_their_construction(count: int) -> None:
     """Stiffnesses that can bring all modes to one frequency: the gain there is count / (2 damping)."""
-    bounds = worst_case_gain(aligned_modes(count, damping=0.02), wall_limit=LONG)
+    bounds = worst_case_gain(aligned_modes(count, damping=0.02), options=LONG)
     truth = count / 0.04
     assert bounds.lower <= truth * (1 + 1e-9) and truth <= bounds.upper <= 1.05 * bounds.lower
     assert bounds.proof is not None and check_proof(bounds.proof.content).level == bounds.upper
@@ -100,7 +101,7 @@ def test_aligned_modes_have_the_worst_gain_of_their_construction(count: int) -> 
 
 def test_bounds_stay_apart_where_the_margin_is_discontinuous() -> None:
     """Damping (delta - 1)^2 + excess: the margin is 1 without excess and has no limit with any."""
-    touching = robust_stability(tangent_crossing(0.0), largest=2.0, wall_limit=LONG, max_tests=40)
+    touching = robust_stability(tangent_crossing(0.0), largest=2.0, options=replace(LONG, max_tests=40))
     assert 0.5 < touching.lower <= 1.0 <= touching.upper
-    free = robust_stability(tangent_crossing(0.1), largest=2.0, wall_limit=LONG)
+    free = robust_stability(tangent_crossing(0.1), largest=2.0, options=LONG)
     assert free.lower == 2.0 and free.upper == np.inf and free.status == "closed"

@@ -50,7 +50,6 @@ def read_nastran(
     parent: tuple[str, int],
     ports: Mapping[str, int],
     damping: float | ArrayLike = 0.005,
-    n_modes: int | None = None,
     subcase: int | None = None,
     mass_matrix: ArrayLike | None = None,
 ) -> ModalData:
@@ -68,8 +67,6 @@ def read_nastran(
         Names and grid points of the child ports.
     damping : float or array_like, shape (n,)
         Damping ratios.
-    n_modes : int, optional
-        Number of modes to keep. Default: all in the file.
     subcase : int, optional
         Needed if the OP2 holds eigenvectors of several subcases.
     mass_matrix : array_like, shape (6, 6), optional
@@ -78,7 +75,8 @@ def read_nastran(
     Returns
     -------
     ModalData
-        In the basic coordinate system of the model, in SI units.
+        In the basic coordinate system of the model, in SI units, with all modes of the file;
+        :meth:`ModalData.truncate` keeps the first ones.
 
     Raises
     ------
@@ -121,7 +119,6 @@ def read_nastran(
             ChildPort(port, length * positions[port], (shapes[port] / mass / _by_axis(1.0, length)).T) for port in ports
         ),
     )
-    data = data if n_modes is None else data.truncate(n_modes)
     check_residual_mass(data, SINGLE_PRECISION)
     return data
 

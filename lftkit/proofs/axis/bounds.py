@@ -19,7 +19,8 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
-from lftkit.proofs.sampled_loop.bounds import prove_level
+from lftkit.proofs.options import BoundOptions
+from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_level, named_member, smallest_unstable
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
@@ -119,11 +120,12 @@ class _Axis:
     def prove(self, level: float, until: float, seed: int) -> bool:
         """Prove the pieces that are left; True if none is left now."""
         waiting, self.pieces = self.pieces, []
+        options = BisectionOptions(PART, seed=seed)
         for number, (beyond, box, band) in enumerate(waiting):
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_level(self._model(beyond), box, band, level, until=until, seed=seed, part=PART)
+            found = prove_level(self._model(beyond), box, band, level, until=until, options=options)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
@@ -173,9 +175,7 @@ def gain_over_axis(
     box: list[Interval],
     band: Interval,
     level: float | None,
-    gap: float,
-    wall_limit: float,
-    seed: int,
+    options: BoundOptions,
 ) -> tuple[ProvenBounds, Member]:
     """Worst-case gain of a system with sorted channels, and the worst member found.
 
@@ -186,7 +186,7 @@ def gain_over_axis(
     ValueError
         The nominal member is not in the box, is not stable, or its poles can't be separated; no uncertain element.
     """
-    start = time.monotonic()
+    start, gap, wall_limit, seed = time.monotonic(), options.gap, options.wall_limit, options.seed
     disks = disks_of(system)
     worst = DiskSearch(system, box, band, seed).worst_member() if disks else worst_member(system, box, band, seed=seed)
     axis = _Axis.of(system, "gain", box, band) if np.isfinite(worst.gain) else None
@@ -236,10 +236,9 @@ def _improved(system: System, box: list[Interval], band: Interval, seed: int, me
     return member if member.gain > worst.gain else worst
 
 
-def stability_over_axis(
-    system: System, box: list[Interval], largest: float, gap: float, until: float, seed: int
-) -> ProvenBounds:
-    """Factor of the box that stays stable; system, box and errors as for :func:`gain_over_axis`."""
+def stability_over_axis(system: System, box: list[Interval], largest: float, options: BoundOptions) -> ProvenBounds:
+    """Factor of the box that stays stable, up to `largest`; system, box and errors as for :func:`gain_over_axis`."""
+    until, gap, seed = time.monotonic() + options.wall_limit, options.gap, options.seed
     nominal = np.array([p.nominal for p in system.parameters])
     first = member_gain(system, nominal, WHOLE, gain=False)
     if np.isinf(first.gain):

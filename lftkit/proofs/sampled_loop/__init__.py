@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.proofs.sampled_loop.bounds import LoopBounds, prove_level
+    from lftkit.proofs.sampled_loop.bounds import BisectionOptions, LoopBounds, prove_level
     from lftkit.proofs.sampled_loop.build import box_of, loop_model
     from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.trusted.given import LoopProof
 
 __all__ = [
+    "BisectionOptions",
     "CheckedLoop",
     "LoopBounds",
     "LoopModel",
@@ -28,7 +29,7 @@ __all__ = [
 __getattr__ = names_on_demand(
     __name__,
     {
-        "bounds": ("LoopBounds", "prove_level"),
+        "bounds": ("BisectionOptions", "LoopBounds", "prove_level"),
         "build": ("box_of", "loop_model"),
         "files": ("read_loop_proof", "write_loop_proof"),
         "model": ("LoopModel",),

@@ -37,8 +37,6 @@ FOLLOWING = 8
 """The same from the scalings of the frequency before."""
 BISECTIONS = 5
 """Most bisections of a step in the check of a prover."""
-PART = 0.01
-"""Part of the band, relative to its frequency, for which a box is bisected by default."""
 SLOW = 0.1
 """Part of the plant's slowest pole below which scalings are D alone and the whole band is bisected at once."""
 LOWEST = 1e-3
@@ -51,12 +49,39 @@ AIMS = (1.0, 0.1, 0.01)
 """Parts of the level for which scalings are centred, one after the other. Where the gain is far below the level, the
 centre for the level itself is so far out that the inequality is lost in rounding; one for less proves the level too.
 """
-DEEPEST = 14
-"""Most bisections of the box."""
-SAMPLES = 64
-"""Members that are looked at where a box is bisected."""
-ROOTS = 8
-"""Bisections after which the parameters' gains are measured anew, in the box that is left."""
+SLOW_DEEPEST = 14
+"""Most bisections of the box there."""
+
+
+@dataclass(frozen=True)
+class BisectionOptions:
+    """Bisection of a box where scalings do not prove a level.
+
+    Parameters
+    ----------
+    part : float
+        Part of the band, relative to its frequency, for which the box is bisected.
+    deepest : int
+        Most bisections of the box, but for frequencies near zero; what is left then is not covered.
+    samples : int
+        Members that are looked at where the box is bisected.
+    seed : int
+        Of these members.
+    renewed : int
+        Bisections after which the parameters' gains are measured anew, in the box that is left.
+    """
+
+    part: float = 0.01
+    deepest: int = 14
+    samples: int = 64
+    seed: int = 0
+    renewed: int = 8
+
+    def __post_init__(self) -> None:
+        if not self.part > 0.0:
+            raise ValueError(f"part must be positive, got {self.part}")
+        if self.deepest < 0 or self.samples < 1:
+            raise ValueError(f"deepest must be at least 0 and samples 1, got {self.deepest} and {self.samples}")
 
 
 @dataclass
@@ -98,10 +123,8 @@ def prove_level(
     level: float,
     *,
     until: float = math.inf,
-    seed: int = 0,
     known: Sequence[Strip] = (),
-    part: float = PART,
-    deepest: int = DEEPEST,
+    options: BisectionOptions | None = None,
 ) -> LoopBounds:
     """Prove that the gain over the limit is below `level` for all members of a box and all frequencies of a band.
 
@@ -115,14 +138,9 @@ def prove_level(
     level : float
     until : float
         ``time.monotonic()`` after which it stops; what is left is in `uncovered`.
-    seed : int
-        Of the members that are looked at.
     known : sequence of Strip
         Of a proof for another level that covers this box and band: what also holds for this level is kept.
-    part : float
-        Part of the band, relative to its frequency, for which a box is bisected.
-    deepest : int
-        Most bisections of the box, but for frequencies near zero; what is left then is `uncovered`.
+    options : BisectionOptions, optional
 
     Raises
     ------
@@ -130,19 +148,9 @@ def prove_level(
         The box does not contain zero, the nominal member: a proof of it would be refused.
     """
     require_box(box)
-    start = time.process_time()
-    slow = SLOW * model.slowest
-    state = _State(
-        model,
-        level,
-        until,
-        np.random.default_rng(seed),
-        LoopBounds(),
-        slow,
-        part,
-        Branching(model, level, until),
-        deepest,
-    )
+    start, options = time.process_time(), options or BisectionOptions()
+    slow, rng = SLOW * model.slowest, np.random.default_rng(options.seed)
+    state = _State(model, level, until, options, rng, LoopBounds(), slow, Branching(model, level, until))
     with one_thread():
         if known:
             for strip in known:
@@ -158,12 +166,11 @@ class _State:
     model: Responses
     level: float
     until: float
+    options: BisectionOptions
     rng: np.random.Generator
     found: LoopBounds
     slow: float
-    part: float
     branching: Branching
-    deepest: int
 
     @property
     def lowest(self) -> float:
@@ -188,7 +195,7 @@ class _State:
             axis = int(np.argmax(losses))
         if reached >= high:
             return
-        if depth == DEEPEST or self.model.kinds[axis] != REAL:
+        if depth == SLOW_DEEPEST or self.model.kinds[axis] != REAL:
             self.found.uncovered.append((box, (reached, high)))
             return
         if not wide:
@@ -217,7 +224,7 @@ class _State:
 
     def prove(self, box: Box, low: float, high: float, depth: int, root: Box | None = None) -> None:
         """Prove a box, a part of `root`, from `low` to `high`; what can't be proven goes to `uncovered`."""
-        root = box if root is None or depth == ROOTS else root
+        root = box if root is None or depth == self.options.renewed else root
         at = low
         if at < self.slow:
             at = min(high, self.slow)
@@ -231,8 +238,8 @@ class _State:
                     break
             if reached >= high:
                 return
-            end = min(high, reached * (1.0 + self.part))
-            axis = self.branching.axis(box, root, reached, losses) if depth < self.deepest else None
+            end = min(high, reached * (1.0 + self.options.part))
+            axis = self.branching.axis(box, root, reached, losses) if depth < self.options.deepest else None
             if axis is None:
                 self.found.uncovered.append((box, (reached, end)))
             else:
@@ -302,8 +309,9 @@ class _State:
             return
         omega = float(self.rng.uniform(max(low, self.lowest), high))
         ends = np.array(box)
-        points = self.rng.uniform(size=(SAMPLES, len(box)))
-        points[: SAMPLES // 2] = np.round(points[: SAMPLES // 2])
+        samples = self.options.samples
+        points = self.rng.uniform(size=(samples, len(box)))
+        points[: samples // 2] = np.round(points[: samples // 2])
         members = ends[:, 0] + points * (ends[:, 1] - ends[:, 0])
         gains = member_gains(self.model, omega, members)
         best = int(np.argmax(gains))

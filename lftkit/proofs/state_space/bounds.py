@@ -18,6 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
 from lftkit.proofs.state_space.checker import Inequality, frequencies
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
@@ -83,10 +84,10 @@ class ProvenBounds:
     uncovered: tuple[Cell, ...] = ()
 
 
-def checked_band(band: tuple[float, float], level: float | None, gap: float, wall_limit: float) -> None:
-    """Refuse a band, a level, a gap or a wall limit that makes no sense with a ValueError."""
-    if not gap > 0.0 or not wall_limit > 0.0 or (level is not None and not level > 0.0):
-        raise ValueError(f"gap, wall_limit and level must be positive, got {gap}, {wall_limit} and {level}")
+def checked_band(band: tuple[float, float], level: float | None) -> None:
+    """Refuse a band or a level that makes no sense with a ValueError."""
+    if level is not None and not level > 0.0:
+        raise ValueError(f"level must be positive, got {level}")
     if not 0.0 <= band[0] < band[1]:
         raise ValueError(f"band must be two frequencies with 0 <= lower < upper, got {band}")
 
@@ -218,18 +219,14 @@ class GainByCells:
     box: list[tuple[float, float]]
     band: tuple[float, float]
     level: float | None
-    gap: float
-    wall_limit: float
-    max_tests: int
-    seed: int
-    progress: bool
+    options: BoundOptions
 
     def __post_init__(self) -> None:
         self.axis, self.over = over_axis(self.system), band_over_axis(self.band, self.system.dt)
 
     def run(self) -> ProvenBounds:
         """The bounds, with the proof of the upper one."""
-        start = time.monotonic()
+        start, wall_limit, max_tests = time.monotonic(), self.options.wall_limit, self.options.max_tests
         self.worst = self.searched()
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
@@ -237,21 +234,21 @@ class GainByCells:
             return self._bounds(np.inf, None, "violated")
         claim = statement(self.system, "gain", self.box, 1.0, self.over)
         cover = _Cover.of(self.system, claim, Cell(tuple(self.box), self.over))
-        with Progress("worst-case gain", self.progress) as bar:
-            closed = cover.run(self._target, self._failed, start + 0.8 * self.wall_limit, self.max_tests, bar)
+        with Progress("worst-case gain", self.options.progress) as bar:
+            closed = cover.run(self._target, self._failed, start + 0.8 * wall_limit, max_tests, bar)
         if np.isinf(self.worst.gain):
             return self._bounds(np.inf, None, "unstable")
         if self._violated():
             return self._bounds(np.inf, None, "violated")
         upper = self._target()
         if not closed:
-            upper = cover.leftover(upper, start + self.wall_limit)
+            upper = cover.leftover(upper, start + wall_limit)
         if np.isinf(upper):
             return self._bounds(np.inf, None, "out_of_time", tuple(cell for *_, cell in cover.open))
         point = np.array([0.5 * (low + high) for low, high in self.box])
         whole = self.over == WHOLE
         stable = stable_member(self.system, claim, point) if whole else None
-        posed = _posed(self.system, claim, self.box, start + self.wall_limit, self.max_tests)
+        posed = _posed(self.system, claim, self.box, start + wall_limit, max_tests)
         if posed is None or (whole and stable is None):
             return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.over),))
         proof = finished({**claim, "level": upper}, cover.proven, stable, posed)
@@ -259,7 +256,7 @@ class GainByCells:
 
     def searched(self) -> Member:
         """The worst member that a search of the box finds before cells are proven."""
-        return worst_member(self.axis, self.box, self.over, seed=self.seed)
+        return worst_member(self.axis, self.box, self.over, seed=self.options.seed)
 
     def _at_middle(self, cell: Cell) -> Member:
         """A member of a cell, or one that it leads to."""
@@ -270,7 +267,7 @@ class GainByCells:
         """Level to be proven: that given, or a part of the gap above the largest gain found."""
         if self.level is not None:
             return self.level
-        return max((1.0 + SHARE * self.gap) * self.worst.gain, least_level(self.system))
+        return max((1.0 + SHARE * self.options.gap) * self.worst.gain, least_level(self.system))
 
     def _violated(self) -> bool:
         return self.level is not None and self.worst.gain >= self.level
@@ -292,7 +289,7 @@ class DiskGainByCells(GainByCells):
 
     def searched(self) -> Member:
         """The worst member that a search finds, values of complex and dynamic elements included."""
-        self._search = DiskSearch(self.axis, self.box, self.over, self.seed)
+        self._search = DiskSearch(self.axis, self.box, self.over, self.options.seed)
         return self._search.worst_member()
 
     def _at_middle(self, cell: Cell) -> Member:
@@ -301,16 +298,9 @@ class DiskGainByCells(GainByCells):
 
 
 def stability_by_cells(
-    system: System,
-    box: list[tuple[float, float]],
-    largest: float,
-    gap: float,
-    until: float,
-    max_tests: int,
-    seed: int,
-    progress: bool,
+    system: System, box: list[tuple[float, float]], largest: float, options: BoundOptions
 ) -> ProvenBounds:
-    """Factor of the box that stays stable, of a system with sorted channels; ``time.monotonic()`` ends it.
+    """Factor of the box that stays stable, up to `largest`, of a system with sorted channels.
 
     Raises
     ------
@@ -318,15 +308,16 @@ def stability_by_cells(
         A box without the nominal values.
     """
     require_nominal(system, box)
+    until, gap, max_tests = time.monotonic() + options.wall_limit, options.gap, options.max_tests
     nominal, axis = np.array([p.nominal for p in system.parameters]), over_axis(system)
     first = reached(system, member_gain(axis, nominal, WHOLE, gain=False))
     if np.isinf(first.gain):
         return ProvenBounds(0.0, 0.0, named_member(system, first), first.frequency, None, "unstable")
-    factor, worst = smallest_unstable(axis, box, largest, seed)
+    factor, worst = smallest_unstable(axis, box, largest, options.seed)
     target = factor / (1.0 + SHARE * gap) if np.isfinite(factor) else largest
     proof, lower = None, 0.0
     left: tuple[Cell, ...] = ()
-    with Progress("robust stability", progress) as bar:
+    with Progress("robust stability", options.progress) as bar:
         for _ in range(ATTEMPTS):
             if time.monotonic() > until:
                 break

@@ -45,20 +45,7 @@ class ExactValue:
         for model in problem.models:
             for r in problem.given:
                 assert isinstance(r, HinfGain)
-                self._plants.append(
-                    extended_plant(
-                        model,
-                        measured,
-                        commanded,
-                        problem.structure.order,
-                        inputs=r.inputs,
-                        outputs=r.outputs,
-                        weight_in=r.weight_in,
-                        weight_out=r.weight_out,
-                        scale=1.0 / r.bound,
-                    )
-                )
-
+                self._plants.append(extended_plant(model, measured, commanded, problem.structure.order, r))
         self._peaks: list[FloatArray] = [np.zeros(0) for _ in self._plants]
 
     @staticmethod

@@ -19,6 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
+from lftkit.tuning.requirements import H2Gain, HinfGain
 
 
 @dataclass(frozen=True)
@@ -96,19 +97,18 @@ def extended_plant(
     measurements: tuple[str, ...],
     commands: tuple[str, ...],
     controller_order: int,
+    asked: HinfGain | H2Gain | None = None,
     *,
-    inputs: tuple[str, ...] = (),
-    outputs: tuple[str, ...] = (),
-    weight_in: System | None = None,
-    weight_out: System | None = None,
-    scale: float = 1.0,
     loop_delay: float = 0.0,
     pade_order: int = 6,
 ) -> ExtendedPlant:
-    """Extend `model`, with weights on the performance ports and a Padé delay on the commands.
+    """Extend `model`, with the ports, weights and bound of the gain that is asked for and a Padé delay on the commands.
 
-    **Sign: u = + K y.** `scale` multiplies the performance outputs.
+    **Sign: u = + K y.** Performance outputs are over the bound; without a gain there are none.
     """
+    inputs, outputs = (asked.inputs, asked.outputs) if asked else ((), ())
+    weight_in, weight_out = (asked.weight_in, asked.weight_out) if asked else (None, None)
+    scale = 1.0 / asked.bound if asked else 1.0
     cw, cu = model.input_indices(inputs), model.input_indices(commands)
     rz, ry = model.output_indices(outputs), model.output_indices(measurements)
     A, B, C, D = (

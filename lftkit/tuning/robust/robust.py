@@ -2,11 +2,11 @@
 
 What enters is, of every requirement, one model for each of its highest peaks.
 
-The wall limit is shared. A third of it is for the given starts in the first round, or for the first random one where
-none is given: what they get is the same with further starts as without. Another third is for all further starts. A
-later round tunes for at most half of the time that is left. What a share does not need, those after it have. The best
-two ends of the first round are searched for worse parameters, both are tuned on all that were found, and the better of
-them goes on.
+The wall limit is shared, by default as follows. A third of it is for the given starts in the first round, or for the
+first random one where none is given: what they get is the same with further starts as without. Another third is for
+all further starts. A later round tunes for at most half of the time that is left. What a share does not need, those
+after it have. The best two ends of the first round are searched for worse parameters, both are tuned on all that were
+found, and the better of them goes on.
 """
 
 from __future__ import annotations
@@ -45,10 +45,53 @@ from lftkit.tuning.tuner import (
     tune,
 )
 
-FIRST_SHARE = 1.0 / 3.0  # of the wall limit: of the given starts in the first round, and of all further ones
-ROUND_SHARE = 0.5  # of the time left that the tuning of a later round may take
-LEAST_SHARE = 1.0  # [s]
-CARRIED, SAME = 2, 1e-4  # ends of the first round that go on; relative difference below which two are one
+LEAST_SHARE = 1.0  # [s], of the wall limit, for any tuning
+SAME = 1e-4  # relative difference below which two ends of the first round are one
+
+
+@dataclass(frozen=True)
+class RobustOptions:
+    """Limits of a robust design.
+
+    Parameters
+    ----------
+    tuning : TuningOptions
+        The first round uses all starts, later rounds go on from the best points of the first, then from the best one.
+        `wall_limit` is for the whole, and shared: a start that its share ends goes on in the next round, and the
+        result depends on the clock then. A start that fails is left.
+        Soft worst cases up to `met` do not count: a target below it leaves a distance for the parameters between the
+        models. A tuning whose certificate is at most that on all models is ``converged``.
+    search : WorstCaseOptions
+        Of the search for worse parameters after each round.
+    slack : float
+        A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
+    max_rounds : int
+    first_share : float
+        Part of the wall limit for the given starts in the first round, and for all further ones.
+    round_share : float
+        Part of the time left that the tuning of a later round may take.
+    carried : int
+        Most ends of the first round that are searched for worse parameters, and go on.
+    """
+
+    tuning: TuningOptions = field(default_factory=TuningOptions)
+    search: WorstCaseOptions = field(default_factory=WorstCaseOptions)
+    slack: float = 0.01
+    max_rounds: int = 12
+    first_share: float = 1.0 / 3.0
+    round_share: float = 0.5
+    carried: int = 2
+
+    def __post_init__(self) -> None:
+        if not self.slack >= 0.0:
+            raise ValueError(f"slack must be zero or positive, got {self.slack}")
+        if self.max_rounds < 1 or self.carried < 1:
+            raise ValueError(f"expected max_rounds >= 1 and carried >= 1, got {self.max_rounds} and {self.carried}")
+        if not (0.0 < self.first_share <= 1.0 and 0.0 < self.round_share <= 1.0):
+            raise ValueError(
+                f"first_share and round_share must be above 0 and at most 1, got {self.first_share} and "
+                f"{self.round_share}"
+            )
 
 
 def tune_robust(
@@ -57,15 +100,10 @@ def tune_robust(
     requirements: Sequence[Requirement | Goal],
     structure: Structure,
     *,
-    nominal: Mapping[str, float] | None = None,
     active: Sequence[Mapping[str, float]] = (),
     initial: Sequence[ArrayLike] = (),
     loop_delay: float = 0.0,
-    slack: float = 0.01,
-    met: float = -np.inf,
-    max_rounds: int = 12,
-    options: TuningOptions | None = None,
-    search: WorstCaseOptions | None = None,
+    options: RobustOptions | None = None,
 ) -> TuningResult:
     """Tune `structure` so that the requirements hold for all parameters in `box`.
 
@@ -76,38 +114,33 @@ def tune_robust(
     box : mapping of str to (lowest, highest)
     requirements, structure, initial, loop_delay
         As in :func:`lftkit.tuning.tune`.
-    nominal : mapping, optional
-        First active parameters; the middle of the box otherwise.
     active : sequence of mapping
-        More parameters that are active from the beginning.
-    slack : float
-        A worst case counts only if it exceeds the tuned value, or the target, by more than this fraction.
-    met : float
-        Soft worst cases up to this value do not count: a target below it leaves a distance for the parameters
-        between the models. A tuning whose certificate is at most that on all models is ``converged``.
-    max_rounds : int
-    options : TuningOptions, optional
-        The first round uses all starts, later rounds go on from the best two points, then from the better one.
-        `wall_limit` is for the whole, and shared: a start that its share ends goes on in the next round, and the
-        result depends on the clock then. A start that fails is left.
-    search : WorstCaseOptions, optional
+        Parameters that are active from the beginning; the middle of the box where none is given. Goals take the ports
+        of the first of them.
+    options : RobustOptions, optional
 
     Returns
     -------
     TuningResult
         Values and certificate are those of the active models, evaluations and iterations those of all rounds, starts
         those of the first round.
+
+    Raises
+    ------
+    ValueError
+        Options of another class; as :func:`lftkit.tuning.tune`.
     """
-    options, search = options or TuningOptions(), search or WorstCaseOptions()
+    options = options or RobustOptions()
+    if not isinstance(options, RobustOptions):
+        raise ValueError(f"options must be RobustOptions, got {type(options).__name__}")
     start_time = time.monotonic()
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
-    chosen = [dict(nominal) if nominal is not None else middle, *(dict(a) for a in active)]
+    chosen = [dict(parameters) for parameters in active] or [middle]
     ready, needs = resolved_build(build, requirements, chosen[0])
     given = [start_checked(x, structure) for x in initial]
-    with one_thread(), Progress("robust design", options.progress) as progress:
-        common = (loop_delay, options, search, start_time, slack, met, chosen, given, progress)
-        design = _Design(ready, box, needs, structure, *common)
-        found = in_rounds(design, max_rounds, deadline=design.deadline)
+    with one_thread(), Progress("robust design", options.tuning.progress) as progress:
+        design = _Design(ready, box, needs, structure, loop_delay, options, start_time, chosen, given, progress)
+        found = in_rounds(design, options.max_rounds, deadline=design.deadline)
     advice = _advice(found.status, found.tuned, design.starts)
     return replace(
         found.tuned,
@@ -132,11 +165,8 @@ class _Design:
     requirements: tuple[Requirement, ...]
     structure: Structure
     loop_delay: float
-    options: TuningOptions
-    search: WorstCaseOptions
+    options: RobustOptions
     start_time: float
-    slack: float
-    met: float
     chosen: list[dict[str, float]]
     given: list[FloatArray]
     progress: Progress
@@ -151,21 +181,21 @@ class _Design:
     @property
     def deadline(self) -> float:
         """Of the whole."""
-        return self.start_time + self.options.wall_limit
+        return self.start_time + self.options.tuning.wall_limit
 
     @cached_property
     def problem(self) -> Problem:
         """With the models that are active."""
         models = [self.build(p).named(_label(p)) for p in self.chosen]
         problem = Problem(models, self.requirements, self.structure, loop_delay=self.loop_delay)
-        problem.limit = limits_from(self.options, start_sizes(problem, self.given, self.options.seed))
+        problem.limit = limits_from(self.options.tuning, start_sizes(problem, self.given, self.options.tuning.seed))
         return problem
 
     def tuned(self, number: int) -> TuningResult:
-        """All starts in the first round, of which the best two go on; later the better of those. By the worst found."""
+        """All starts in the first round, of which the best go on; later the best of those. By the worst found."""
         first = not self.carried
         runs = sorted(self._first_round() if first else self._gone_on(), key=_rank)
-        kept = [runs[0], *(run for run in runs[1:] if first and _another(run, runs[0]))][:CARRIED]
+        kept = [runs[0], *(run for run in runs[1:] if first and _another(run, runs[0]))][: self.options.carried]
         found = [(self._worst(run, number), run) for run in kept[:1]]
         found += [(self._worst(run, number), run) for run in kept[1:] if time.monotonic() < self.deadline]
         found.sort(key=lambda pair: self._merit(pair[0]))
@@ -182,7 +212,9 @@ class _Design:
 
     def _first_round(self) -> list[TuningResult]:
         """The given starts, or the first random one, as they would be alone, and the further ones."""
-        options = replace(self.options, wall_limit=FIRST_SHARE * self.options.wall_limit, progress=False)
+        whole, share = self.options.tuning, self.options.first_share
+        # on some of the models less than `met` leaves a distance for the parameters between them
+        options = replace(whole, wall_limit=share * whole.wall_limit, met=-np.inf, progress=False)
         alone = replace(options, starts=0 if self.given else min(options.starts, 1))
         runs = [self._started(self.given, alone)]
         count = options.starts - alone.starts
@@ -198,9 +230,10 @@ class _Design:
 
     def _again(self, tuning: TuningResult) -> TuningResult:
         """A tuning gone on with, on all models that are active, in its share of the time left."""
-        start_time, seed, band, problem = time.monotonic(), self.options.seed, self.options.band, self.problem
-        share = max(ROUND_SHARE * (self.deadline - start_time), LEAST_SHARE)
-        limits = limits_of(self.options, start_time + share)
+        tuning_options, problem, start_time = self.options.tuning, self.problem, time.monotonic()
+        seed, band = tuning_options.seed, tuning_options.band
+        share = max(self.options.round_share * (self.deadline - start_time), LEAST_SHARE)
+        limits = limits_of(tuning_options, start_time + share)
         runs = [tune_from(problem, tuning.x, seed, limits, band)]
         runs += feasibility_runs(problem, runs, seed, limits, band)
         return self._judged(result_of(problem, runs, time.monotonic() - start_time))
@@ -220,7 +253,7 @@ class _Design:
         if tuning.status is TuningStatus.OUT_OF_TIME and time.monotonic() < self.deadline:  # of a share alone
             tuning = replace(tuning, status=TuningStatus.ITERATIONS, advice=TuningStatus.ITERATIONS.advice)
         ended = tuning.status is TuningStatus.TARGET or tuning.status in CUT
-        if ended or not all_met(self.requirements, tuning.certificate, self.met):
+        if ended or not all_met(self.requirements, tuning.certificate, self.options.tuning.met):
             return tuning
         return replace(tuning, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
 
@@ -241,10 +274,8 @@ class _Design:
             self.problem.add_model(self.build(parameters).named(_label(parameters)))
 
     def _worst(self, tuning: TuningResult, number: int) -> tuple[WorstCase, ...]:
-        left = self.start_time + self.options.wall_limit - time.monotonic()
-        effort = replace(
-            self.search, seed=self.search.seed + number, wall_limit=max(1.0, min(self.search.wall_limit, left))
-        )
+        left, search = self.deadline - time.monotonic(), self.options.search
+        effort = replace(search, seed=search.seed + number, wall_limit=max(1.0, min(search.wall_limit, left)))
         found = worst_case(
             self.build, self.box, tuning.controller, self.requirements, loop_delay=self.loop_delay, options=effort
         )
@@ -264,9 +295,11 @@ class _Design:
         self, tuning: TuningResult, worst: tuple[WorstCase, ...], known: Sequence[dict[str, float]] = ()
     ) -> list[dict[str, float]]:
         new: list[dict[str, float]] = []
+        options = self.options.tuning
         for w, r in zip(worst, self.requirements):
-            level = (max(1.0, tuning.hard) if r.hard else max(tuning.soft, self.options.target)) * (1.0 + self.slack)
-            level = level if r.hard else max(level, self.met)
+            level = max(1.0, tuning.hard) if r.hard else max(tuning.soft, options.target)
+            level *= 1.0 + self.options.slack
+            level = level if r.hard else max(level, options.met)
             for value, parameters in ((w.value, w.parameters), *w.others):
                 if value > level and all(self._differs(parameters, c) for c in [*self.chosen, *known, *new]):
                     new.append(dict(parameters))

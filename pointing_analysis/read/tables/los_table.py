@@ -16,7 +16,7 @@ import numpy as np
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import TABLE
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.read.series import Series, make_series, scale_of, stamps_of
+from pointing_analysis.read.series import Provenance, Series, make_series, scale_of, stamps_of
 from pointing_analysis.read.tables.arrays import read_numpy, read_parquet
 from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
@@ -104,17 +104,8 @@ def read_los_table(
     if unused:
         problems.append(f"no time column: {rate:g} Hz without gaps assumed{unused}")
     about = {"line_of_sight": f"{x}, {y}", "time": when or "none, from the rate", "format": table.kind}
-    found = make_series(
-        stamps,
-        xy,
-        unit=unit,
-        rate=rate,
-        path=path,
-        parameters=about,
-        problems=problems,
-        kind=table.kind,
-        label=f"{x}, {y}",
-    )
+    provenance = Provenance(path, table.kind, f"{x}, {y}", parameters=about, problems=problems)
+    found = make_series(stamps, xy, unit=unit, rate=rate, provenance=provenance)
     return found if said_rate is None else _with_rate_note(found, said_rate)
 
 

@@ -22,6 +22,7 @@ from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs
 from los_design.verification.certify import (
+    ProofLevel,
     ProofPart,
     certify_figure,
     kept_part,
@@ -210,8 +211,7 @@ def test_the_level_of_a_known_worst_point_is_violated(system, telescope, tmp_pat
         found = certify_figure(
             loop,
             "fast",
-            1.0,
-            0.0,
+            ProofLevel(),
             known,
             tmp_path,
             partial(workers.each, prove_part),

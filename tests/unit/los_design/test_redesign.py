@@ -15,6 +15,7 @@ from los_design import redesign
 from los_design.redesign import design_all
 from los_design.search.worst_case_search import Search
 from los_design.search.worst_points import load_adversarial, load_worst_points
+from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.provenance import digest
 from los_design.synthesis.store import load_designs
 from los_design.verification.verification import check_implemented, verification_points
@@ -22,6 +23,8 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.telescope import Telescope
+
+SHORT = DesignOptions(short=True)
 
 
 @pytest.fixture
@@ -56,7 +59,7 @@ def stand_ins(monkeypatch) -> list[str]:
 
 def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, telescope, tmp_path) -> None:
     lines: list[str] = []
-    found = design_all(telescope, tmp_path / "new" / "soft", effort="short", report=lines.append)
+    found = design_all(telescope, tmp_path / "new" / "soft", SHORT, report=lines.append)
     folder = tmp_path / "new" / "soft"
     assert {p.name for p in folder.iterdir()} == {"k_fsm.json", "k_pma.json", "worst_points.json", "verification.json"}
     tuned_at = len({tuple(v.values()) for k in load_designs("implemented") for v in k.provenance["active_models"] if v})
@@ -74,28 +77,28 @@ def test_the_folder_holds_designs_worst_points_and_verification(stand_ins, teles
 
 
 def test_a_pair_that_is_there_is_kept_until_something_changes(stand_ins, telescope, tmp_path) -> None:
-    design_all(telescope, tmp_path, effort="short")
+    design_all(telescope, tmp_path, SHORT)
     stand_ins.clear()
     lines: list[str] = []
-    design_all(telescope, tmp_path, effort="short", report=lines.append)
+    design_all(telescope, tmp_path, SHORT, report=lines.append)
     assert not any(s.startswith("pair") for s in stand_ins) and "k_fsm.json, k_pma.json: kept" in lines
-    for changed in ({"seed": 1}, {"seed": 1, "effort": "full"}, {"effort": "short", "resume": False}):
+    for options, resume in ((replace(SHORT, seed=1), True), (DesignOptions(seed=1), True), (SHORT, False)):
         stand_ins.clear()
-        design_all(telescope, tmp_path, **{"effort": "short", **changed})
+        design_all(telescope, tmp_path, options, resume=resume)
         assert sum(s.startswith("pair") for s in stand_ins) == 1
     stand_ins.clear()
     other = telescope.changed({"isolator": {"damping": [1000.0] * 6}})
-    design_all(other, tmp_path, effort="short")
+    design_all(other, tmp_path, SHORT)
     assert sum(s.startswith("pair") for s in stand_ins) == 1
 
 
 def test_an_interrupted_design_goes_on_unless_it_is_made_anew(stand_ins, telescope, tmp_path) -> None:
     (tmp_path / "rounds.json").write_text("{}")
-    design_all(telescope, tmp_path, effort="short")
+    design_all(telescope, tmp_path, SHORT)
     assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
     stand_ins.clear()
     (tmp_path / "rounds.json").write_text("{}")
-    design_all(telescope, tmp_path, effort="short", resume=False)
+    design_all(telescope, tmp_path, SHORT, resume=False)
     assert "begins" in stand_ins
 
 
@@ -109,11 +112,11 @@ def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, telescope, tmp_pa
         return late
 
     monkeypatch.setattr(redesign, "design_pair", ended)
-    design_all(telescope, tmp_path, effort="short", wall_limit=60.0)
+    design_all(telescope, tmp_path, replace(SHORT, wall_limit=60.0))
     assert limits == [60.0] and (tmp_path / "rounds.json").exists()
     monkeypatch.setattr(redesign, "design_pair", pair)
     stand_ins.clear()
-    design_all(telescope, tmp_path, effort="short")
+    design_all(telescope, tmp_path, SHORT)
     assert "goes on" in stand_ins and not (tmp_path / "rounds.json").exists()
 
 
@@ -121,8 +124,8 @@ def test_the_output_is_checked_before_the_work(stand_ins, telescope, tmp_path) -
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="output must be a folder that can be written to, got"):
         design_all(telescope, tmp_path / "file" / "soft")
-    with pytest.raises(ValueError, match="effort must be one of full, short, got 'medium'"):
-        design_all(telescope, tmp_path, effort="medium")
+    with pytest.raises(ValueError, match=r"^loop_delay must be that of the testbed, 0\.0015 s, got 0$"):
+        design_all(telescope, tmp_path, DesignOptions(loop_delay=0.0))
     assert stand_ins == []
 
 
@@ -160,7 +163,7 @@ def test_another_telescope_is_redesigned(change, telescope, tmp_path) -> None:
     tables: dict[str, Any] = telescope.to_mapping()
     change(tables)
     table = Telescope(tables)
-    found = design_all(table, tmp_path, effort="short", report=print)
+    found = design_all(table, tmp_path, SHORT, report=print)
     assert found.check.all_stable
     assert found.met or all(any(digit.isdigit() for digit in line) for line in found.not_met)
     system = control_loop_plant(table)

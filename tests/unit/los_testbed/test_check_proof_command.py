@@ -12,7 +12,7 @@ import pytest
 from los_testbed.cli.app import main
 from support.uncertain_examples import aligned_modes
 
-from lftkit.proofs import robust_stability
+from lftkit.proofs import BoundOptions, robust_stability
 
 Content = dict[str, Any]
 PROOFS = Path(__file__).parents[2] / "fixtures" / "proofs"
@@ -20,7 +20,7 @@ PROOFS = Path(__file__).parents[2] / "fixtures" / "proofs"
 
 @pytest.fixture(scope="module")
 def proof() -> Content:
-    bounds = robust_stability(aligned_modes(2, damping=0.02), wall_limit=3600.0)
+    bounds = robust_stability(aligned_modes(2, damping=0.02), options=BoundOptions(wall_limit=3600.0))
     assert bounds.proof is not None
     return bounds.proof.content
 

@@ -18,6 +18,7 @@ import pytest
 from los_testbed.cli.app import main
 
 import los_design
+from los_design.synthesis.options import DesignOptions
 
 PROGRAM = """
 import signal, sys
@@ -125,27 +126,30 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
 
     from los_design import redesign
     from los_design.synthesis.store import load_designs
+    from los_design.verification.loop_models import figures_of
+    from titop_plant.interface import MIRROR_STAGES
+    from titop_plant.telescope.load import load_telescope
 
     limits = []
 
-    def stored(telescope: Any, folder: Path, *, wall_limit: float, **_: object) -> SimpleNamespace:
-        limits.append(wall_limit)
+    def stored(telescope: Any, folder: Path, options: DesignOptions, **_: object) -> SimpleNamespace:
+        limits.append(options.wall_limit)
         for name, system in zip(("k_fsm.json", "k_pma.json"), load_designs("implemented")):
             system.to_file(folder / name)
         shutil.copy(Path(redesign.__file__).parent / "search" / "worst_points.json", folder)
-        time.sleep(wall_limit / commands.ROUNDS_OF_ALL + 0.1)
+        time.sleep(options.wall_limit / commands.ROUNDS_OF_ALL + 0.1)
         return SimpleNamespace(check=SimpleNamespace(to_mapping=dict), not_met=[])
 
     monkeypatch.setattr(redesign, "design_all", stored)
-    monkeypatch.setattr(commands, "FIGURES", {"fsm": ("slow",), "fsm+pma": ("force",)})
     with pytest.raises(SystemExit) as stopped:
         main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
     told = capsys.readouterr()
     found = json.loads(told.out)["figures"]
     assert stopped.value.code == 1 and limits == [commands.ROUNDS_OF_ALL]
-    assert [(f["stage"], f["figure"]) for f in found] == [("fsm", "slow"), ("fsm+pma", "force")]
+    wanted = [(stage, name) for stage in MIRROR_STAGES for name in figures_of(load_telescope(), stage)]
+    assert [(f["stage"], f["figure"]) for f in found] == wanted
     assert {f["status"] for f in found} == {"open"}
-    assert "the time is over: 0 of 2 figures proven; the same command goes on" in told.err
+    assert f"the time is over: 0 of {len(wanted)} figures proven; the same command goes on" in told.err
     assert not (tmp_path / "bundle.zip").exists()
 
 

@@ -17,6 +17,7 @@ from los_loop.nyquist import BrokenLoop, broken_loops
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.loop_figures import nyquist, sensitivity
+from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import PICTURES, render
 from titop_plant.interface import COMMANDS, MIRROR
 from titop_plant.telescope.control_plant import control_loop_plant
@@ -80,9 +81,9 @@ def test_the_report_of_a_run_has_them(tmp_path: Path, monkeypatch: pytest.Monkey
         runs.append(Run.open(tmp_path / loop))
     found = loop_curves(runs)
     assert [[curve.place for curve in curves] for curves in found] == [["mirror", "forces"], []]
-    page = render(runs, loops=found)
+    page = render(runs, model=ModelResults(loops=found))
     assert page.count('id="nyquist"') == page.count('id="sensitivity"') == 1
-    assert 'id="nyquist"' not in render(runs, loops=[(), ()])
+    assert 'id="nyquist"' not in render(runs, model=ModelResults(loops=[(), ()]))
 
 
 def test_without_a_loop_there_is_no_picture() -> None:

@@ -175,6 +175,7 @@ def test_no_command_has_a_console_of_its_own() -> None:
         (["stages", "--samples=-1"], ["--samples", "-1"]),
         (["campaign", "--keep=-1"], ["--keep", "-1"]),
         (["design", "all", "--output=new", "--seed=-1"], ["--seed", "-1"]),
+        (["design", "all", "--output=new", "--effort=medium"], ["--effort", "full, short", "medium"]),
         (["run", "--seed=-1"], ["seed", "-1"]),
         (["design", "k-fsm", "--time-limit=nan"], ["--time-limit", "nan"]),
         (["design", "k-fsm", "--output=no/such/folder/k.json"], ["folder of --output", "no/such"]),

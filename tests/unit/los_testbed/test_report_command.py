@@ -142,8 +142,8 @@ def test_mixed_sample_rates(call, tmp_path) -> None:
 
 
 def test_two_plants(call, tmp_path) -> None:
-    a = write_bag(tmp_path / "a", {"truth/los": los(3)}, namespace="/one")
-    b = write_bag(tmp_path / "b", {"truth/los": los(3)}, namespace="/two")
+    a = write_bag(tmp_path / "a", {"/one/truth/los": los(3)})
+    b = write_bag(tmp_path / "b", {"/two/truth/los": los(3)})
     (b / "b_0.mcap").rename(a / "b_0.mcap")
     (a / "metadata.yaml").unlink()
     refused(call, a, words=["must hold one plant", "/one", "/two"])

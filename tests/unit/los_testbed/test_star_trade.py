@@ -19,6 +19,7 @@ from los_testbed.run_settings import DESIGN_FILES, of_designs
 from lftkit import SampledSystem
 from los_design import redesign
 from los_design.redesign import DesignSummary
+from los_design.synthesis.options import DesignOptions
 from los_design.verification.verification import ImplementedCheck
 from pointing_analysis.files.structured_text import load_toml, read_text
 from titop_plant.telescope.load import load_telescope
@@ -86,8 +87,8 @@ class Designs:
     def __init__(self, ended: int) -> None:
         self.ended, self.calls = ended, list[tuple[Path, float, float]]()
 
-    def __call__(self, telescope: Telescope, folder: Path, **options: Any) -> DesignSummary:
-        self.calls.append((folder, options["wall_limit"], telescope.camera_noise))
+    def __call__(self, telescope: Telescope, folder: Path, options: DesignOptions, **_: Any) -> DesignSummary:
+        self.calls.append((folder, options.wall_limit, telescope.camera_noise))
         status = "out_of_time" if len(self.calls) <= self.ended else "converged"
         for name, path in RunParts(RunConfig()).model_files.items():
             system = SampledSystem.from_file(path)

@@ -15,7 +15,7 @@ import pytest
 from los_testbed.cli.app import main
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC
-from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.indices.synthetic import McapStorage, write_bag
 from pointing_analysis.read.external_bag import candidates
 from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.messages.ros_definitions import parse_definition, vectors
@@ -229,7 +229,7 @@ def test_log_times_with_jitter_go_to_the_grid_of_the_rate(tmp_path: Path) -> Non
 
 def test_a_bag_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
     xy = samples(20_000)
-    bag = write_bag(tmp_path / "bag", {"truth/los": xy}, dt=1 / RATE, chunk_size=1 << 14)
+    bag = write_bag(tmp_path / "bag", {"truth/los": xy}, dt=1 / RATE, storage=McapStorage(chunk_size=1 << 14))
     (file,) = bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     run = open_los(bag, los="/telescope/truth/los", unit="rad", rate=RATE)

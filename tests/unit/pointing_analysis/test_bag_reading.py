@@ -11,7 +11,7 @@ import zstandard
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.indices.synthetic import McapStorage, write_bag
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages import cdr
 from pointing_analysis.read.messages.cdr import Encoder
@@ -20,6 +20,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.read.topic import on_grid
 
 N = 3000
+UNCOMPRESSED = McapStorage(compression="none", chunk_size=50_000)
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +51,23 @@ def check(run: Run, signals: dict[str, np.ndarray]) -> None:
         {"chunks": False},
         {"chunks": False, "index": False},
         {"chunk_size": 4000},
-        {"namespace": ""},
-        {"namespace": "/lab/telescope_2"},
     ],
     ids=str,
 )
 def test_every_layout_of_the_file_gives_the_same_values(tmp_path: Path, signals, options) -> None:
-    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, **options)
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, storage=McapStorage(**options))
     run = Run.open(bag)
     check(run, signals)
     assert run.problems == ()
     check(Run.open(bag / "bag_0.mcap"), signals)
+
+
+@pytest.mark.parametrize("namespace", ["", "/lab/telescope_2"])
+def test_every_namespace_gives_the_same_values(tmp_path: Path, signals, namespace: str) -> None:
+    absolute = {f"{namespace}/{name}": values for name, values in signals.items()}
+    run = Run.open(write_bag(tmp_path / "bag", absolute, periods={f"{namespace}/camera/los": 20}))
+    check(run, signals)
+    assert run.problems == ()
 
 
 def test_equal_to_rosbags(tmp_path: Path, signals) -> None:
@@ -130,7 +137,7 @@ def test_file_wise_and_message_wise_compression(tmp_path: Path, signals) -> None
 @pytest.mark.parametrize("options", [{}, {"chunks": False}, {"compression": "none"}], ids=str)
 @pytest.mark.parametrize("share", [0.95, 0.6, 0.3])
 def test_cut_off_file_gives_what_is_there_and_says_so(tmp_path: Path, signals, options, share) -> None:
-    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, **options)
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, storage=McapStorage(**options))
     file = bag / "bag_0.mcap"
     raw = file.read_bytes()
     file.write_bytes(raw[: int(share * len(raw))])
@@ -142,7 +149,7 @@ def test_cut_off_file_gives_what_is_there_and_says_so(tmp_path: Path, signals, o
 
 
 def test_damaged_chunk_is_left_out_and_named(tmp_path: Path, signals) -> None:
-    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, chunk_size=50_000, compression="none")
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, storage=UNCOMPRESSED)
     file = bag / "bag_0.mcap"
     raw = bytearray(file.read_bytes())
     raw[len(raw) // 2] ^= 0xFF
@@ -211,7 +218,7 @@ def test_payloads_of_rosbags_in_both_byte_orders(little_endian: bool) -> None:
 
 def test_part_of_a_run(tmp_path: Path, signals) -> None:
     bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20})
-    small = write_bag(tmp_path / "small", signals, periods={"camera/los": 20}, chunk_size=20_000)
+    small = write_bag(tmp_path / "small", signals, periods={"camera/los": 20}, storage=McapStorage(chunk_size=20_000))
     packed = tmp_path / "packed.mcap.zstd"
     packed.write_bytes(zstandard.compress((small / "small_0.mcap").read_bytes()))
     for path in (bag, small, packed):
@@ -241,7 +248,7 @@ def test_memory_limit(tmp_path: Path, signals) -> None:
 
 
 def test_defects_of_a_large_bag_are_noted_when_its_topics_are_read(tmp_path: Path, signals) -> None:
-    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, chunk_size=50_000, compression="none")
+    bag = write_bag(tmp_path / "bag", signals, periods={"camera/los": 20}, storage=UNCOMPRESSED)
     file = bag / "bag_0.mcap"
     raw = bytearray(file.read_bytes())
     raw[len(raw) // 2] ^= 0xFF
@@ -283,8 +290,8 @@ def test_sqlite_bag(tmp_path: Path) -> None:
 
 def test_two_plants_in_one_bag(tmp_path: Path) -> None:
     los = np.random.default_rng(0).standard_normal((100, 2))
-    a = write_bag(tmp_path / "a", {"truth/los": los}, namespace="/one")
-    b = write_bag(tmp_path / "b", {"truth/los": 2 * los}, namespace="/two")
+    a = write_bag(tmp_path / "a", {"/one/truth/los": los})
+    b = write_bag(tmp_path / "b", {"/two/truth/los": 2 * los})
     (b / "b_0.mcap").rename(a / "b_0.mcap")
     (a / "metadata.yaml").unlink()
     with pytest.raises(BagError, match=r"must hold one plant, got \['/one', '/two'\]"):

@@ -6,6 +6,7 @@ import html.parser
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report import distribution_figure, figures
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import LaidOutFigure, by_line
+from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.rows import KEEPS, overall
@@ -29,15 +31,22 @@ from titop_plant.telescope.load import load_telescope
 MAS = np.pi / 648_000_000
 STAGES = {"none": 400.0, "isolator": 150.0, "fsm": 15.0, "fsm+pma": 5.0}
 
-PREDICTED = (
-    None,
-    Prediction(note="the controllers are gone"),
-    Prediction(
-        (ToneComparison(88.0, 1, 15 * MAS, 15.3 * MAS, 0.3 * MAS), ToneComparison(210.0, 2, 30 * MAS, 60 * MAS, 0.0)),
-        1.0,
-        6.0,
-    ),
-    Prediction((ToneComparison(88.0, 1, 2 * MAS, 0.1 * MAS, MAS), ToneComparison(210.0, 1, 0.0, MAS, 0.0)), 1.0, 6.0),
+PREDICTED = ModelResults(
+    predictions=(
+        None,
+        Prediction(note="the controllers are gone"),
+        Prediction(
+            (
+                ToneComparison(88.0, 1, 15 * MAS, 15.3 * MAS, 0.3 * MAS),
+                ToneComparison(210.0, 2, 30 * MAS, 60 * MAS, 0.0),
+            ),
+            1.0,
+            6.0,
+        ),
+        Prediction(
+            (ToneComparison(88.0, 1, 2 * MAS, 0.1 * MAS, MAS), ToneComparison(210.0, 1, 0.0, MAS, 0.0)), 1.0, 6.0
+        ),
+    )
 )
 
 
@@ -71,7 +80,7 @@ def stages(tmp_path_factory) -> list[Path]:
 @pytest.fixture(scope="module")
 def page(stages, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "four.html"
-    return write_report([Run.open(bag) for bag in stages], path, predictions=PREDICTED)
+    return write_report([Run.open(bag) for bag in stages], path, model=PREDICTED)
 
 
 class Outline(html.parser.HTMLParser):
@@ -122,7 +131,7 @@ def page_of_one(stages) -> str:
 
 @pytest.mark.slow
 def test_same_bags_same_bytes(stages, page, tmp_path) -> None:
-    again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html", predictions=PREDICTED)
+    again = write_report([Run.open(bag) for bag in stages], tmp_path / "again.html", model=PREDICTED)
     assert again.read_bytes() == page.read_bytes()
 
 
@@ -290,9 +299,10 @@ def test_requirements_over_several_runs_are_judged_once(stages) -> None:
 
 def test_model_is_drawn_beside_the_measured_lines(stages, page, monkeypatch) -> None:
     """On pages of this picture alone."""
-    monkeypatch.setattr("pointing_analysis.report.report.PICTURES", (lambda d: by_line(d.views, d.model),))
+    monkeypatch.setattr("pointing_analysis.report.report.PICTURES", (lambda d: by_line(d.views, d.model.lines),))
     title, runs = "Disturbance lines, run by run", [Run.open(bag) for bag in stages[2:]]
-    model = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
+    lines: Any = {"fsm": (np.geomspace(10, 1000, 20), np.full(20, 15 * MAS))}
+    model = ModelResults(lines)
     without, drawn = render(runs), render(runs, model=model)
     assert drawn != without and title in drawn and title in without
     assert title not in render(runs[:1], model=model)
@@ -311,9 +321,12 @@ def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
     assert "fsm+pma: 1 s to 6 s" in part and "isolator: no prediction: the controllers are gone" in part
     assert "none:" not in part
     runs = [Run.open(bag) for bag in stages]
-    assert "Predicted" not in render(runs[:1]) and "Predicted" not in render(runs[:1], predictions=[None])
-    with pytest.raises(ValueError, match="one for each of the 2 runs, got 1"):
-        render(runs[:2], predictions=[None])
+    none = ModelResults(predictions=[None])
+    assert "Predicted" not in render(runs[:1]) and "Predicted" not in render(runs[:1], model=none)
+    for name in ("predictions", "sources", "loops"):
+        results: Any = {name: [()]}
+        with pytest.raises(ValueError, match=f"^{name} must be one for each of the 2 runs, got 1$"):
+            render(runs[:2], model=ModelResults(**results))
 
 
 def test_bad_input(stages, tmp_path) -> None:

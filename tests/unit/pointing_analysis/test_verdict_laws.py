@@ -13,7 +13,7 @@ from scipy.stats import binom
 from pointing_analysis.indices import confidence, metrics
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.exceedances import IndependentSamples
-from pointing_analysis.read.series import Series, make_series, series
+from pointing_analysis.read.series import Provenance, Series, make_series, series
 from pointing_analysis.requirements.verdict import Requirement, Verdict, decide, index_samples, judge, parse
 
 LIMIT = 0.5
@@ -43,7 +43,7 @@ def run(values: Any, *, missing: tuple[int, ...] = (), rate: float = 1000.0, ope
     xy = xy.copy()
     xy[list(missing)] = np.nan
     stamps = 10**9 + np.round(np.arange(len(xy)) * 1e9 / rate).astype(np.int64)
-    series = make_series(stamps, xy, unit="rad", rate=rate, path="run")
+    series = make_series(stamps, xy, unit="rad", rate=rate, provenance=Provenance("run"))
     return replace(series, topic=replace(series.topic, open_end=open_end)) if open_end else series
 
 

@@ -13,12 +13,12 @@ import pytest
 from scipy import linalg
 
 from lftkit import System, complex_gain, dynamic, feedback, hinf_norm, real, s
-from lftkit.proofs import ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof, check_axis_proof
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.uncertainty.elements import DynamicElement
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 
 
 def lags(outputs: int, inputs: int, order: int = 0) -> System:
@@ -40,7 +40,7 @@ def fast(order: int) -> Any:
 def test_a_matrix_by_hand(sizes: tuple[int, int], tmp_path: Path) -> None:
     """Gain 1 / (1 - 0.5) at zero where Delta is square, unstable from twice the bound on."""
     system = lags(*sizes)
-    gain = worst_case_gain(system, wall_limit=LONG, method="axis")
+    gain = worst_case_gain(system, options=replace(LONG, method="axis"))
     assert gain.status == "closed" and gain.lower <= gain.upper <= 1.05 * gain.lower
     member = system.at(gain.point)
     assert hinf_norm(*member.matrices).value == pytest.approx(gain.lower, rel=1e-6)
@@ -49,7 +49,7 @@ def test_a_matrix_by_hand(sizes: tuple[int, int], tmp_path: Path) -> None:
     gain.proof.to_file(tmp_path / "proof.npz")
     checked = check_proof(tmp_path / "proof.npz")
     assert checked.stable and checked.disks == {"f": 0.5} and checked.box == {}
-    margin = robust_stability(system, wall_limit=LONG, method="axis")
+    margin = robust_stability(system, options=replace(LONG, method="axis"))
     assert margin.upper == pytest.approx(2.0, rel=1e-6) and 2.0 / 1.05 <= margin.lower <= 2.0
 
 
@@ -65,13 +65,13 @@ def test_the_margin_of_the_manual() -> None:
     k = real("k", 10, percent=40)
     plant = (18 / (s**2 + 1.8 * s + k) * (1 + 0.5 * dynamic("delta"))).system("u", "y")
     loop = feedback(plant @ (2.3 + 3 / s + 0.38 * s / (0.001 * s + 1)).system("e", "u"))
-    margin = robust_stability(loop, gap=0.1, wall_limit=LONG, method="axis")
+    margin = robust_stability(loop, options=replace(LONG, gap=0.1, method="axis"))
     assert margin.upper == pytest.approx(1.5993, abs=5e-5) and margin.upper <= 1.1 * margin.lower
 
 
 @pytest.mark.slow
 def test_the_bounds_of_cells_and_of_the_axis_agree() -> None:
-    cells, axis = (worst_case_gain(mixed(0), gap=0.3, wall_limit=LONG, method=m) for m in ("cells", "axis"))
+    cells, axis = (worst_case_gain(mixed(0), options=replace(LONG, gap=0.3, method=m)) for m in ("cells", "axis"))
     assert axis.status == cells.status == "closed" and axis.lower == pytest.approx(cells.lower, rel=1e-5)
     assert max(axis.lower, cells.lower) <= min(axis.upper, cells.upper)
 
@@ -80,7 +80,7 @@ def test_more_states_than_cells_take() -> None:
     """Members at random, with every value at its bound, stay below; the one that is named reaches the lower bound."""
     system = mixed(6)
     assert system.order > 7
-    bounds = worst_case_gain(system, gap=0.3, wall_limit=LONG)
+    bounds = worst_case_gain(system, options=replace(LONG, gap=0.3))
     assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof) and check_proof(bounds.proof).stable
     rng = np.random.default_rng(0)
     gains = []
@@ -104,14 +104,14 @@ def _response(system: System, omega: float, values: dict[str, Any]) -> Any:
 
 def test_robust_performance_of_more_states() -> None:
     """``1 / (s + 1 - f)`` behind fast lags has the gain ``1 / (1 - 0.5 m)``: 1.5 from two thirds of the bound on."""
-    bounds = robust_performance(lags(1, 1, 8), 1.5, wall_limit=LONG)
+    bounds = robust_performance(lags(1, 1, 8), 1.5, options=LONG)
     assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof)
     assert bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-5) and bounds.lower <= bounds.upper <= 1.05 * bounds.lower
 
 
 @pytest.fixture(scope="module")
 def full() -> AxisProof:
-    proof = worst_case_gain(lags(3, 3), wall_limit=LONG, method="axis").proof
+    proof = worst_case_gain(lags(3, 3), options=replace(LONG, method="axis")).proof
     assert isinstance(proof, AxisProof) and check_axis_proof(proof).stable
     return proof
 
@@ -149,7 +149,7 @@ def test_a_weaker_claim_follows(full: AxisProof) -> None:
 def test_a_proof_of_a_real_parameter_is_none_of_a_complex_one() -> None:
     """A real change of the stiffness by 0.15 leaves the mode stable, one of -0.1j takes its damping."""
     system = (1 / (s**2 + 0.1 * s + 1 + real("p", 0.0, -0.15, 0.15))).system("u", "y")
-    proof = worst_case_gain(system, wall_limit=LONG, method="axis").proof
+    proof = worst_case_gain(system, options=replace(LONG, method="axis")).proof
     assert isinstance(proof, AxisProof) and check_axis_proof(proof).stable
     with pytest.raises(ProofError, match="must have a whole disk, G zero"):
         check_axis_proof(replace(proof, kinds=("complex",)))

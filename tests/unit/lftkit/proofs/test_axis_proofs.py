@@ -15,15 +15,15 @@ from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston
 
 from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
-from lftkit.proofs import robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof, check_axis_proof
 from lftkit.proofs.axis.bounds import axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.trusted.proof import ProofError
 
-LONG = 3600.0
-axis_gain, axis_stability = (partial(f, method="axis") for f in (worst_case_gain, robust_stability))
+AXIS, CELLS = (BoundOptions(wall_limit=3600.0, method=method) for method in ("axis", "cells"))
+axis_gain, axis_stability = (partial(f, options=AXIS) for f in (worst_case_gain, robust_stability))
 
 
 def random_system(seed: int) -> System:
@@ -41,7 +41,7 @@ def random_system(seed: int) -> System:
 
 @pytest.fixture(scope="module")
 def proof() -> AxisProof:
-    bounds = axis_gain(chain_of_masses(2, 0.2), wall_limit=LONG)
+    bounds = axis_gain(chain_of_masses(2, 0.2))
     assert bounds.status == "closed" and isinstance(bounds.proof, AxisProof)
     return bounds.proof
 
@@ -137,7 +137,7 @@ def test_a_proof_of_a_smaller_box_or_a_higher_level_passes_too(proof: AxisProof)
 @pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 4, 5))])
 def test_bounds_are_those_of_the_other_prover(seed: int) -> None:
     system = random_system(seed)
-    here, there = axis_gain(system, wall_limit=LONG), worst_case_gain(system, wall_limit=LONG, method="cells")
+    here, there = axis_gain(system), worst_case_gain(system, options=CELLS)
     assert here.status == there.status
     if here.status == "unstable":
         return
@@ -147,14 +147,14 @@ def test_bounds_are_those_of_the_other_prover(seed: int) -> None:
 
 
 def test_the_stability_margin_of_de_gaston_and_safonov() -> None:
-    bounds = axis_stability(de_gaston_safonov(), wall_limit=LONG)
+    bounds = axis_stability(de_gaston_safonov())
     assert bounds.status == "closed" and bounds.lower < 3.41740 <= 1.05 * bounds.lower
     assert bounds.upper == pytest.approx(3.41740, abs=1e-5) and check_axis_proof(bounds.proof).stable
 
 
 @pytest.mark.parametrize("band", [(0.5, 3.0), (2.0, np.inf), (0.0, 0.5), (300.0, 400.0)])
 def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
-    bounds = axis_gain(aligned_modes(2, damping=0.05), band=band, wall_limit=LONG)
+    bounds = axis_gain(aligned_modes(2, damping=0.05), band=band)
     assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
     checked = check_axis_proof(bounds.proof)
     assert checked.band == band and not checked.stable
@@ -162,11 +162,11 @@ def test_a_band_is_closed_and_checked(band: tuple[float, float]) -> None:
 
 def test_levels_and_boxes() -> None:
     system = aligned_modes(2, damping=0.05)
-    assert axis_gain(system, level=19.0, wall_limit=LONG).status == "violated"  # 20 is reached
-    assert axis_gain(system, level=21.0, wall_limit=LONG).upper == 21.0
-    fixed = axis_gain(system, {"k0": (1.0, 1.0)}, wall_limit=LONG)
+    assert axis_gain(system, level=19.0).status == "violated"  # 20 is reached
+    assert axis_gain(system, level=21.0).upper == 21.0
+    fixed = axis_gain(system, {"k0": (1.0, 1.0)})
     assert fixed.status == "closed" and check_axis_proof(fixed.proof).box["k0"] == (1.0, 1.0)
-    late = axis_gain(system, wall_limit=1e-9)
+    late = axis_gain(system, options=replace(AXIS, wall_limit=1e-9))
     assert late.upper == np.inf and late.status == "out_of_time" and late.uncovered
     with pytest.raises(ValueError, match="nominal member must be in the box"):
         axis_gain(system, {"k0": (1.5, 2.0)})
@@ -177,7 +177,7 @@ def test_a_margin_where_the_interconnection_becomes_singular() -> None:
     p = RealParameter("p", 0.0, -1.0, 1.0)
     for driven, margin in ((1.0, 0.5), (0.0, 1.0)):
         system = System([[-1.0]], [[driven]], [[driven]], [[1.0]], (), (), channels=("p",), elements=(p,))
-        bounds = axis_stability(system, wall_limit=LONG)
+        bounds = axis_stability(system)
         assert bounds.upper == pytest.approx(margin, rel=1e-6) and margin <= 1.05 * bounds.lower <= 1.05 * margin
         assert check_axis_proof(bounds.proof).stable
 
@@ -185,9 +185,7 @@ def test_a_margin_where_the_interconnection_becomes_singular() -> None:
 def test_a_gain_without_states() -> None:
     """``y = p / (1 - p / 2) u`` with p up to 1."""
     p, ports = RealParameter("p", 0.0, -1.0, 1.0), ([("u", 1)], [("y", 1)])
-    bounds = axis_gain(
-        System([], [], [], [[0.5, 1.0], [1.0, 0.0]], *ports, channels=("p",), elements=(p,)), wall_limit=LONG
-    )
+    bounds = axis_gain(System([], [], [], [[0.5, 1.0], [1.0, 0.0]], *ports, channels=("p",), elements=(p,)))
     assert bounds.lower == pytest.approx(2.0) and bounds.upper <= 2.1 and check_axis_proof(bounds.proof).stable
 
 
@@ -210,23 +208,23 @@ def test_what_the_method_cannot_take_is_a_line_and_goes_to_the_other() -> None:
 
 def test_an_unstable_member_is_named() -> None:
     system = chain_of_masses(5, 1.5, damping=0.1)
-    bounds = axis_gain(system, wall_limit=LONG)
+    bounds = axis_gain(system)
     assert bounds.status == "unstable" and bounds.proof is None
     assert linalg.eigvals(system.at(bounds.point).A).real.max() >= 0.0
-    margin = axis_stability(system, gap=0.2, wall_limit=LONG)  # a spring without stiffness: 1 / 1.5
+    margin = axis_stability(system, options=replace(AXIS, gap=0.2))  # a spring without stiffness: 1 / 1.5
     assert margin.upper == pytest.approx(2.0 / 3.0, rel=1e-5) and margin.upper <= 1.2 * margin.lower
 
 
 def test_the_aircraft_in_a_box_four_times_as_large() -> None:
     """14 parameters: 4.0 of 5.428 needs no bisection."""
-    bounds = axis_stability(transport_aircraft(), gap=0.4, wall_limit=LONG)
+    bounds = axis_stability(transport_aircraft(), options=replace(AXIS, gap=0.4))
     assert bounds.status == "closed" and bounds.lower > 3.9 and bounds.upper == pytest.approx(5.4281, abs=2e-4)
     assert check_axis_proof(bounds.proof).stable
 
 
 @pytest.mark.slow
 def test_the_margin_of_the_aircraft_to_ten_percent() -> None:
-    bounds = axis_stability(transport_aircraft(), gap=0.1, wall_limit=LONG)
+    bounds = axis_stability(transport_aircraft(), options=replace(AXIS, gap=0.1))
     assert bounds.status == "closed" and bounds.upper <= 1.1 * bounds.lower
     assert check_axis_proof(bounds.proof).stable
 
@@ -234,6 +232,6 @@ def test_the_margin_of_the_aircraft_to_ten_percent() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [12, 16])
 def test_chains_of_many_uncertain_springs(count: int) -> None:
-    bounds = axis_gain(chain_of_masses(count, 0.2, damping=0.03), wall_limit=LONG)
+    bounds = axis_gain(chain_of_masses(count, 0.2, damping=0.03))
     assert bounds.status == "closed" and bounds.upper <= 1.05 * bounds.lower
     assert check_axis_proof(bounds.proof).stable

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lftkit import Expression, RealParameter, System, complex_gain, discretise, dynamic, real, s
-from lftkit.proofs import check_proof, robust_performance, robust_stability, worst_case_disk_margin, worst_case_gain
+from lftkit.proofs import (
+    BoundOptions,
+    check_proof,
+    robust_performance,
+    robust_stability,
+    worst_case_disk_margin,
+    worst_case_gain,
+)
 from lftkit.proofs.state_space.disk_search import about
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 DISKS = [dynamic("e", bound=0.1), complex_gain("e", 0.0, 0.1)]
 
 
@@ -26,7 +34,7 @@ def unstable_lag(disk: Expression, dt: float = 0.0) -> System:
 def test_a_stable_box_beside_the_nominal_value(disk: Expression, dt: float) -> None:
     """1 / (2 - 1 - 0.1) at k = 2."""
     for box in ((2.0, 3.0), (2.0, 2.0)):
-        bounds = worst_case_gain(unstable_lag(disk, dt), {"k": box}, wall_limit=LONG)
+        bounds = worst_case_gain(unstable_lag(disk, dt), {"k": box}, options=LONG)
         assert bounds.status == "closed" and bounds.lower == pytest.approx(1.0 / 0.9, rel=1e-6)
         assert bounds.point["k"] == pytest.approx(2.0)
         assert check_proof(bounds.proof).level == bounds.upper <= 1.05 * bounds.lower
@@ -36,7 +44,7 @@ def test_a_stable_box_beside_the_nominal_value(disk: Expression, dt: float) -> N
 @pytest.mark.parametrize("disk", DISKS)
 def test_an_unstable_member_of_such_a_box_is_inside(disk: Expression, box: tuple[float, float]) -> None:
     """All members with k + e below 1, here below 1.1 at some e."""
-    bounds = worst_case_gain(unstable_lag(disk), {"k": box}, wall_limit=LONG)
+    bounds = worst_case_gain(unstable_lag(disk), {"k": box}, options=LONG)
     assert bounds.status == "unstable" and bounds.lower == np.inf and bounds.proof is None
     assert box[0] <= bounds.point["k"] <= min(box[1], 1.1)
 
@@ -59,8 +67,8 @@ def test_a_margin_asks_for_the_nominal_values_in_the_box(method: str | None) -> 
     system = (1 / (s + real("k", 2.0, 1.0, 3.0))).system("u", "y")
     for box in ((2.5, 3.0), (1.0, 1.5)):
         with pytest.raises(ValueError, match=r"^box must contain the nominal values, got another$"):
-            robust_stability(system, {"k": box}, method=method)
-    at_its_end = robust_stability(system, {"k": (2.0, 3.0)}, method=method, wall_limit=LONG)
+            robust_stability(system, {"k": box}, options=BoundOptions(method=method))
+    at_its_end = robust_stability(system, {"k": (2.0, 3.0)}, options=replace(LONG, method=method))
     assert at_its_end.status == "closed" and check_proof(at_its_end.proof).stable
 
 

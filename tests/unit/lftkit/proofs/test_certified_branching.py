@@ -7,7 +7,7 @@ import pytest
 from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
+from lftkit.proofs.sampled_loop import BisectionOptions, LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.branching import Branching
 
 SLOW, FAST, ZETA = 1.0, 10.0, 0.05
@@ -61,7 +61,7 @@ def test_a_box_is_bisected_at_most_as_often_as_asked() -> None:
     """A level that no scalings of the whole box prove: without bisections its parts of the band stay open at once."""
     system = aligned_modes(2, damping=0.1)
     claim = loop_model(system, dt=0.1), box_of(system), (0.98, 1.02), 10.0
-    whole, cut = (prove_level(*claim, deepest=deepest) for deepest in (0, 3))
+    whole, cut = (prove_level(*claim, options=BisectionOptions(deepest=deepest)) for deepest in (0, 3))
     assert not whole.strips and {box for box, _ in whole.uncovered} == {box_of(system)}
     assert len({strip.box for strip in cut.strips}) > 1
 

@@ -13,6 +13,7 @@ import pytest
 from lftkit import Port, RealParameter, SampledSystem, System
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import (
+    BisectionOptions,
     LoopModel,
     LoopProof,
     box_of,
@@ -178,7 +179,7 @@ def test_an_unstable_member_is_never_covered(part: float) -> None:
     d = RealParameter("d", 0.1, -0.02, 0.2)
     A, B, C = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [-1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]
     system = System(A, B, C, np.zeros((2, 2)), (Port("force", 1),), (Port("x", 1),), channels=("d",), elements=(d,))
-    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3, part=part)
+    bounds = prove_level(loop_model(system, DT), box_of(system), (0.99, 1.01), 1e3, options=BisectionOptions(part))
     assert bounds.uncovered or bounds.lower >= 1e3
 
 

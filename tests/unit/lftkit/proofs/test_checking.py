@@ -12,14 +12,14 @@ import pytest
 from support.uncertain_examples import aligned_modes, chain_of_masses
 
 from lftkit import proofs, real, s
-from lftkit.proofs import ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import FORMATS, proof_format
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.state_space import Proof
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 PROVERS = (
     "axis.bounds",
     "performance",
@@ -57,7 +57,7 @@ def test_a_check_loads_nothing_of_what_finds_proofs() -> None:
 
 def test_the_proof_of_bounds_passes_as_object_content_and_file(tmp_path: Path) -> None:
     few, many = aligned_modes(1, damping=0.05), chain_of_masses(4, 0.1)
-    cells, strips = (worst_case_gain(system, wall_limit=LONG) for system in (few, many))
+    cells, strips = (worst_case_gain(system, options=LONG) for system in (few, many))
     assert isinstance(cells.proof, Proof) and isinstance(strips.proof, AxisProof)
     for number, bounds in enumerate((cells, strips)):
         path = tmp_path / f"{number}.proof"
@@ -113,21 +113,21 @@ def test_robust_performance_of_a_spring_by_hand() -> None:
     """Velocity over force at the resonance is 1 / (2 damping) whatever the stiffness; position has 1 / (2 zeta w^2)."""
     system = chain_of_masses(1, 0.2, damping=0.1)  # peak 1 / (c sqrt(k - c^2 / 4))
     stiffness = 0.0025 + (1.0 / (0.1 * 11.0)) ** 2  # where the peak is 11
-    bounds = robust_performance(system, level=11.0, wall_limit=LONG)
+    bounds = robust_performance(system, level=11.0, options=LONG)
     assert bounds.status == "closed" and bounds.upper == pytest.approx((1.0 - stiffness) / 0.2, rel=1e-4)
     assert bounds.lower <= bounds.upper <= 1.05 * bounds.lower
     checked: Any = check_proof(bounds.proof)
     assert checked.level == 11.0 and checked.box["k0"][0] == pytest.approx(1.0 - 0.2 * bounds.lower)
-    free = robust_performance(system, level=30.0, largest=1.5, wall_limit=LONG)
+    free = robust_performance(system, level=30.0, largest=1.5, options=LONG)
     assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf
-    nominal = robust_performance(system, level=9.0, wall_limit=LONG)
+    nominal = robust_performance(system, level=9.0, options=LONG)
     assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
 
 
 def test_robust_performance_where_poles_are_not_separate() -> None:
     """``1 / (s + 1)^2 / (1 - p)``, p within 0.5, where cells are what is left. 1.5 is reached at a third."""
     system = (1 / ((s + 1) ** 2 * (1 - real("p", 0.0, plus_minus=0.5)))).system("u", "y")
-    bounds = robust_performance(system, level=1.5, wall_limit=LONG)
+    bounds = robust_performance(system, level=1.5, options=LONG)
     assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-5)
     assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5) and check_proof(bounds.proof).level == 1.5
 

@@ -9,7 +9,14 @@ import pytest
 from scipy import linalg
 
 from lftkit import Port, RealParameter, System
-from lftkit.proofs import ProofError, check_proof, robust_stability, worst_case_disk_margin, worst_case_gain
+from lftkit.proofs import (
+    BoundOptions,
+    ProofError,
+    check_proof,
+    robust_stability,
+    worst_case_disk_margin,
+    worst_case_gain,
+)
 from lftkit.proofs.state_space.checker import DISCRETE, FORMAT, digest
 
 PORTS = ((Port("u", 1),), (Port("y", 1),))
@@ -67,8 +74,8 @@ def random_system(rng: np.random.Generator) -> System:
 def test_no_member_is_above_what_is_proven(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng)
-    gain = worst_case_gain(system, wall_limit=60.0)
-    margin = robust_stability(system, largest=3.0, wall_limit=60.0)
+    gain = worst_case_gain(system, options=BoundOptions(wall_limit=60.0))
+    margin = robust_stability(system, largest=3.0, options=BoundOptions(wall_limit=60.0))
     omega = np.linspace(0.0, np.pi / system.dt, 60)
     for values in system.sample_values(rng, 200):
         member = system.at(values)
@@ -90,7 +97,7 @@ def test_a_member_that_is_not_well_posed_is_not_covered() -> None:
     p = RealParameter("p", 0.0, -0.5, 1.5)
     matrices = [[0.3]], [[1.0, 1.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 0.0]]
     system = System(*matrices, *PORTS, channels=("p",), elements=(p,), dt=0.1)
-    found = worst_case_gain(system, wall_limit=3.0, max_tests=200)
+    found = worst_case_gain(system, options=BoundOptions(wall_limit=3.0, max_tests=200))
     assert found.proof is None and found.status != "closed" and np.isinf(found.upper)
 
 
@@ -179,4 +186,4 @@ def test_a_pole_at_minus_one_is_an_error() -> None:
 
 def test_the_axis_method_is_for_continuous_time() -> None:
     with pytest.raises(ValueError, match="continuous time"):
-        worst_case_gain(lag(), method="axis")
+        worst_case_gain(lag(), options=BoundOptions(method="axis"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import linalg
 
 from lftkit import System, complex_gain, discretise, dynamic, feedback, hinf_norm, matrix, real, s
 from lftkit.proofs import (
+    BoundOptions,
     ProofError,
     check_proof,
     gain_profile,
@@ -24,7 +26,7 @@ from lftkit.proofs.state_space.checker import digest
 from lftkit.proofs.state_space.disks import dynamics_with
 from lftkit.uncertainty.elements import DynamicElement
 
-LONG = 3600.0
+LONG = BoundOptions(wall_limit=3600.0)
 
 
 def lag(element: Any, dt: float = 0.0) -> System:
@@ -38,7 +40,7 @@ def lag(element: Any, dt: float = 0.0) -> System:
 def test_a_lag_by_hand(element: Any, dt: float) -> None:
     """Gain 1 / (1 - 0.5) at zero, unstable from radius 1 on, twice the given one."""
     system = lag(element, dt)
-    gain, margin = worst_case_gain(system, wall_limit=LONG), robust_stability(system, wall_limit=LONG)
+    gain, margin = worst_case_gain(system, options=LONG), robust_stability(system, options=LONG)
     assert gain.status == margin.status == "closed"
     assert gain.lower == pytest.approx(2.0, rel=1e-6) and 2.0 <= gain.upper <= 1.05 * 2.0
     assert margin.upper == pytest.approx(2.0, rel=1e-6) and 2.0 / 1.05 <= margin.lower <= 2.0
@@ -79,7 +81,7 @@ def test_a_matrix_of_dynamics_has_the_margin_of_the_norm(shape: tuple[int, int])
     into[:, : shape[0]], out[: shape[1]] = B, C
     element = DynamicElement("f", *shape, bound=0.2)
     system = System(A, into, out, np.zeros((width, width)), (), (), channels=("f",) * width, elements=(element,))
-    margin = robust_stability(system, wall_limit=LONG)
+    margin = robust_stability(system, options=LONG)
     exact = 5.0 / hinf_norm(A, B, C, np.zeros((shape[1], shape[0]))).value
     assert margin.upper == pytest.approx(exact, rel=1e-5) and exact / 1.05 <= margin.lower <= exact
     assert check_proof(margin.proof).stable
@@ -99,7 +101,7 @@ def mixed(dt: float = 0.0) -> System:
 def test_members_that_are_named_are_as_bad_as_is_said(dt: float) -> None:
     """An asymmetric real parameter beside dynamics: the margin's member has its pole on the axis, or on the circle."""
     loop = mixed(dt)
-    margin = robust_stability(loop, wall_limit=LONG, gap=0.1)
+    margin = robust_stability(loop, options=replace(LONG, gap=0.1))
     assert margin.status == "closed" and margin.lower <= margin.upper <= 1.1 * margin.lower
     poles = loop.at(margin.point, beyond_range=True).poles()
     at = np.exp(1j * margin.frequency * dt) if dt else 1j * margin.frequency
@@ -109,7 +111,7 @@ def test_members_that_are_named_are_as_bad_as_is_said(dt: float) -> None:
     assert max(size, offset / 4.0 if offset > 0.0 else -offset / 3.0) == pytest.approx(margin.upper, rel=1e-6)
     assert check_proof(margin.proof).disks == {"f": pytest.approx(0.2 * margin.lower)}
     small = {"k": (9.5, 10.5)}
-    worst = worst_case_gain(loop, small, wall_limit=LONG, gap=0.1)
+    worst = worst_case_gain(loop, small, options=replace(LONG, gap=0.1))
     assert worst.status == "closed" and worst.lower <= worst.upper <= 1.1 * worst.lower
     member = loop.at(worst.point)
     assert hinf_norm(*member.matrices, dt=dt or None).value >= worst.lower * (1.0 - 1e-6)
@@ -118,7 +120,7 @@ def test_members_that_are_named_are_as_bad_as_is_said(dt: float) -> None:
 def test_no_member_is_above_what_is_proven() -> None:
     """Random members, dynamics as all-pass systems: stable, with gains below the upper bound."""
     loop, box = mixed(), {"k": (9.5, 10.5)}
-    worst = worst_case_gain(loop, box, gap=0.2, wall_limit=LONG)
+    worst = worst_case_gain(loop, box, options=replace(LONG, gap=0.2))
     rng = np.random.default_rng(4)
     for values in loop.sample_values(rng, 100):
         member = loop.at({**values, "k": rng.uniform(9.5, 10.5)})
@@ -148,7 +150,7 @@ def test_dynamics_have_the_value_and_the_norm_that_is_asked(omega: float, dt: fl
 
 @pytest.fixture(scope="module")
 def content() -> dict[str, Any]:
-    bounds = robust_stability(mixed(), gap=0.3, wall_limit=LONG)
+    bounds = robust_stability(mixed(), options=replace(LONG, gap=0.3))
     assert bounds.proof is not None
     check_proof(bounds.proof)
     return dict(bounds.proof.content)
@@ -216,13 +218,13 @@ def unstable() -> System:
 def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand() -> None:
     """(1 + f) / (s + 1), |f| <= t / 2: the largest gain 1 + t / 2 is at rest."""
     system = ((1 + dynamic("f", bound=0.5)) / (s + 1)).system("u", "y")
-    bounds = robust_performance(system, level=1.4, gap=0.2, wall_limit=LONG)
+    bounds = robust_performance(system, level=1.4, options=replace(LONG, gap=0.2))
     assert bounds.status == "closed" and bounds.upper == pytest.approx(0.8, rel=1e-6)
     assert bounds.upper <= 1.2 * bounds.lower and check_proof(bounds.proof).level == 1.4
     assert hinf_norm(*system.at(bounds.point).matrices).value == pytest.approx(1.4, rel=1e-6)
     nominal = robust_performance(system, level=0.9)
     assert nominal.status == "violated" and nominal.upper == 0.0 and nominal.proof is None
-    free = robust_performance(system, level=4.0, largest=1.5, gap=0.2, wall_limit=LONG)
+    free = robust_performance(system, level=4.0, largest=1.5, options=replace(LONG, gap=0.2))
     assert free.status == "closed" and free.lower == 1.5 and free.upper == np.inf and free.point == {}
 
 
@@ -230,7 +232,7 @@ def test_the_factor_of_dynamics_that_keeps_a_gain_by_hand() -> None:
 def test_real_and_complex_numbers_keep_a_gain_by_hand() -> None:
     """(1 + c) / (s + 1 - p), both of size t / 2: (1 + t / 2) / (1 - t / 2) is 2 at t = 2 / 3, 1e-6 of it by search."""
     system = ((1 + complex_gain("c", 0.0, radius=0.5)) / (s + 1 - real("p", 0.0, -0.5, 0.5))).system("u", "y")
-    bounds = robust_performance(system, level=2.0, wall_limit=LONG)
+    bounds = robust_performance(system, level=2.0, options=LONG)
     assert bounds.status == "closed" and bounds.upper == pytest.approx(2.0 / 3.0, rel=1e-6)
     assert bounds.upper <= 1.05 * bounds.lower and check_proof(bounds.proof).level == 2.0
     assert bounds.point["p"] == pytest.approx(1.0 / 3.0, rel=1e-5)

@@ -19,7 +19,7 @@ from support.uncertain_examples import aligned_modes
 
 from lftkit import Port, RealParameter, System
 from lftkit.arrays import ComplexArray
-from lftkit.proofs import ProofError, check_mu, check_proof, mu, real_block, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_mu, check_proof, mu, real_block, worst_case_gain
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof, window_power
@@ -188,7 +188,7 @@ def test_a_loop_of_huge_numbers_is_not_called_stable(loop: LoopProof) -> None:
 
 @pytest.fixture(scope="module")
 def cells() -> dict[str, Any]:
-    bounds = worst_case_gain(aligned_modes(1, damping=0.1), method="cells")
+    bounds = worst_case_gain(aligned_modes(1, damping=0.1), options=BoundOptions(method="cells"))
     assert bounds.proof is not None
     return dict(bounds.proof.content)
 
@@ -237,7 +237,7 @@ def test_any_number_of_cells_out_of_range_proves_no_lower_level(cells: dict[str,
 
 
 def test_an_axis_proof_of_scaled_scalings_proves_no_lower_level() -> None:
-    bounds = worst_case_gain(aligned_modes(1, damping=0.1), method="axis")
+    bounds = worst_case_gain(aligned_modes(1, damping=0.1), options=BoundOptions(method="axis"))
     proof = bounds.proof
     assert isinstance(proof, AxisProof) and check_proof(proof)
     for power in POWERS:

@@ -13,7 +13,7 @@ import pytest
 from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
-from lftkit.proofs import ProofError, check_proof, robust_stability, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest, exact_product
 from lftkit.proofs.trusted.proof import uncovered
 
@@ -22,7 +22,7 @@ Content = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def proof() -> Content:
-    bounds = worst_case_gain(aligned_modes(2, damping=0.02), wall_limit=3600.0)
+    bounds = worst_case_gain(aligned_modes(2, damping=0.02), options=BoundOptions(wall_limit=3600.0))
     assert bounds.proof is not None and bounds.proof.cells > 2
     return bounds.proof.content
 
@@ -101,7 +101,7 @@ def test_what_is_altered_is_refused_even_with_a_new_digest(proof: Content, chang
 
 
 def test_a_proof_of_stability_does_not_hold_for_an_unstable_box() -> None:
-    proof = robust_stability(de_gaston_safonov(), wall_limit=3600.0).proof
+    proof = robust_stability(de_gaston_safonov(), options=BoundOptions(wall_limit=3600.0)).proof
     assert proof is not None
 
     def larger(content: Content) -> None:

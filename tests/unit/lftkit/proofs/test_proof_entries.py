@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support.uncertain_examples import aligned_modes
 
-from lftkit.proofs import ProofError, check_proof, worst_case_gain
+from lftkit.proofs import BoundOptions, ProofError, check_proof, worst_case_gain
 from lftkit.proofs.entries import (
     array,
     each,
@@ -157,7 +157,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     NoiseProof(model, names, box, (NoisePart(model.rows, band, 11.0, strips),)).to_file(found / "noise.npz")
     for method, name in (("axis", "axis.npz"), ("cells", "cells.json")):
-        proof: Any = worst_case_gain(system, method=method).proof
+        proof: Any = worst_case_gain(system, options=BoundOptions(method=method)).proof
         proof.to_file(found / name)
     return found
 

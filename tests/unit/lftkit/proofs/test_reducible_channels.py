@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lftkit import RealParameter, System
-from lftkit.proofs import check_proof, worst_case_gain
+from lftkit.proofs import BoundOptions, check_proof, worst_case_gain
 
 P = RealParameter("p", 0.5, 0.2, 0.8)
 STATES = {0.0: [[-0.9, 2.0, 0.3], [-2.0, -0.9, 0.1], [0.0, 0.4, -1.3]], 0.1: np.diag([0.6, -0.4, 0.1]).tolist()}
@@ -25,7 +25,7 @@ def reducible(dt: float, driven: bool, seen: bool, into: float, out: float) -> S
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 def test_gain_that_no_state_has_a_part_in_is_proven(dt: float, driven: bool, seen: bool) -> None:
     """The states took the multipliers of the frequency to infinity, in a direction without effect."""
-    bounds = worst_case_gain(reducible(dt, driven, seen, 1.0, 1.0), max_tests=200)
+    bounds = worst_case_gain(reducible(dt, driven, seen, 1.0, 1.0), options=BoundOptions(max_tests=200))
     assert bounds.status == "closed"
     assert bounds.lower == pytest.approx(0.3, rel=1e-6) and bounds.upper <= 1.05 * 0.3
     assert check_proof(bounds.proof).level == bounds.upper
@@ -36,13 +36,13 @@ ZERO = [("cells", driven, *ends) for driven in (False, True) for ends in ((0.0, 
 
 @pytest.mark.parametrize(("method", "driven", "into", "out"), [*ZERO, ("axis", False, 0.0, 1.0)])
 def test_gain_of_zero_is_proven_to_be_negligible(method: str, driven: bool, into: float, out: float) -> None:
-    bounds = worst_case_gain(reducible(0.0, driven, not driven, into, out), method=method)
+    bounds = worst_case_gain(reducible(0.0, driven, not driven, into, out), options=BoundOptions(method=method))
     assert bounds.status == "closed"
     assert bounds.lower == 0.0 and bounds.upper <= 1e-8
     assert check_proof(bounds.proof).level == bounds.upper
 
 
 def test_gain_of_zero_is_proven_in_discrete_time() -> None:
-    bounds = worst_case_gain(reducible(0.1, False, True, 0.0, 1.0), max_tests=200)
+    bounds = worst_case_gain(reducible(0.1, False, True, 0.0, 1.0), options=BoundOptions(max_tests=200))
     assert bounds.status == "closed" and bounds.lower == 0.0 and bounds.upper <= 1e-8
     assert check_proof(bounds.proof).level == bounds.upper

@@ -19,6 +19,7 @@ from lftkit.tuning import (
     MaxLoopGain,
     MinLoopGain,
     Overshoot,
+    RobustOptions,
     Sensitivity,
     StepTracking,
     Tracking,
@@ -185,10 +186,10 @@ def build(values: Any) -> System:
 def test_goals_hold_over_a_box_of_parameters() -> None:
     """The sensitivity of g / (s (s + 2)) grows with g."""
     goals = [HinfGain("r", "e", weight_out=transfer([1.0], [1.0, 1e-3])), Sensitivity("u", bound=1.3, hard=True)]
-    options, box = TuningOptions(starts=0), {"gain": (0.5, 2.0)}
-    search = WorstCaseOptions(samples=8)
+    search, box = WorstCaseOptions(samples=8), {"gain": (0.5, 2.0)}
+    options = RobustOptions(TuningOptions(starts=0), search)
     structure = gain([("e", 1)], [("u", 1)])
-    result = tune_robust(build, box, goals, structure, initial=[[0.5]], options=options, search=search)
+    result = tune_robust(build, box, goals, structure, initial=[[0.5]], options=options)
     worst = worst_case(build, box, result.controller, goals, options=search)
     assert worst[1].value == pytest.approx(1.0, abs=0.02)
     assert worst[1].parameters["gain"] == pytest.approx(2.0)

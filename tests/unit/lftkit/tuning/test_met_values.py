@@ -14,12 +14,13 @@ from lftkit.tuning import HinfGain, TuningOptions, TuningResult, certify, gain, 
 EFFORT = TuningOptions(starts=2, seed=0)
 
 
-def tuned(*more: HinfGain, met: float, start: float = -0.5, options: TuningOptions = EFFORT) -> TuningResult:
+def tuned(*more: HinfGain, met: float, options: TuningOptions = EFFORT) -> TuningResult:
     """A lag with u = k y: its gain 1 / (1 - k) comes down to zero as k falls for ever; the command's is k / (k - 1)."""
     C, D = [[1], [0], [1]], [[0, 0], [0, 1], [0, 0]]
     plant = System([[-1]], [[1, 1]], C, D, [("w", 1), ("u", 1)], [("z", 1), ("effort", 1), ("y", 1)], "lag")
     structure = gain([("y", 1)], [("u", 1)])
-    return tune([plant], [HinfGain("w", "z"), *more], structure, initial=[[start]], met=met, options=options)
+    options = replace(options, met=met)
+    return tune([plant], [HinfGain("w", "z"), *more], structure, initial=[[-0.5]], options=options)
 
 
 @pytest.mark.parametrize("met", [0.3, 0.05, 1e-3])

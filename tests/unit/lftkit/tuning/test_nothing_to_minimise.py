@@ -91,7 +91,7 @@ def test_a_structure_without_free_parameters_over_a_box() -> None:
     assert str(result.status) == "converged" and result.soft == pytest.approx(1.0 / 3.5, rel=1e-6)
     assert result.worst[0].parameters["a"] == pytest.approx(1.5)
     box = {"a": (4.0, 6.0)}
-    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.5), nominal={"a": 4.0})
+    result = tune_robust(lambda v: first_order(v["a"]), box, asked, held(-5.5), active=[{"a": 4.0}])
     assert str(result.status) == "not_stabilised"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lftkit.systems.system import System
-from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune_robust
+from lftkit.tuning import HinfGain, RobustOptions, TuningOptions, WorstCaseOptions, gain, tune_robust
 from lftkit.tuning.rounds import Worse, in_rounds
 from lftkit.tuning.source import lower
 from lftkit.tuning.status import TuningStatus
@@ -93,10 +93,10 @@ def test_a_worst_case_below_the_target_is_not_worse() -> None:
         "requirements": [HinfGain("w", "z")],
         "structure": gain([("y", 1)], [("u", 1)]).with_bounds({"D[0,0]": (-4.0, 0.0)}),
         "initial": [[-3.0]],
-        "search": WorstCaseOptions(samples=5, climbs=1),
     }
-    met = tune_robust(**common, options=TuningOptions(starts=0, target=0.26))
+    search = WorstCaseOptions(samples=5, climbs=1)
+    met = tune_robust(**common, options=RobustOptions(TuningOptions(starts=0, target=0.26), search))
     assert met.status is TuningStatus.CONVERGED and len(met.active) == 1
     assert met.soft < met.worst[0].value < 0.26
-    exact = tune_robust(**common, options=TuningOptions(starts=0))
+    exact = tune_robust(**common, options=RobustOptions(TuningOptions(starts=0), search))
     assert len(exact.active) > 1 and exact.soft == pytest.approx(0.2, rel=1e-3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from support.counted_time import Clock, counted_evaluations, structure_with_all_
 from lftkit.systems.system import System
 from lftkit.tuning import (
     HinfGain,
+    RobustOptions,
     TuningOptions,
     TuningResult,
     WorstCase,
@@ -39,8 +41,8 @@ def build(p: Mapping[str, float]) -> System:
 
 
 def design(starts: int, **more: Any) -> TuningResult:
-    options = TuningOptions(starts=starts, wall_limit=60.0)
-    return tune_robust(build, {"a": (1.0, 3.0)}, NEEDS, LAW, options=options, search=SHORT, **more)
+    options = RobustOptions(TuningOptions(starts=starts, wall_limit=60.0), SHORT)
+    return tune_robust(build, {"a": (1.0, 3.0)}, NEEDS, LAW, options=options, **more)
 
 
 @pytest.mark.parametrize(("initial", "fewer"), [([[-0.1]], 0), ([], 1)])
@@ -84,11 +86,8 @@ def test_a_first_round_that_would_take_all_the_time_leaves_some_for_rounds(monke
 
         law = state_space([("y", 3)], [("u", 3)], 2)
         x = 0.01 * np.random.default_rng(0).standard_normal(law.size)
-        options = TuningOptions(starts=starts, wall_limit=600.0)
-        search = WorstCaseOptions(samples=4, climbs=0)
-        result = tune_robust(
-            varied, {"k": (0.0, 1.0)}, [HinfGain("w", "z")], law, initial=[x], options=options, search=search
-        )
+        options = RobustOptions(TuningOptions(starts=starts, wall_limit=600.0), WorstCaseOptions(samples=4, climbs=0))
+        result = tune_robust(varied, {"k": (0.0, 1.0)}, [HinfGain("w", "z")], law, initial=[x], options=options)
         assert len(result.rounds) > 1 and len(result.active) > 1, starts
         assert clock.now < 600.0 + 20.0
         monkeypatch.undo()
@@ -120,11 +119,13 @@ def ends_at(*points: float) -> Callable[..., TuningResult]:
 def test_the_better_one_by_worst_case_is_the_result(order: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """One start ends at 0 on the nominal model and 10 elsewhere, the other at 0.83 and 0.87."""
     monkeypatch.setattr(robust_module, "tune", ends_at(*order))
-    common: Any = {"nominal": {"p": 0.0}, "initial": [[0.0]], "search": SHORT, "options": TuningOptions(starts=1)}
-    result = tune_robust(scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW, **common, max_rounds=1)
+    common: Any = scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW
+    start: Any = {"active": [{"p": 0.0}], "initial": [[0.0]]}
+    options = RobustOptions(TuningOptions(starts=1), SHORT)
+    result = tune_robust(*common, **start, options=replace(options, max_rounds=1))
     assert result.x.item() == -0.17 and result.worst[0].value == pytest.approx(0.87)
     monkeypatch.setattr(robust_module, "tune", ends_at(*order))
-    on = tune_robust(scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW, **common)
+    on = tune_robust(*common, **start, options=options)
     assert on.worst[0].value == pytest.approx(5.0 / 6.0, rel=1e-2), "k = -1/6 on both ends"
 
 
@@ -157,7 +158,8 @@ def test_the_worst_case_is_at_least_that_of_the_active_models(monkeypatch: pytes
     monkeypatch.setattr(robust_module, "tune", ends_at(-0.1))
     less = (WorstCase("z", 0.05, {"p": 0.5}, 1.0, 0.05, 1),)
     monkeypatch.setattr(robust_module, "worst_case", lambda *_, **__: less)
-    common: Any = {"nominal": {"p": 1.0}, "initial": [[0.0]], "options": TuningOptions(starts=0), "max_rounds": 1}
-    result = tune_robust(scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW, **common)
+    options = RobustOptions(TuningOptions(starts=0), max_rounds=1)
+    start: Any = {"active": [{"p": 1.0}], "initial": [[0.0]]}
+    result = tune_robust(scaled, {"p": (0.0, 1.0)}, [HinfGain("w", "z")], LAW, **start, options=options)
     (found,) = result.worst
     assert found.value == result.soft == pytest.approx(0.1) and found.parameters == {"p": 1.0} and found.omega == 0.0

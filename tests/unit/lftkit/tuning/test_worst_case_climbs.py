@@ -12,7 +12,7 @@ from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, f
 
 from lftkit.systems.system import System
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
-from lftkit.tuning.robust.robust import tune_robust
+from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.structures.structures import gain
 from lftkit.tuning.tuner import TuningOptions
@@ -297,7 +297,7 @@ def test_outer_loop_adds_the_worst_models_until_none_is_worse() -> None:
         {"pole": (-1.0, -0.5)},
         needs,
         gain([("y", 1)], [("u", 1)]),
-        options=TuningOptions(starts=1),
+        options=RobustOptions(TuningOptions(starts=1)),
     )
     assert result.status == "converged"
     assert -result.controller.D.item() == pytest.approx(4.5, rel=2e-3)
@@ -315,7 +315,7 @@ def test_outer_loop_does_not_call_converged_what_the_tuner_does_not() -> None:
         {"pole": (-1.0, 1.0)},
         needs,
         gain([("y", 1)], [("u", 1)]),
-        options=TuningOptions(starts=1),
+        options=RobustOptions(TuningOptions(starts=1)),
     )
     assert -result.controller.D.item() >= 5.0 * (1 - 1e-4), "the gain 1 / (k - 1) <= 1/4 asks for k >= 5"
     assert 1.0 < result.soft < 1.25
@@ -333,9 +333,8 @@ def test_outer_loop_recovers_when_a_worst_model_is_unstable() -> None:
 
     box = {"mix": (-2.0, 2.0)}
     structure = gain([("y", 1)], [("u", 1)])
-    result = tune_robust(
-        build, box, [HinfGain("w", "z")], structure, nominal={"mix": 2.0}, options=TuningOptions(starts=1)
-    )
+    options = RobustOptions(TuningOptions(starts=1))
+    result = tune_robust(build, box, [HinfGain("w", "z")], structure, active=[{"mix": 2.0}], options=options)
     assert result.rounds[0].worst_soft > 2 * result.rounds[0].soft, "the nominal design is worse or unstable elsewhere"
     assert result.status == "converged"
     assert all(np.isfinite(w.value) for w in result.worst)

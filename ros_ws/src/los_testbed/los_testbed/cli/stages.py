@@ -158,12 +158,12 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
         shown = REPORTED if scenario == WORST else "nominal"
         kept = [select(results, scenario, loop, "all")[shown].bag for loop in plan.stages]
         runs = [Run.open(bag) for bag in kept if bag is not None]
-        model = {}
+        lines = {}
         for run, label in zip(runs, labels(runs)):
             alone = select(results, scenario, str(run.parameters["loop"]), "disturbance").get(shown)
             if alone is not None and alone.tones:
-                model[label] = alone.model()
+                lines[label] = alone.model()
         if runs:
             page = plan.folder / f"report-{scenario}.html"
-            paths.append(judged(runs, None, None).write_page(page, model=model))
+            paths.append(judged(runs, None, None).write_page(page, lines=lines))
     return paths

@@ -67,7 +67,6 @@ def assemble_controller(
         fsm_authority=mirror,
         pma_authority=force,
         sensors=ports.further_measured,
-        actuators=ports.further_commanded,
-        actuator_authority=[row.authority for row in ports.further_actuators],
+        actuators=ports.further_actuators,
         fade_ticks=fade_ticks,
     )

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 SETTINGS, ROW = "settings.json", "row.json"
 """Files of a trade, and of a star in it: what was asked for; what came out."""
-EFFORT = "short"
-"""Of the designs (:mod:`los_design.redesign`)."""
 
 
 @dataclass(frozen=True)
@@ -193,12 +191,14 @@ def _design(
     """Design both controllers into a folder, or go on with it: how that ended, and the requirements not met."""
     from lftkit import SampledSystem
     from los_design import redesign
+    from los_design.synthesis.options import DesignOptions
 
     def told(text: str) -> None:
         report(f"{point.name}: {text}")
 
     telescope = load_telescope(str(point.config.parameters)).for_frames(point.config.frame_ticks)
-    found = redesign.design_all(telescope, folder, effort=EFFORT, report=told, wall_limit=seconds, workers=workers)
+    options = DesignOptions(short=True, wall_limit=seconds)
+    found = redesign.design_all(telescope, folder, options, report=told, workers=workers)
     ended = SampledSystem.from_file(folder / DESIGN_FILES["k_fsm"]).provenance["status"]
     return str(ended), list(found.not_met)
 

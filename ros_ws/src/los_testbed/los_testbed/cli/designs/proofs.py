@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from lftkit import SampledSystem
     from lftkit.support.workers import Workers
     from los_design.search.worst_points import WorstPoint
-    from los_design.verification.certify import FigureBounds
+    from los_design.verification.certify import FigureBounds, ProofLevel
     from los_loop.implemented_loop import ImplementedLoop
     from titop_plant.telescope.telescope import Telescope
 
@@ -89,6 +89,8 @@ def certify(
     json_: Json = False,
 ) -> None:
     """See CERTIFY_EXAMPLES."""
+    from los_design.verification.certify import ProofLevel
+
     number("--level", level, 1e-6, 1e6)
     number("--wall-limit", wall_limit, 1.0, 1e7, "s")
     if gap is not None:
@@ -103,7 +105,7 @@ def certify(
     until = time.monotonic() + wall_limit
     loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or (), same_telescope=True)
     with cluster.workers() as pool, told_how_to_go_on("parts that are proven", output):
-        found = prove_figures(chosen, loops, known, output, pool, until, level, gap or 0.0)
+        found = prove_figures(chosen, loops, known, output, pool, until, ProofLevel(level, gap))
     if json_:
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
     else:
@@ -119,8 +121,7 @@ def prove_figures(
     output: Path,
     workers: Workers,
     until: float,
-    level: float = 1.0,
-    gap: float = 0.0,
+    level: ProofLevel | None = None,
 ) -> list[FigureBounds]:
     """Prove figures one after the other, and put all proofs of the folder into its bundle.
 
@@ -134,10 +135,10 @@ def prove_figures(
         Prove the parts.
     until : float
         ``time.monotonic()`` after which no part is begun and those that are being proven end.
-    level, gap : float
-        Part of the limit to be proven, or with a gap that much above the largest value known.
+    level : ProofLevel, optional
+        Default: the limit of each figure.
     """
-    from los_design.verification.certify import certify_figure
+    from los_design.verification.certify import ProofLevel, certify_figure
     from los_design.verification.noise_certificate import NOISE, certify_noise
     from los_testbed.campaign.proof_parts import prover_of
 
@@ -149,8 +150,8 @@ def prove_figures(
                 found.append(certify_noise(loops[s], output, prove, until, bar.report))
             else:
                 points = known or _searched(loops[s], name, workers)
-                wanted = None if gap else level
-                found.append(certify_figure(loops[s], name, wanted, gap, points, output, prove, until, bar.report))
+                asked = level or ProofLevel()
+                found.append(certify_figure(loops[s], name, asked, points, output, prove, until, bar.report))
         _keep(output / SUMMARY, found)
         sys.stderr.write(f"{s}, {name}: {found[-1].status}\n")
     if any(bounds.status == "proven" for bounds in found):

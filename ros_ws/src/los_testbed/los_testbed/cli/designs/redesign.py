@@ -58,6 +58,7 @@ figure not proven.
     los-testbed design all --output designs/mine --scheduler tcp://host:8786     # its workers search and verify
 """
 
+EFFORTS = ("full", "short")
 ROUNDS_OF_ALL = 0.4
 """Part of the wall limit that the rounds may take where proofs follow."""
 FSM_NAMES, PMA_NAMES = ("APE", "RPE", "mirror"), ("APE", "RPE", "noise", "force")
@@ -147,11 +148,14 @@ def design_all(
 ) -> None:
     """See ALL_EXAMPLES."""
     from los_design import redesign
+    from los_design.synthesis.options import DesignOptions
     from titop_plant.telescope.load import REFERENCE, differences, load_telescope
 
     folder = given_output(output, "a folder for the designs")
     number("--seed", seed, 0, 2**31 - 1)
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
+    if effort not in EFFORTS:
+        raise ValueError(f"--effort must be one of {', '.join(EFFORTS)}, got {effort}")
     own = load_telescope(parameters).with_uncertain(uncertain or ())
     if certify and (further := own.loop_ports.further):
         names = ", ".join(port.name for port in further)
@@ -169,18 +173,17 @@ def design_all(
         return mission.to_mapping(), mission.not_met
 
     until = time.monotonic() + time_limit
+    limit = ROUNDS_OF_ALL * time_limit if certify else time_limit
+    options = DesignOptions(seed=seed, short=effort == "short", wall_limit=limit, nominal=nominal)
     kept = told_how_to_go_on("rounds and designs so far", folder, without=("--anew",))
     with cluster.workers() as pool, kept:
         with Progress("design") as bar:
             summary = redesign.design_all(
                 own,
                 folder,
-                seed=seed,
-                effort=effort,
+                options,
                 resume=resume,
                 report=bar.print,
-                nominal=nominal,
-                wall_limit=ROUNDS_OF_ALL * time_limit if certify else time_limit,
                 workers=pool,
                 verify_further=verify_further,
             )

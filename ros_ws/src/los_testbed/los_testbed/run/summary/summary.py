@@ -37,7 +37,7 @@ from pointing_analysis.requirements.text import time_text
 from pointing_analysis.requirements.verdict import Requirement
 
 if TYPE_CHECKING:
-    from pointing_analysis.report.report import Model
+    from pointing_analysis.report.model_results import ExpectedLines
 
 ON_CAMERA = (
     "the device gives no true line of sight: the verdicts are on the camera's, with its noise, and say nothing of what "
@@ -137,7 +137,7 @@ class JudgedRuns:
         path: Path,
         start: float = 0.0,
         stop: float = math.inf,
-        model: Model | None = None,
+        lines: ExpectedLines | None = None,
     ) -> Path:
         """Write the HTML report; returns `path`.
 
@@ -146,24 +146,23 @@ class JudgedRuns:
         path : Path
         start, stop : float
             Part of each bag that was read [s].
-        model : mapping, optional
-            As of :func:`pointing_analysis.report.report.write_report`.
+        lines : mapping, optional
+            Of the :class:`pointing_analysis.report.model_results.ModelResults` of the page.
         """
         from los_testbed.run.summary.loop_curves import loop_curves
         from los_testbed.run.summary.predictions import predictions
+        from pointing_analysis.report.model_results import ModelResults
         from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
 
+        predicted = predictions(self.runs, self.transient, start, stop)
         return write_report(
             self.runs,
             path,
             transient=self.transient,
             requirements=self.requirements,
-            model=model,
-            predictions=predictions(self.runs, self.transient, start, stop),
+            model=ModelResults(lines or {}, predicted, self.shares, loop_curves(self.runs)),
             remarks=self.remarks,
-            sources=self.shares,
             summaries=self.summaries,
-            loops=loop_curves(self.runs),
         )
 
 
