@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 def run(tmp_path, monkeypatch, capsys):
     """The command line with the small telescope."""
 
-    def plant(parts):
+    def plant(parts, readings):
         config = parts.config
         return SimpleTelescope(config.frame_ticks, config.seed, config.noise, config.camera_dropout)
 

@@ -139,7 +139,7 @@ def reasons_against(parts: RunParts) -> list[str]:
         return found  # nothing more is known of it
     found += [
         f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
-        for name, ports in parts.used.items()
+        for name, ports in ({} if parts.code else parts.used).items()  # code is not made for its ports
         if ports.further
     ]
     own = parts.telescope.design_basis
