@@ -20,8 +20,8 @@ import time
 from typing import Any
 
 import numpy as np
+from los_testbed.loop.closed_loop import aligned_start
 from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.simulate import aligned_start
 from los_testbed.nodes.support import node_context
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES

@@ -58,7 +58,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),
-    "titop_plant/simulation/disturbances.py": (
+    "titop_plant/disturbances/tones.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),

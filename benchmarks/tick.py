@@ -36,7 +36,8 @@ from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import settings
 from los_testbed.config import RunConfig
 from los_testbed.loop import compiled_loop
-from los_testbed.loop.simulate import SIGNALS, SampleBlock, SimulatedLoop, run_in_process
+from los_testbed.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts import start as run_start
 from los_testbed.parts.run_parts import RunParts
 from processor_time import least

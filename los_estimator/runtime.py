@@ -37,7 +37,7 @@ class LosEstimator:
     ======== ============ ==== ========================================================================
     port     name         size content
     ======== ============ ==== ========================================================================
-    input    of a sensor       one for each entry of :mod:`titop_plant.sensor_table`, in their order; a
+    input    of a sensor       one for each entry of :mod:`titop_plant.sensors`, in their order; a
                                file may leave out some of them, which then have no effect
     output   los_estimate 2    LOS without the mirror's share [rad]
     ======== ============ ==== ========================================================================

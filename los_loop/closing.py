@@ -27,6 +27,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from los_loop.spec import state_parts
+from titop_plant.disturbances.tones import no_tones
 from titop_plant.interface import (
     CAMERA,
     COLUMNS,
@@ -39,8 +40,7 @@ from titop_plant.interface import (
     period_ticks,
     sample_ticks,
 )
-from titop_plant.sensor_table import CAMERA_PORT
-from titop_plant.simulation.disturbances import no_tones
+from titop_plant.sensors import CAMERA_PORT
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, step_matrix
 

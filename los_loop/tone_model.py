@@ -38,9 +38,9 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.driven_plant import held_forces
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step

@@ -7,7 +7,7 @@ parameter file, see :mod:`titop_plant.telescope.load`.
 ================  =====  =============================================================================
 vector            size   content
 ================  =====  =============================================================================
-measurement       22     values of the sensors, see :mod:`titop_plant.sensor_table`
+measurement       22     values of the sensors, see :mod:`titop_plant.sensors`
 los estimate      2      line of sight without the mirror's share [rad]
 command           8      ``fsm_command`` (2) [rad], ``pma_force`` (6) [N]
 truth             2      controlled line of sight [rad]
@@ -26,7 +26,7 @@ import numpy as np
 
 from lftkit.arrays import IntArray
 from lftkit.systems.ports import Port, port_slices, total_size
-from titop_plant.sensor_table import (
+from titop_plant.sensors import (
     ACCELEROMETER_GROUP,
     CAMERA_PORT,
     GAUGE_PORT,

@@ -26,8 +26,8 @@ from los_estimator.kalman import kalman_observer
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.report.figures import LaidOutFigure
+from titop_plant.disturbances.responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.interface import LOOP_DELAY, MIRROR
-from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.error_budget import MAX_SENSITIVITY

@@ -11,8 +11,8 @@ import numpy as np
 
 from lftkit import SampledSystem
 from los_design.figures.stage_curves import NAMES, PaperStages
+from titop_plant.disturbances.responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.interface import STAGES
-from titop_plant.simulation.disturbance_responses import Curve, DisturbanceResponses, disturbance_responses
 from titop_plant.telescope.assembly import AssembledTelescope, assembled_telescope
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope

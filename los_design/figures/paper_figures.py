@@ -30,8 +30,8 @@ from los_design.figures.style import LIMIT, STAGE_STYLES, STYLE, hertz, radians,
 from los_design.synthesis.store import continuous
 from los_estimator.kalman import kalman_observer
 from pointing_analysis.report.figures import LaidOutFigure
+from titop_plant.disturbances.responses import ARCSEC
 from titop_plant.interface import MEASURED, STAGES
-from titop_plant.simulation.disturbance_responses import ARCSEC
 from titop_plant.telescope.weights import rpe_weight
 
 GREY, DPI = "#777777", 110

@@ -14,8 +14,8 @@ from los_design.figures.paper_case import DESIGNS, PaperCase
 from los_design.synthesis.provenance import digest
 from los_design.verification.verification import PAPER_NOMINAL, PAPER_ROBUST, SHORT_NAMES, check_paper
 from los_loop.figures_of_merit import paper_figures
+from titop_plant.disturbances.responses import DRIVES, WHEELS, Curve
 from titop_plant.interface import MIRROR_STAGES
-from titop_plant.simulation.disturbance_responses import DRIVES, WHEELS, Curve
 
 BANDS = (1.0, 6.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Ends of the bands of frequency [rad/s]."""

@@ -1,7 +1,7 @@
 """Pictures of how micro-vibrations reach the line of sight: those of the paper's analysis of the open plant.
 
 The same parameter file gives the same files byte for byte. What is computed:
-:mod:`titop_plant.simulation.disturbance_responses`.
+:mod:`titop_plant.disturbances.responses`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from matplotlib.ticker import LogLocator
 from lftkit.arrays import FloatArray
 from los_design.figures.style import BLUE, LIMIT, ORANGE, STYLE, hertz, radians, save_figure
 from pointing_analysis.report.figures import LaidOutFigure
-from titop_plant.simulation.disturbance_responses import (
+from titop_plant.disturbances.drive_lines import fixed_lines, stepper_lines
+from titop_plant.disturbances.responses import (
     ALL,
     ARCSEC,
     DRIVES,
@@ -29,7 +30,6 @@ from titop_plant.simulation.disturbance_responses import (
     DisturbanceResponses,
     disturbance_responses,
 )
-from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines
 from titop_plant.telescope.layout import ANGLE, speed_names
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope

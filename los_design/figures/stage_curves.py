@@ -20,7 +20,7 @@ from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, loop_grid
 from los_loop.spec import LINE_OF_SIGHT, LOS_ROWS
-from titop_plant.simulation.disturbance_responses import ALL, ARCSEC, Curve, DisturbanceResponses
+from titop_plant.disturbances.responses import ALL, ARCSEC, Curve, DisturbanceResponses
 from titop_plant.telescope.control_plant import disturbances_of
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import weight_amplitudes

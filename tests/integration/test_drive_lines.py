@@ -11,8 +11,8 @@ from los_testbed.config import RunConfig
 from los_testbed.loop.source_alone import errors_of_source
 from los_testbed.parts.run_parts import RunParts
 
+from titop_plant.disturbances.drive_lines import fixed_lines, stepper_lines
 from titop_plant.interface import DT
-from titop_plant.simulation.sources.drive_lines import fixed_lines, stepper_lines
 from titop_plant.telescope.load import load_telescope
 
 FILE = Path(__file__).parents[2] / "examples/spacecraft/moving_rotors.toml"

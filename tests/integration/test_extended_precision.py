@@ -15,9 +15,9 @@ import pytest
 from lftkit import System
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import FloatArray
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantFamily
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig
 from titop_plant.simulation.ramped_step import RampedStep

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import simple_telescope
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop, run_in_process
+from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import build_controller, build_estimator
 from simple_telescope import SimpleTelescope, write_controllers
 from support.call_count import calls

@@ -11,7 +11,6 @@ from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.loop.source_alone import NOISE, parts_of
-from los_testbed.parts.disturbance_kinds import KINDS
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
@@ -20,6 +19,7 @@ from los_testbed.run_settings import with_scenario
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import conditions_of, differences
 from pointing_analysis.requirements.summary import summarise
+from titop_plant.disturbances.kinds import KINDS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import simulate as run
+from los_testbed.loop.closed_loop import SimulatedLoop
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 
@@ -14,10 +14,10 @@ from los_estimator.runtime import LosEstimator
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
+from titop_plant.disturbances.tones import Tones, no_tones
 from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import DISTURBANCES
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, no_tones
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
 from titop_plant.simulation.sensor_samples import SensorModel
@@ -49,7 +49,8 @@ def simulate(case, tones: Tones, state: np.ndarray, ticks: int, frame_ticks: int
         assemble_controller({"k_fsm": k_fsm, "k_pma": k_pma}, load_telescope().design_basis, "fsm+pma"),
     )
     los: list[np.ndarray] = []
-    run(plant, estimator, controller, ticks, lambda block, rows: los.append(block.truth[:rows].copy()))
+    loop = SimulatedLoop(plant, estimator, controller)
+    loop.run(ticks, lambda block, rows: los.append(block.truth[:rows].copy()))
     return np.concatenate(los)
 
 

@@ -40,10 +40,10 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig

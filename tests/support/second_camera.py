@@ -24,6 +24,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import (
     CAMERA,
     COLUMNS,
@@ -39,7 +40,6 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.build import PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import SimulatedLoop
+from los_testbed.loop.closed_loop import SimulatedLoop
 from los_testbed.parts.run_parts import RunParts
 
 

@@ -15,14 +15,13 @@ from scipy import linalg
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
+from titop_plant.disturbances.tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import PlantConfig, motion, parameter_values, steady, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
-from titop_plant.simulation.profiles import PROFILES
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.scenarios import FOLLOWING, TONES, Circumstances
 from titop_plant.simulation.sensor_samples import SensorModel
@@ -30,6 +29,7 @@ from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.control_plant import DISTURBANCES, control_loop_plant, disturbances_of
 from titop_plant.telescope.layout import speed_names
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import PROFILES
 from titop_plant.telescope.telescope import Telescope
 
 SPEED_ROUNDS = 4

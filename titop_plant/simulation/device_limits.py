@@ -26,7 +26,7 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray
 from titop_plant.interface import ACCELERATIONS, COLUMNS, DT, FORCES, MEASUREMENTS, MIRROR
-from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.sections import OscillatorTable
 
 

@@ -19,10 +19,10 @@ import numpy as np
 from lftkit import Port, System, sampled
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices, total_size
+from titop_plant.disturbances.sources import loaded_telescope
 from titop_plant.interface import COMMANDED, COMMANDS
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant_config import PlantConfig, parameter_values
-from titop_plant.simulation.sources.drive import loaded_telescope
 from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.assembly import EXTERNAL_WRENCH, assembled_telescope
 from titop_plant.telescope.control_plant import with_sensors

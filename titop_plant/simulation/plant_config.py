@@ -11,8 +11,14 @@ from pydantic.dataclasses import dataclass
 
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class
-from titop_plant.simulation.profiles import PROFILES, MotionProfile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.motion_profiles import (
+    PROFILES,
+    MotionProfile,
+    linear_profile,
+    read_profile,
+    trapezoidal_profile,
+)
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -29,7 +35,7 @@ class PlantConfig(PhysicalSettings):
 
     isolated: bool = setting(True, "payload on its isolator, or hard-mounted")
     tones: tuple[tuple[float, ...], ...] = setting(
-        (), "tones of the scenario worst_case, see titop_plant.simulation.disturbances.given_tones"
+        (), "tones of the scenario worst_case, see titop_plant.disturbances.tones.given_tones"
     )
 
     def __post_init__(self) -> None:
@@ -107,7 +113,7 @@ def motion(config: PlantConfig, telescope: Telescope) -> MotionProfile:
     Raises
     ------
     ValueError
-        As :func:`titop_plant.simulation.profiles.read_profile`; another number of wheels than there are.
+        As :func:`titop_plant.telescope.motion_profiles.read_profile`; another number of wheels than there are.
     """
     check_wheels(config, telescope)
     speed = config.wheel_speed or telescope.default_speeds

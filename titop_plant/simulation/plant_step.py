@@ -30,8 +30,8 @@ from scipy import linalg
 from lftkit import System
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import ComplexArray, FloatArray
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import COMMANDS, DT
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.modal_plant import ModalPlant
 
 NEAREST = 1e-5

@@ -26,12 +26,12 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampled.ordered_product import add_up
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import DT
 from titop_plant.simulation.compilation import kernel
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.kernel_arrays import Course, StepArrays
 from titop_plant.simulation.plant_step import whole_step
-from titop_plant.simulation.profiles import MotionProfile
+from titop_plant.telescope.motion_profiles import MotionProfile
 
 SPEED_STEP, ANGLE_STEP = 10.0, 0.06
 """Largest change of a wheel speed [rad/s] and of the array angle [rad] from one node to the next."""

@@ -19,9 +19,9 @@ from types import MappingProxyType
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from titop_plant.disturbances import tones
+from titop_plant.disturbances.tones import Tones, joined
 from titop_plant.interface import NO_SCENARIO
-from titop_plant.simulation import disturbances
-from titop_plant.simulation.disturbances import Tones, joined
 from titop_plant.telescope.telescope import Telescope
 
 
@@ -38,9 +38,9 @@ class Circumstances:
     rng : numpy.random.Generator
         For phases; its seed is that of the run.
     given : tuple of tuples
-        Tones that the configuration holds, see :func:`titop_plant.simulation.disturbances.given_tones`.
+        Tones that the configuration holds, see :func:`titop_plant.disturbances.tones.given_tones`.
     isolator_tones : callable
-        Makes :func:`titop_plant.simulation.disturbances.design_tones` of the telescope on its isolator.
+        Makes :func:`titop_plant.disturbances.tones.design_tones` of the telescope on its isolator.
     """
 
     telescope: Telescope
@@ -55,7 +55,7 @@ Scenario = Callable[[Circumstances], Tones]
 
 def worst_case(now: Circumstances) -> Tones:
     """The tone that the run was given."""
-    return disturbances.given_tones(now.given, now.telescope.channels)
+    return tones.given_tones(now.given, now.telescope.channels)
 
 
 def design(now: Circumstances) -> Tones:
@@ -77,13 +77,13 @@ def unit_norm(now: Circumstances) -> Tones:
 
 def imbalance(now: Circumstances) -> Tones:
     """Wheels and drives."""
-    wheels = disturbances.imbalance_tones(now.telescope, now.speeds, now.rng)
-    return joined([wheels, disturbances.sadm_tones(now.telescope, now.rng)])
+    wheels = tones.imbalance_tones(now.telescope, now.speeds, now.rng)
+    return joined([wheels, tones.sadm_tones(now.telescope, now.rng)])
 
 
 def no_scenario(now: Circumstances) -> Tones:
     """None."""
-    return disturbances.no_tones(now.telescope.channels)
+    return tones.no_tones(now.telescope.channels)
 
 
 TONES: Mapping[str, Scenario] = MappingProxyType(

@@ -17,7 +17,7 @@ accelerations            18    behind the washout F_w, with noise
 other measured ports     4     behind their low-pass (F_LOS of the camera), with noise
 =======================  ====  ===================================================================
 
-The sensors are those of :mod:`titop_plant.sensor_table`. Noise is given in the parameter file as the standard deviation
+The sensors are those of :mod:`titop_plant.sensors`. Noise is given in the parameter file as the standard deviation
 of samples at 1 kHz: its two-sided density is sigma^2 dt. Source: the paper, "Fine LOS control".
 """
 
@@ -41,7 +41,7 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     sample_ticks,
 )
-from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.layout import SADM_TORQUE, WHEEL_IMBALANCE, present

@@ -1,6 +1,6 @@
 """Further sensors and actuators of a parameter file: tables ``[[sensor]]`` and ``[[actuator]]``.
 
-The stored controllers measure with the sensors of :mod:`titop_plant.sensor_table` and act with mirror and proof-mass
+The stored controllers measure with the sensors of :mod:`titop_plant.sensors` and act with mirror and proof-mass
 actuators. What stands here is beside them: a further sensor is recorded, and read by a controller of the user that
 names it; a further actuator loads the structure with its mass, its spring and its damper, and is driven by a source of
 disturbance or by such a controller. The reference telescope has none of them.
@@ -24,9 +24,9 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
+from titop_plant.sensors import Sensor, SensorMount
 from titop_plant.telescope.actuators import Actuator, ActuatorMount
 from titop_plant.telescope.sections import OscillatorTable, frozen
-from titop_plant.telescope.sensors import Sensor, SensorMount
 
 SENSOR, ACTUATOR = "sensor", "actuator"
 """Tables of a parameter file."""

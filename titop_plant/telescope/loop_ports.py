@@ -35,9 +35,8 @@ from titop_plant.interface import (
     TRUTH_PORTS,
     sample_ticks,
 )
-from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.sensors import MEASURED_SENSORS, Sensor, port_alone
 from titop_plant.telescope.actuators import Actuator, reference_actuators
-from titop_plant.telescope.sensors import Sensor, port_alone
 
 DISTURBANCE = "disturbance"
 """Name of the normalised disturbances together: as many as the telescope has."""

@@ -23,6 +23,7 @@ from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
+from titop_plant.sensors import Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements
 from titop_plant.telescope.actuators import Actuator, reference_actuators
 from titop_plant.telescope.devices import ACTUATOR_FORCE, PLACED_SENSORS, read_actuators, read_sensors
@@ -48,7 +49,6 @@ from titop_plant.telescope.sections import (
     made,
     structure,
 )
-from titop_plant.telescope.sensors import Sensor, read_loop_sensors
 from titop_plant.telescope.tables.uncertain import UNCERTAIN, factors, require_modes, spread_of
 from titop_plant.telescope.uncertain_parameters import box_corners, uncertain_parameters
 

@@ -21,8 +21,8 @@ from los_design.figures.paper_figures import FIGURES, draw
 from los_design.synthesis.state_space_requirements import paper_requirements
 from los_design.synthesis.store import continuous
 from los_estimator.problem import observer_plant
+from titop_plant.disturbances.responses import Curve
 from titop_plant.interface import STAGES
-from titop_plant.simulation.disturbance_responses import Curve
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.load import load_telescope
 

@@ -14,8 +14,9 @@ import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
 from los_testbed.config import RunConfig
+from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop, run_in_process
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
 

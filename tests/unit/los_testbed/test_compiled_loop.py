@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from los_testbed.config import RunConfig
 from los_testbed.loop import compiled_loop
+from los_testbed.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
 from los_testbed.loop.compiled_loop import CompiledLoop, prepare
-from los_testbed.loop.simulate import SIGNALS, SampleBlock, SimulatedLoop
 from los_testbed.parts.run_parts import RunParts
 
 from titop_plant.simulation import compilation

@@ -12,10 +12,10 @@ import pytest
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.parts.disturbance_files import entries_of, make_sources
-from los_testbed.parts.disturbance_kinds import RunConditions
 from los_testbed.parts.run_parts import RunParts
 from scipy import io
 
+from titop_plant.disturbances.kinds import RunConditions
 from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

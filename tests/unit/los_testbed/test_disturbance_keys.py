@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.parts.disturbance_files import entries_of, make_sources
-from los_testbed.parts.disturbance_kinds import RunConditions
 
-from titop_plant.simulation.sources.drive import INSTANTS
+from titop_plant.disturbances.kinds import RunConditions
+from titop_plant.disturbances.sources import INSTANTS
 from titop_plant.telescope.load import load_telescope
 
 RUN = RunConditions((200.0, -210.0, 220.0, -230.0), 2.0, 1)

@@ -15,9 +15,9 @@ from los_testbed.members import CASES, check_ranges, named_cases, random_member
 from los_testbed.parts import run_parts
 
 from los_design.figures import plant_figures
+from titop_plant.disturbances.responses import ALL, Curve, disturbance_responses
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.simulation.build import PlantConfig, parameter_values
-from titop_plant.simulation.disturbance_responses import ALL, Curve, disturbance_responses
 from titop_plant.structures import write_modal_data
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.load import load_telescope

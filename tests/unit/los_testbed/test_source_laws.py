@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.parts.disturbance_files import entries_of, make_sources
-from los_testbed.parts.disturbance_kinds import KINDS, RunConditions
 
 from lftkit.arrays import FloatArray
+from titop_plant.disturbances.kinds import KINDS, RunConditions
+from titop_plant.disturbances.mechanisms import mechanism_sources
+from titop_plant.disturbances.signals import JointSignal, SampledSignal, Signal
 from titop_plant.interface import DT
-from titop_plant.simulation.profiles import MotionProfile
-from titop_plant.simulation.sources.mechanisms import mechanism_sources
-from titop_plant.simulation.sources.signals import JointSignal, SampledSignal, Signal
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import MotionProfile
 
 SECONDS = 20.0
 SPEED = 200.0

@@ -11,23 +11,24 @@ from scipy import signal as spectra
 
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import port_slices
-from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
-from titop_plant.simulation import build as simulation
-from titop_plant.simulation.driven_plant import DisturbanceInput
-from titop_plant.simulation.plant import Plant
-from titop_plant.simulation.plant_config import PlantConfig
-from titop_plant.simulation.sources import drive
-from titop_plant.simulation.sources.drive import INSTANTS, PlacedSource, Sources, source_matrix
-from titop_plant.simulation.sources.moving_mass import MovingMassSignal, PhaseNoise
-from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
-from titop_plant.simulation.sources.signals import (
+from titop_plant.disturbances import sources as placed
+from titop_plant.disturbances.moving_mass import MovingMassSignal, PhaseNoise
+from titop_plant.disturbances.places import all_places, place_matrix, source_ports
+from titop_plant.disturbances.signals import (
     PulseSignal,
     SampledSignal,
     ToneSignal,
     noise_of_density,
     repeated,
 )
-from titop_plant.simulation.sources.waterfall import lines_at
+from titop_plant.disturbances.sources import INSTANTS, PlacedSource, Sources
+from titop_plant.disturbances.waterfall import lines_at
+from titop_plant.interface import COMMANDS, MEASUREMENTS, TRUTH
+from titop_plant.simulation import build as simulation
+from titop_plant.simulation.driven_plant import DisturbanceInput
+from titop_plant.simulation.plant import Plant
+from titop_plant.simulation.plant_config import PlantConfig
+from titop_plant.simulation.source_matrix import source_matrix
 from titop_plant.telescope.load import load_telescope
 
 QUIET = PlantConfig(disturbance=False, noise=False, theta=0.4)
@@ -110,7 +111,7 @@ def test_the_response_is_that_of_exact_tones(
     signal: Callable[[], object],
     tolerance: float,
 ) -> None:
-    monkeypatch.setattr(drive, "FADE", 0.0)
+    monkeypatch.setattr(placed, "FADE", 0.0)
     found = truth(driven(family, source(signal())), len(reference))
     assert np.abs(found - reference).max() < tolerance * np.abs(reference).max()
 
@@ -138,7 +139,7 @@ def test_every_node_carries_a_force_to_the_whole_spacecraft(family: simulation.P
     tables = [source_matrix(family, QUIET, [source(exact_tones(), p)]).reshape(-1, 7, 6) for p in ("bus", place)]
     low = []
     for one in ("bus", place):
-        telescope = drive.loaded_telescope(load_telescope(), True).system[
+        telescope = placed.loaded_telescope(load_telescope(), True).system[
             "attitude", "load_" + PARAMETERS.nodes[one] if one != "bus" else "external_wrench"
         ]
         data = telescope.at({})

@@ -9,9 +9,9 @@ import pytest
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
+from titop_plant.disturbances.tones import given_tones
 from titop_plant.interface import COMMANDED, COMMANDS, DT, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
-from titop_plant.simulation.disturbances import given_tones
 from titop_plant.simulation.driven_plant import (
     DISTURBANCE_COLUMNS,
     DISTURBANCE_SIZE,

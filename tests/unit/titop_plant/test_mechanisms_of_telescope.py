@@ -10,10 +10,10 @@ import pytest
 from oracles.accurate_response import accurate_response
 from scipy import linalg
 
-from titop_plant.simulation.disturbances import sadm_tones
-from titop_plant.simulation.sources.drive import loaded_telescope
-from titop_plant.simulation.sources.mechanisms import mount_matrix
-from titop_plant.simulation.sources.places import place_matrix, source_ports
+from titop_plant.disturbances.mechanisms import mount_matrix
+from titop_plant.disturbances.places import place_matrix, source_ports
+from titop_plant.disturbances.sources import loaded_telescope
+from titop_plant.disturbances.tones import sadm_tones
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import control_plant
 from titop_plant.telescope.load import load_telescope

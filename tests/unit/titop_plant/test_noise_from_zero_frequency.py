@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal as spectra
 
-from titop_plant.simulation.sources.signals import noise_of_density
+from titop_plant.disturbances.signals import noise_of_density
 
 DT = 1e-3
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from los_loop.continuous_loop import continuous_open_loop
-from titop_plant.simulation.disturbance_responses import DRIVES, WHEELS, disturbance_responses
+from titop_plant.disturbances.responses import DRIVES, WHEELS, disturbance_responses
 from titop_plant.telescope.assembly import assembled_telescope
 from titop_plant.telescope.load import load_telescope
 

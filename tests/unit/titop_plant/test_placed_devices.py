@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lftkit import Port
-from titop_plant.simulation.sources.places import all_places, place_matrix, source_ports
+from titop_plant.disturbances.places import all_places, place_matrix, source_ports
+from titop_plant.sensors import Sensor, SensorMount
 from titop_plant.telescope.assembly import AssembledTelescope, build_telescope
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.readings import SensorReadings
-from titop_plant.telescope.sensors import Sensor, SensorMount
 from titop_plant.telescope.telescope import Telescope
 
 ARM = [0.3, -0.2, 0.5]

@@ -11,10 +11,11 @@ import pytest
 
 from lftkit import Port, System
 from lftkit.arrays import FloatArray
+from titop_plant.disturbances.tones import Tones
 from titop_plant.interface import CAMERA, COMMANDS, FORCES, MEASUREMENTS, MIRROR, TRUTH
+from titop_plant.sensors import Sensor
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.device_limits import DeviceLimits, LimitedDevices
-from titop_plant.simulation.disturbances import Tones
 from titop_plant.simulation.driven_plant import ActuatorInput, DisturbanceInput
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import plant_step
@@ -22,7 +23,6 @@ from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.placed.readings import SensorReadings
-from titop_plant.telescope.sensors import Sensor
 
 N, FURTHER, TICKS = 5, 2, 200
 SIZE = MEASUREMENTS + TRUTH + FURTHER

@@ -11,17 +11,17 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from lftkit import Port, System
+from titop_plant.disturbances.tones import imbalance_tones, no_tones
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import imbalance_tones, no_tones
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_config import motion, parameter_values, values_along
 from titop_plant.simulation.plant_step import plant_step, step_matrix
-from titop_plant.simulation.profiles import MotionProfile, linear_profile, read_profile, trapezoidal_profile
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep, node_interval, node_matrices
 from titop_plant.simulation.sensor_samples import SensorModel
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import MotionProfile, linear_profile, read_profile, trapezoidal_profile
 
 SILENT = SensorModel(np.zeros(22), np.zeros(22), 1, 0.0, 0)
 CROSSING = PlantConfig(

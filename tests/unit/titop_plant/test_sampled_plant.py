@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
+from titop_plant.disturbances.tones import imbalance_tones, no_tones, sadm_tones
 from titop_plant.interface import COMMANDED, DT, MEASURED
 from titop_plant.simulation.build import (
     DISTURBANCES,
@@ -15,7 +16,6 @@ from titop_plant.simulation.build import (
     build_plant,
     parameter_values,
 )
-from titop_plant.simulation.disturbances import imbalance_tones, no_tones, sadm_tones
 from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.assembly import assembled_telescope, build_telescope
 from titop_plant.telescope.control_plant import with_sensors

@@ -9,10 +9,10 @@ import pytest
 from scipy import linalg
 
 from lftkit import Port, System
+from titop_plant.disturbances.tones import Tones, joined, no_tones
 from titop_plant.interface import CAMERA, DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import Tones, joined, no_tones
 from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import held_step, in_turn, plant_step, step_matrix, tone_step

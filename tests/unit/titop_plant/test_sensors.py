@@ -9,7 +9,7 @@ import pytest
 
 from lftkit import Port
 from titop_plant.interface import ACCELEROMETERS, COLUMNS, HELD, HELD_PARTS, MEASURED, period_ticks, sample_ticks
-from titop_plant.sensor_table import MEASURED_SENSORS, SensorEntry
+from titop_plant.sensors import MEASURED_SENSORS, SensorEntry
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.telescope import Telescope
 

@@ -14,17 +14,17 @@ from lftkit import System, minimal_realisation
 from titop_plant.blocks.flexible_body import rigid_body
 from titop_plant.blocks.revolute_joint import DriveRotor, on_revolute_joint
 from titop_plant.blocks.stepper import Stepper
-from titop_plant.interface import DT
-from titop_plant.simulation.profiles import MotionProfile
-from titop_plant.simulation.sources.drive import INSTANTS
-from titop_plant.simulation.sources.mechanisms import (
+from titop_plant.disturbances.mechanisms import (
     ON_ARRAY,
     ON_ROTOR,
     AngleSignal,
     drive_harmonics,
     mechanism_sources,
 )
+from titop_plant.disturbances.sources import INSTANTS
+from titop_plant.interface import DT
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import MotionProfile
 from titop_plant.telescope.telescope import Telescope
 
 INERTIA, GEARBOX, DAMPING = 26.0, 2.0e4, 15.0

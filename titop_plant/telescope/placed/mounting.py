@@ -11,10 +11,10 @@ from titop_plant import ports
 from titop_plant.blocks.mounting import mounted
 from titop_plant.blocks.proof_mass_actuator import ProofMassActuator, proof_mass_actuator
 from titop_plant.blocks.reaction_wheel import spin_frame
+from titop_plant.sensors import SensorMount
 from titop_plant.telescope.actuators import ActuatorMount
 from titop_plant.telescope.devices import ACTUATOR_FORCE
 from titop_plant.telescope.places import body_of
-from titop_plant.telescope.sensors import SensorMount
 from titop_plant.telescope.telescope import Telescope
 
 MOTOR = "pma_force"

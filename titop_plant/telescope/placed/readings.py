@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from titop_plant.telescope.sensors import Sensor
+from titop_plant.sensors import Sensor
 
 SEED_KEY = 19
 """Of their random numbers among those of a run: the noise of the loop stays as it is."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from titop_plant.ports import AXES
-from titop_plant.sensor_table import SENSORS
+from titop_plant.sensors import SENSORS
 
 POSITIVE = {
     "mass",

@@ -19,9 +19,9 @@ from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
 from los_testbed.config import RunConfig, read_yaml
 from titop_plant.simulation.plant_config import check_wheels, frequencies
-from titop_plant.simulation.profiles import PROFILES, read_profile
 from titop_plant.telescope.layout import ANGLE
 from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import PROFILES, read_profile
 
 if TYPE_CHECKING:
     from lftkit import RealParameter

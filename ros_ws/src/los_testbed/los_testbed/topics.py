@@ -13,11 +13,11 @@ from los_testbed.config import NAMESPACE
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 from titop_plant.interface import COLUMNS, sample_ticks
 from titop_plant.interface import COMMANDS as COMMAND_SIZE
-from titop_plant.sensor_table import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
+from titop_plant.sensors import CAMERA_PORT, GAUGE_PORT, MEASURED_SENSORS, PLATFORM_PORT, SensorEntry
 
 if TYPE_CHECKING:
+    from titop_plant.sensors import Sensor
     from titop_plant.telescope.actuators import Actuator
-    from titop_plant.telescope.sensors import Sensor
 
 NODES = ("plant", "estimator", "controller", "recorder")
 """Nodes of a run, in the order in which they are started."""

@@ -28,9 +28,9 @@ from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
 from los_testbed.config import RunConfig
+from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.compiled_loop import Signals
 from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.simulate import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.source_alone import errors_of_source
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.image.optics import Optics

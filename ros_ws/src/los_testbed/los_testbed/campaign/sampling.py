@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from los_testbed.members import family
-from titop_plant.simulation.profiles import read_csv
+from titop_plant.telescope.motion_profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]

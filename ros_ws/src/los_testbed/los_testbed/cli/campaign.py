@@ -197,7 +197,8 @@ def _count(asked: Campaign, done: frozenset[int]) -> int:
 def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:
     """Run members again and record them; their bags."""
     from los_testbed.campaign.sampling import COLUMNS, settings
-    from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+    from los_testbed.loop.closed_loop import LoopDivergedError
+    from los_testbed.loop.simulate import run_in_process
 
     if not worst:
         return []

@@ -420,8 +420,9 @@ def execute(parts: RunParts, nodes: Nodes) -> Results:
             bar.report(ticks, config.ticks)
 
         if config.mode == "inprocess":
+            from los_testbed.loop.closed_loop import LoopDivergedError
             from los_testbed.loop.contract import RunFailedError
-            from los_testbed.loop.simulate import LoopDivergedError, record
+            from los_testbed.loop.simulate import record
             from los_testbed.run.bag_names import recorded
 
             try:

@@ -32,7 +32,7 @@ class Sample:
 
     Attributes
     ----------
-    port : name of the sensor's port, as in :mod:`titop_plant.sensor_table`, or `TRUTH_PORT`
+    port : name of the sensor's port, as in :mod:`titop_plant.sensors`, or `TRUTH_PORT`
     acquired_ns : time of acquisition on the steady clock of this host (``time.monotonic_ns``)
     values : (size of the port,) [SI]
     """

@@ -1,7 +1,8 @@
 """Plant, observer and controller as one piece of compiled code, where all three are the testbed's own.
 
 The bits are those of their `step` functions, one after the other (:mod:`titop_plant.simulation.plant_step` says the
-order of operations). Code of the user is called tick by tick, as :func:`los_testbed.loop.simulate.simulate` does.
+order of operations). Code of the user is called tick by tick, as :class:`los_testbed.loop.closed_loop.SimulatedLoop`
+does.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
+from titop_plant.disturbances.tones import no_tones
 from titop_plant.interface import (
     COMMANDS,
     DT,
@@ -32,19 +34,18 @@ from titop_plant.interface import (
 )
 from titop_plant.simulation.compilation import kernel, kernel_for
 from titop_plant.simulation.constant_step import ConstantStep
-from titop_plant.simulation.disturbances import no_tones
 from titop_plant.simulation.kernel_arrays import ControllerArrays, ObserverArrays, TickRecord
 from titop_plant.simulation.plant import Plant
 from titop_plant.simulation.plant_step import whole_step
-from titop_plant.simulation.profiles import linear_profile
 from titop_plant.simulation.ramped_step import MovingTones, RampedStep
 from titop_plant.simulation.sensor_samples import SensorModel
+from titop_plant.telescope.motion_profiles import linear_profile
 
 _PARTS = np.array([0, *(part.stop for part in HELD_PARTS.values())])
 
 
 class Signals(Protocol):
-    """Ticks of one loop, as :class:`los_testbed.loop.simulate.SampleBlock` holds them: a row for each."""
+    """Ticks of one loop, as :class:`los_testbed.loop.closed_loop.SampleBlock` holds them: a row for each."""
 
     @property
     def measurement(self) -> FloatArray:

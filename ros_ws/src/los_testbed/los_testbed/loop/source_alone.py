@@ -15,14 +15,15 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.loop.simulate import SampleBlock, SimulatedLoop
+from los_testbed.loop.closed_loop import SampleBlock, SimulatedLoop
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import RunStart
 from pointing_analysis.indices.errors import default_transient
+from titop_plant.disturbances.sources import Sources
 from titop_plant.interface import DT, MIRROR_STAGES
 from titop_plant.simulation.driven_plant import DisturbanceInput, held_disturbance
 from titop_plant.simulation.plant import Plant
-from titop_plant.simulation.sources.drive import Sources, source_matrix
+from titop_plant.simulation.source_matrix import source_matrix
 
 NOISE = "sensor noise"
 """Name of the part that noise and bias of the sensors are."""

@@ -23,11 +23,11 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from los_testbed.config import RunConfig
 from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
+from los_testbed.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
 from los_testbed.loop.compiled_loop import compile_telescope
 from los_testbed.loop.contract import RunFailedError, check_plant
 from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
 from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.simulate import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
 from los_testbed.loop.tick_clock import TickClock
 from los_testbed.nodes.support.exercise import exercise
 from los_testbed.nodes.support.follower import SERVICE_NS

@@ -31,14 +31,14 @@ from lftkit.arrays import FloatArray
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
 from los_testbed.config import RunConfig
-from los_testbed.parts.disturbance_kinds import KINDS, DisturbanceTable, RunConditions
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
+from titop_plant.disturbances.kinds import KINDS, DisturbanceTable, RunConditions
 from titop_plant.telescope.load import FOLDER
 
 if TYPE_CHECKING:
-    from titop_plant.simulation.sources.drive import PlacedSource
+    from titop_plant.disturbances.sources import PlacedSource
     from titop_plant.telescope.telescope import Telescope
 
 COMMON = {"name", "kind", "place", "frame", "offset", "scale"}
@@ -131,8 +131,8 @@ def make_sources(
 
 
 def _source(entry: DisturbanceTable, telescope: Telescope, run: RunConditions) -> PlacedSource:
-    from titop_plant.simulation.sources.drive import PlacedSource
-    from titop_plant.simulation.sources.places import place_matrix
+    from titop_plant.disturbances.places import place_matrix
+    from titop_plant.disturbances.sources import PlacedSource
 
     table = entry.table
     name, kind, place = table.get("name"), table.get("kind"), table.get("place", "bus")

@@ -41,12 +41,12 @@ if TYPE_CHECKING:
     from los_loop.steady_state import LoopStart
     from los_loop.tone_model import ToneModel
     from los_loop.worst_tone import WorstTone
-    from los_testbed.parts.disturbance_kinds import DisturbanceTable
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
+    from titop_plant.disturbances.kinds import DisturbanceTable
+    from titop_plant.disturbances.sources import PlacedSource
     from titop_plant.simulation.build import PlantFamily
     from titop_plant.simulation.plant import Plant
-    from titop_plant.simulation.sources.drive import PlacedSource
     from titop_plant.telescope.telescope import Telescope
 
 
@@ -441,8 +441,9 @@ class RunParts:
         """The telescope under the sources of files, where there are any."""
         if not self.sources:
             return plant
+        from titop_plant.disturbances.sources import Sources
         from titop_plant.simulation.driven_plant import DisturbanceInput
-        from titop_plant.simulation.sources.drive import Sources, source_matrix
+        from titop_plant.simulation.source_matrix import source_matrix
 
         drive, name = Sources(self.sources, plant.dt), f"sources {self.sources_digest[:12]}"
         with one_thread():
@@ -455,8 +456,8 @@ class RunParts:
         if not (self._entries or self._mechanisms):
             return ()
         from los_testbed.parts.disturbance_files import make_sources
-        from los_testbed.parts.disturbance_kinds import RunConditions
-        from titop_plant.simulation.sources.mechanisms import mechanism_sources
+        from titop_plant.disturbances.kinds import RunConditions
+        from titop_plant.disturbances.mechanisms import mechanism_sources
 
         profile = motion(self.settings, self.telescope)
         names = tuple(wheel.name for wheel in self.telescope.wheels)

@@ -124,7 +124,7 @@ def input_digests(config: RunConfig) -> dict[str, str]:
     ValueError
         A file that cannot be read.
     """
-    from titop_plant.simulation.profiles import PROFILES
+    from titop_plant.telescope.motion_profiles import PROFILES
 
     found = {}
     if config.parameters:

@@ -25,8 +25,8 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
 from los_testbed.config import is_library
+from los_testbed.loop.closed_loop import LoopDivergedError
 from los_testbed.loop.contract import first_not_finite
-from los_testbed.loop.simulate import LoopDivergedError
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart

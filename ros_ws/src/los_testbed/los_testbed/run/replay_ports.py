@@ -14,9 +14,9 @@ from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout
 from titop_plant.interface import COMMANDED, K_FSM_OUTPUTS, MEASURED_PORTS
+from titop_plant.sensors import Sensor
 from titop_plant.telescope.actuators import Actuator
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
-from titop_plant.telescope.sensors import Sensor
 
 
 def rows_of(run: Run, law: SampledSystem) -> LoopPorts:

@@ -24,7 +24,8 @@ from lftkit.support.input_files import read_bytes
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.bags.metadata import run_metadata
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from los_testbed.loop.closed_loop import LoopDivergedError
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.members import MEMBER, check_ranges, random_member, worst_member
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import input_digests

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+from los_testbed.loop.closed_loop import LoopDivergedError
+from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import content_digest, input_digests, map_files
 from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE

@@ -173,8 +173,9 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
 
 def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVerdict], tuple[float, float] | None]:
     """Verdicts of a stage at a member, and its relative error with and without fine control [mas rms]."""
+    from los_testbed.loop.closed_loop import LoopDivergedError
     from los_testbed.loop.contract import RunFailedError
-    from los_testbed.loop.simulate import LoopDivergedError, run_in_process
+    from los_testbed.loop.simulate import run_in_process
     from pointing_analysis.read.run import Run
     from pointing_analysis.requirements.summary import summarise
 

@@ -27,7 +27,7 @@ from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
 from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
-from titop_plant.sensor_table import MEASURED_SENSORS
+from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.loop_ports import LoopPorts
 
 GROUPS = {entry.port.name: entry.group for entry in MEASURED_SENSORS}

@@ -22,13 +22,13 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import port_slices, total_size
 from titop_plant.blocks.reaction_wheel import spin_frame
 from titop_plant.blocks.stepper import Stepper
+from titop_plant.disturbances.places import place_matrix, source_ports
+from titop_plant.disturbances.signals import NO_LINES, JointSignal, Signal, noise_of_density
+from titop_plant.disturbances.sources import PlacedSource
 from titop_plant.interface import DT
-from titop_plant.simulation.profiles import MotionProfile
-from titop_plant.simulation.sources.drive import PlacedSource
-from titop_plant.simulation.sources.places import place_matrix, source_ports
-from titop_plant.simulation.sources.signals import NO_LINES, JointSignal, Signal, noise_of_density
 from titop_plant.telescope.assembly import MOTOR_TORQUE
 from titop_plant.telescope.layout import DENSITIES, SADM_TORQUE, WheelOnBoard
+from titop_plant.telescope.motion_profiles import MotionProfile
 from titop_plant.telescope.telescope import Telescope
 
 WHEEL_BROADBAND, ARRAY_DRIVE = "wheel broadband", "array drive"

@@ -10,14 +10,14 @@ import numpy as np
 from lftkit import System
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import ComplexArray, FloatArray
+from titop_plant.disturbances.mechanisms import ARRAY_DRIVE, AngleSignal, mechanism_sources
+from titop_plant.disturbances.places import source_ports
+from titop_plant.disturbances.signals import JointSignal
+from titop_plant.disturbances.tones import sadm_tones
 from titop_plant.interface import DT
-from titop_plant.simulation.disturbances import sadm_tones
-from titop_plant.simulation.profiles import MotionProfile
-from titop_plant.simulation.sources.mechanisms import ARRAY_DRIVE, AngleSignal, mechanism_sources
-from titop_plant.simulation.sources.places import source_ports
-from titop_plant.simulation.sources.signals import JointSignal
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import disturbances_of
+from titop_plant.telescope.motion_profiles import MotionProfile
 from titop_plant.telescope.telescope import Telescope
 
 LOS = "los_controlled"

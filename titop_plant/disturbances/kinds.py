@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from los_testbed.parts.disturbance_units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Column, Table, split_unit
 from pointing_analysis.read.tables.times import column_stamps, time_column
 from pointing_analysis.read.time_grid import NANO, time_grid
+from titop_plant.disturbances.units import DENSITY, FORCE, FREQUENCY, ORDER, PER_SPEED_SQUARED, Units, WrenchUnits
 from titop_plant.interface import DT
 
 if TYPE_CHECKING:
-    from titop_plant.simulation.sources.signals import Signal
+    from titop_plant.disturbances.signals import Signal
 
 AXES = (
     ("fx", "force_x", "force.x"),
@@ -167,7 +167,7 @@ Made = tuple["Signal", tuple[str, ...]]
 
 
 def _series(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.signals import SampledSignal, repeated
+    from titop_plant.disturbances.signals import SampledSignal, repeated
 
     keeps_mean, repeats = entry.flag("keep_mean", False), entry.flag("repeat", False)
     table = entry.file()
@@ -267,7 +267,7 @@ def _phased(amplitude: FloatArray, sense: float, rng: np.random.Generator) -> Co
 
 
 def _wheel(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.signals import tone_signal
+    from titop_plant.disturbances.signals import tone_signal
 
     speed, rng = _speed(entry, run), _rng(entry, run)
     squared = entry.flag("squared", True)
@@ -287,8 +287,8 @@ def _audible(make: Callable[..., Signal], rows: list[tuple[float, float, Complex
 
 
 def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.signals import tone_signal
-    from titop_plant.simulation.sources.waterfall import lines_at
+    from titop_plant.disturbances.signals import tone_signal
+    from titop_plant.disturbances.waterfall import lines_at
 
     table, speed, rng = entry.file(), _speed(entry, run), _rng(entry, run)
     name = next((name for name in table.columns if split_unit(name)[0].lower() == "speed"), "speed")
@@ -323,7 +323,7 @@ def _waterfall(entry: DisturbanceTable, run: RunConditions) -> Made:
 
 
 def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.signals import NOISE_SECONDS, PASSES, noise_of_density
+    from titop_plant.disturbances.signals import NOISE_SECONDS, PASSES, noise_of_density
 
     table = entry.file()
     frequency = _column(entry, table, "frequency", "f", units=FREQUENCY)
@@ -344,8 +344,8 @@ def _psd(entry: DisturbanceTable, run: RunConditions) -> Made:
 
 
 def _cooler(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.moving_mass import WIDEST, PhaseNoise, moving_mass
-    from titop_plant.simulation.sources.signals import tone_signal
+    from titop_plant.disturbances.moving_mass import WIDEST, PhaseNoise, moving_mass
+    from titop_plant.disturbances.signals import tone_signal
 
     rng, frequency = _rng(entry, run), entry.number("frequency", None, 0.0)
     base = 2 * np.pi * frequency
@@ -361,7 +361,7 @@ def _cooler(entry: DisturbanceTable, run: RunConditions) -> Made:
 
 
 def _pulses(entry: DisturbanceTable, run: RunConditions) -> Made:
-    from titop_plant.simulation.sources.signals import PulseSignal
+    from titop_plant.disturbances.signals import PulseSignal
 
     wrench = np.r_[entry.vector("force"), entry.vector("torque")]
     width, period = entry.number("width", None, 0.0), entry.number("period", None, 0.0)
