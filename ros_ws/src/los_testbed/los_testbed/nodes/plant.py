@@ -229,7 +229,7 @@ class PlantLoop:
 
     @property
     def missed(self) -> int:
-        """Ticks for which an older command was held, and periods that were lost altogether."""
+        """Ticks that were sent with an older command, and periods that were lost altogether: at most all ticks."""
         return self.held + self.lost
 
     def _real_time(self, start: int) -> None:
@@ -254,7 +254,6 @@ class PlantLoop:
             self._woke[k % RING] = time.time_ns()
             if not self.io.fresh(now):
                 self._take_commands(now)
-                self.held += not self.io.fresh(now)
             if over:  # one more wake-up, for the commands of the last tick
                 break
             if not stepped:
@@ -265,6 +264,7 @@ class PlantLoop:
                     continue
                 now = start + self.ticks * TICK_NS
                 self._woke[self.ticks % RING] = time.time_ns()
+            self.held += not self.io.fresh(now)
             self._publish(now)
             self.execution.add(time.monotonic_ns() - start_time + early)
             if self._camera is not None:
