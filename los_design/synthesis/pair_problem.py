@@ -21,6 +21,7 @@ import numpy as np
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import Port, total_size
+from lftkit.systems.sampled.bilinear import continuous_point
 from lftkit.tuning.responses import (
     ControllerBlock,
     GrowingSamples,
@@ -116,8 +117,7 @@ def blocks(telescope: Telescope, tuned: Sequence[int]) -> tuple[ControllerBlock,
 
 def _bilinear(omega: FloatArray) -> ComplexArray:
     """The variable s of a controller that is sampled by the bilinear transformation."""
-    z = np.exp(1j * omega * DT)
-    return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
+    return np.asarray(continuous_point(np.exp(1j * omega * DT), DT))
 
 
 def _filters(rows: LoopPorts, ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
