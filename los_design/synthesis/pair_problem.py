@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.bilinear import continuous_point
@@ -216,7 +217,7 @@ def grid(edge: float) -> FloatArray:
     parts = [
         np.geomspace(0.02, edge, 160),
         np.geomspace(edge, low, 60),
-        np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
+        logarithmic_grid(low, high, FINE_STEP),
         np.geomspace(high, HIGHEST, 25),
     ]
     return np.asarray(np.unique(np.concatenate(parts)), dtype=float)
