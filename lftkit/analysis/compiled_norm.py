@@ -261,26 +261,36 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
 
 
 @compiled
+def mapped(given: Matrices, sign: float) -> tuple[Matrices, float]:
+    """Matrices in continuous time and the condition of ``sign A + I``, as `HalfPlane` has them.
+
+    What :func:`lftkit.systems.sampled.bilinear.to_continuous` says of ``sign A, sign B, C, D``, in compiled code.
+    """
+    A, B, C, D = given
+    n = len(A)
+    shifted = sign * A.astype(np.complex128)
+    for k in range(n):
+        shifted[k, k] += 1.0
+    inverse = np.linalg.inv(shifted).real.copy()
+    condition = np.abs(shifted).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max()
+    own, driven = -2.0 * inverse, inverse @ B
+    for k in range(n):
+        own[k, k] += 1.0
+    matrices = own, driven * sign, 2.0 * (C @ inverse), D - (C @ driven) * sign
+    return matrices, condition  # type: ignore[return-value]
+
+
+@compiled
 def circle_norm(given: Matrices, rtol: float) -> Found:
     """As :func:`norm`, for a balanced system in discrete time, by the maps of `HalfPlane`: the angle [rad] is the last.
 
     See :class:`lftkit.analysis.circle.half_plane.HalfPlane`.
     """
-    A, B, C, D = given
-    n = len(A)
-    sign = 1.0 if np.trace(A) >= 0.0 else -1.0
+    sign = 1.0 if np.trace(given[0]) >= 0.0 else -1.0
     for _ in range(2):
-        shifted = sign * A.astype(np.complex128)
-        for k in range(n):
-            shifted[k, k] += 1.0
-        inverse = np.linalg.inv(shifted).real.copy()
-        condition = np.abs(shifted).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max()
+        system, condition = mapped(given, sign)
         if condition <= MAX_CONDITION:
-            own, driven = -2.0 * inverse, inverse @ B
-            for k in range(n):
-                own[k, k] += 1.0
-            mapped = own, driven * (2.0 * sign), C @ inverse, D - (C @ driven) * sign
-            value, upper, omega = norm(mapped, rtol, given, sign, condition)  # type: ignore[arg-type]
+            value, upper, omega = norm(system, rtol, given, sign, condition)
             if value >= 0.0:
                 turn = 2.0 * np.arctan(omega)
                 return value, upper, turn if sign > 0.0 else np.pi - turn

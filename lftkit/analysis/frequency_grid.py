@@ -1,4 +1,4 @@
-"""Frequency grid that resolves lightly damped resonances."""
+"""Frequency grids: of a response, which resolves lightly damped resonances, and of equal steps of the logarithm."""
 
 from __future__ import annotations
 
@@ -12,6 +12,38 @@ from lftkit.arrays import FloatArray
 LIGHT_DAMPING = 0.3  # poles of a smaller damping ratio get points of their own
 UNDAMPED = 1e-10  # damping ratio below which a pole counts as undamped
 CLEARANCE = 1e-6  # relative distance of the grid from an undamped pole
+ZERO = 1e-9  # magnitude over the largest one below which a pole counts as one at zero
+
+
+def pole_range(poles: ArrayLike, *, zero: float = ZERO) -> tuple[float, float]:
+    """Smallest and largest magnitude of poles [rad/s] but those at zero; (1, 1) without any.
+
+    Parameters
+    ----------
+    poles : array_like
+        Eigenvalues [rad/s].
+    zero : float
+        Magnitude, over the largest one, up to which a pole counts as one at zero.
+
+    Examples
+    --------
+    >>> pole_range([0.0, -0.5, -2.0 + 1.5j, -2.0 - 1.5j])
+    (0.5, 2.5)
+    """
+    size = np.abs(np.ravel(np.asarray(poles, dtype=complex)))
+    size = size[size > zero * size.max(initial=0.0)]
+    return (float(size.min()), float(size.max())) if size.size else (1.0, 1.0)
+
+
+def logarithmic_grid(low: float, high: float, step: float) -> FloatArray:
+    """Frequencies from `low` to `high` [rad/s] whose logarithms are about `step` apart.
+
+    Examples
+    --------
+    >>> logarithmic_grid(1.0, 100.0, 1.5).round(6).tolist()
+    [1.0, 10.0, 100.0]
+    """
+    return np.asarray(np.geomspace(low, high, int(np.log(high / low) / step)), dtype=float)
 
 
 def frequency_grid(

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import frequency_response
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port, port_slices
@@ -182,10 +182,8 @@ def _frequencies(models: Sequence[System], omega: ArrayLike | None) -> FloatArra
     if omega is not None:
         return np.asarray(omega, dtype=float)
     poles = np.concatenate([np.zeros(0, dtype=complex), *(linalg.eigvals(m.A) for m in models)])
-    size = np.abs(poles)
-    size = size[size > 1e-9 * size.max(initial=0.0)]
-    low, high = float(size.min(initial=1.0)), float(size.max(initial=1.0))
-    return frequency_grid(poles, low / MARGIN, high * MARGIN, points=300)
+    low, high = pole_range(poles)
+    return frequency_grid(poles, min(low, 1.0) / MARGIN, max(high, 1.0) * MARGIN, points=300)
 
 
 def _band(axes: Axes, w: FloatArray, values: FloatArray, members: int) -> None:

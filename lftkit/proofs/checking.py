@@ -21,6 +21,7 @@ from lftkit.proofs.state_space.checker import check_proof as check_cells
 from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
 from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.proof import ProofError
+from lftkit.support.format_names import current_name
 
 FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)
 
@@ -78,7 +79,7 @@ def proof_format(path: Path) -> str:
         No such file, or no header of a proof.
     """
     header, _ = file_content(path)
-    name = header.get("format") if isinstance(header, dict) else None
+    name = current_name(header.get("format")) if isinstance(header, dict) else None
     if name not in FORMATS:
         raise ProofError(f"format must be one of {', '.join(map(repr, FORMATS))}, got {name!r}"[:400])
     return str(name)

@@ -15,6 +15,7 @@ import numpy as np
 
 from lftkit.proofs.entries import Form, array, file_content, record, refuse
 from lftkit.proofs.trusted.proof import ProofError, Strip
+from lftkit.support.format_names import current_name
 
 
 def packed(strips: Sequence[Strip], parameters: int) -> dict[str, Any]:
@@ -95,7 +96,7 @@ def read_archive(
         No such file, another format than `form`, or an entry that has not its form, is missing or unknown.
     """
     given, found = file_content(path)
-    own = given.get("format") if isinstance(given, dict) else None
+    own = current_name(given.get("format")) if isinstance(given, dict) else None
     if own != form:
         raise ProofError(f"format must be {form!r}, got {own!r}"[:200])
     known = header(given, "header")

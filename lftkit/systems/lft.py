@@ -39,7 +39,7 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray | None:
         return None
     x = linalg.lu_solve((lu, pivots), right, check_finite=False)
     # One step of iterative refinement makes the solution accurate row by row when the rows differ in scale (Skeel
-    # 1980). Slow motion of a free spacecraft needs it: the net force is a small difference of large forces.
+    # 1980). Slow motion of a free body needs it: the net force is a small difference of large forces.
     return np.asarray(x + linalg.lu_solve((lu, pivots), right - matrix @ x, check_finite=False))
 
 

@@ -281,7 +281,7 @@ class System(Arithmetic):
     def __getitem__(self, key: tuple[str | Sequence[str], str | Sequence[str]]) -> System:
         """Sub-system ``system[outputs, inputs]`` by port names; all states and channels stay."""
         if not isinstance(key, tuple) or len(key) != 2:
-            raise ValueError(f"index must be [output ports, input ports], for example P['los', 'u'], got {key!r}")
+            raise ValueError(f"index must be [output ports, input ports], for example P['y', 'u'], got {key!r}")
         return self.select(outputs=_names(key[0]), inputs=_names(key[1]))
 
     def select(self, *, outputs: Iterable[str] | None = None, inputs: Iterable[str] | None = None) -> System:

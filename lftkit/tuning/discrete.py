@@ -22,6 +22,13 @@ from lftkit.analysis.norms import h2_norm, hinf_norm
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
+from lftkit.systems.sampled.bilinear import (
+    discrete_point,
+    to_continuous,
+    to_discrete,
+    unwarped_frequency,
+    warped_frequency,
+)
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import AGREEMENT, Certificate, weighted_loop
 from lftkit.tuning.descent.starts import start_checked
@@ -37,7 +44,6 @@ from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure
 from lftkit.tuning.tuner import TuningOptions, tune
 
-AT_MINUS_ONE = 1e-12  # relative distance of a pole from z = -1 below which there is no image
 DEADBEAT = 1e-12  # magnitude of z below which a pole counts as this fast
 RTOL = 1e-5  # of the gains of a certificate
 
@@ -50,27 +56,19 @@ def image_of(model: System) -> System:
     ValueError
         A pole at z = -1, which is at infinity in the image.
     """
-    A, B, C, D = model.matrices
-    n, half = len(A), 0.5 * model.dt
-    moved = A + np.eye(n)
-    if n and float(linalg.svdvals(moved)[-1]) < AT_MINUS_ONE * max(float(np.abs(moved).max()), 1.0):
-        raise ValueError(f"{model.name}: system must have no pole at z = -1, got one")
-    through = linalg.solve(moved, np.hstack([A - np.eye(n), B])) if n else np.zeros((0, B.shape[1]))
-    a, b, root = through[:, :n] / half, through[:, n:], (2.0 / half) ** 0.5
-    c = linalg.solve(moved.T, C.T).T if n else C
-    return System(a, root * b, root * c, D - C @ b, model.inputs, model.outputs, model.name)
+    try:
+        A, B, C, D = to_continuous(*model.matrices, model.dt)
+    except ValueError as error:
+        raise ValueError(f"{model.name}: {error}") from None
+    root = float(np.sqrt(model.dt))  # the Gramians stay
+    return System(A, root * B, C / root, D, model.inputs, model.outputs, model.name)
 
 
 def sampled_from_image(model: System, dt: float) -> System:
     """Discrete system with period `dt` [s] whose image is `model`."""
-    A, B, C, D = model.matrices
-    n, half = len(A), 0.5 * dt
-    moved = np.eye(n) - half * A
-    through = linalg.solve(moved, np.hstack([np.eye(n) + half * A, B])) if n else np.zeros((0, B.shape[1]))
-    a, b = through[:, :n], through[:, n:]
-    c = linalg.solve(moved.T, C.T).T if n else C
-    root = np.sqrt(dt)
-    return System(a, root * b, root * c, D + half * C @ b, model.inputs, model.outputs, model.name, dt=dt)
+    A, B, C, D = to_discrete(*model.matrices, dt)
+    root = float(np.sqrt(dt))
+    return System(A, B / root, root * C, D, model.inputs, model.outputs, model.name, dt=dt)
 
 
 def tune_discrete(
@@ -176,10 +174,12 @@ def _gain(loop: System, r: HinfGain | H2Gain, dt: float) -> tuple[float, float, 
 def _gain_in_band(loop: System, band: tuple[float, float], stable: bool) -> tuple[float, float, float]:
     """Gain in a band [rad/s], by the image; its value is that of the loop itself."""
     dt = float(loop.dt)
-    if loop.order and np.abs(linalg.eigvals(loop.A) + 1.0).min() < AT_MINUS_ONE:
+    try:
+        image = image_of(loop)
+    except ValueError:
         return np.inf, np.inf, np.inf
-    found = band_gain(*image_of(loop).matrices, _band_of_image(band, dt), rtol=RTOL, stable=stable)
-    omega = 2.0 / dt * float(np.arctan(0.5 * dt * found.omega))
+    found = band_gain(*image.matrices, _band_of_image(band, dt), rtol=RTOL, stable=stable)
+    omega = unwarped_frequency(found.omega, dt)
     if not np.isfinite(found.value):
         return found.value, found.upper, omega
     value = float(linalg.svdvals(loop.response([omega])[0])[0])
@@ -187,8 +187,7 @@ def _gain_in_band(loop: System, band: tuple[float, float], stable: bool) -> tupl
 
 
 def _band_of_image(band: tuple[float, float], dt: float) -> tuple[float, float]:
-    low, high = (2.0 / dt * float(np.tan(0.5 * dt * w)) if w < np.pi / dt else np.inf for w in band)
-    return low, high
+    return warped_frequency(band[0], dt), warped_frequency(band[1], dt)
 
 
 def _common_period(models: Sequence[System]) -> float:
@@ -223,8 +222,7 @@ class _OnImage:
         """As those of the requirement in continuous time."""
         half = 0.5 * self.period * poles
         half = np.where(np.abs(1.0 + half) < DEADBEAT, DEADBEAT - 1.0, half)
-        z = np.asarray((1.0 + half) / (1.0 - half), dtype=complex)
-        values, slopes, number = super().pieces(rates(z, self.period))  # type: ignore[misc]
+        values, slopes, number = super().pieces(rates(discrete_point(half), self.period))  # type: ignore[misc]
         return values, slopes * np.conj(1.0 / (1.0 - half**2))[number], number
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import scipy.optimize
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import FloatArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
@@ -229,7 +230,7 @@ class Search:
         if not members:
             return []
         low, high = self.edge, LAST_PEAK
-        axis = np.asarray(np.geomspace(low, high, int(np.log(high / low) / PEAK_STEP)), dtype=float)
+        axis = logarithmic_grid(low, high, PEAK_STEP)
         points = _mixed_points(np.random.default_rng([options.seed, members]), members, len(self.loop.names))
         return [(names, axis[k : k + PEAK_GROUP + 2], points) for k in range(0, len(axis) - 2, PEAK_GROUP)]
 

@@ -19,8 +19,10 @@ from functools import cached_property
 import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
+from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.ports import Port, total_size
+from lftkit.systems.sampled.bilinear import continuous_point
 from lftkit.tuning.responses import (
     ControllerBlock,
     GrowingSamples,
@@ -116,8 +118,7 @@ def blocks(telescope: Telescope, tuned: Sequence[int]) -> tuple[ControllerBlock,
 
 def _bilinear(omega: FloatArray) -> ComplexArray:
     """The variable s of a controller that is sampled by the bilinear transformation."""
-    z = np.exp(1j * omega * DT)
-    return np.asarray(2.0 / DT * (z - 1.0) / (z + 1.0))
+    return np.asarray(continuous_point(np.exp(1j * omega * DT), DT))
 
 
 def _filters(rows: LoopPorts, ports: Sequence[Port]) -> Callable[[FloatArray], ComplexArray]:
@@ -216,7 +217,7 @@ def grid(edge: float) -> FloatArray:
     parts = [
         np.geomspace(0.02, edge, 160),
         np.geomspace(edge, low, 60),
-        np.geomspace(low, high, int(np.log(high / low) / FINE_STEP)),
+        logarithmic_grid(low, high, FINE_STEP),
         np.geomspace(high, HIGHEST, 25),
     ]
     return np.asarray(np.unique(np.concatenate(parts)), dtype=float)

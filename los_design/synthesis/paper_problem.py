@@ -29,6 +29,7 @@ import numpy as np
 
 from fsm_pma_controller.problem import ORDER as ACTUATOR_ORDER
 from lftkit import System
+from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.responses import ControllerBlock, PlantSamples, ResponseGain, ResponseNoise, ResponseProblem
 from lftkit.tuning.responses.blocks import gain_matrices
@@ -145,7 +146,7 @@ class PaperSamples(Samples):
 
     def __init__(self, open_loop: OpenLoop, threads: int = 1) -> None:
         super().__init__(open_loop, threads)
-        dense = np.geomspace(HIGHEST, DENSE_TO, int(np.log(DENSE_TO / HIGHEST) / FINE_STEP))
+        dense = logarithmic_grid(HIGHEST, DENSE_TO, FINE_STEP)
         above: FloatArray = np.asarray(np.unique([*dense, *np.geomspace(DENSE_TO, UPPERMOST, ABOVE)]), dtype=float)
         self._samples.append(sample(open_loop, above, open_loop.point({})[None]))
 

@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.frequency_grid import logarithmic_grid
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search
@@ -70,9 +71,9 @@ class StageCheck:
 
 def grid() -> FloatArray:
     """Frequencies [rad/s] of a check: fine where the structure's modes are."""
-    slow = np.geomspace(LOWEST, FINE_FROM, int(np.log(FINE_FROM / LOWEST) / SLOW_STEP))
-    fine = np.geomspace(FINE_FROM, FINE_TO, int(np.log(FINE_TO / FINE_FROM) / FAST_STEP))
-    above = np.geomspace(FINE_TO, HIGHEST, int(np.log(HIGHEST / FINE_TO) / SLOW_STEP))
+    slow = logarithmic_grid(LOWEST, FINE_FROM, SLOW_STEP)
+    fine = logarithmic_grid(FINE_FROM, FINE_TO, FAST_STEP)
+    above = logarithmic_grid(FINE_TO, HIGHEST, SLOW_STEP)
     return np.asarray(np.unique(np.concatenate([slow, fine, above])), dtype=float)
 
 

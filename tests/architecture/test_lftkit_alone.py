@@ -1,10 +1,12 @@
-"""The tests of lftkit can be collected where lftkit alone is installed, as its README says."""
+"""lftkit is a library of its own: its tests need no other package, its text names none of their subjects."""
 
 from __future__ import annotations
 
 import ast
 import re
 from pathlib import Path
+
+from support.packages import files_of
 
 TESTS = Path(__file__).parents[1]
 OTHERS = {path.parent.name for path in TESTS.parent.glob("*/__init__.py")} - {"lftkit"} | {
@@ -13,6 +15,13 @@ OTHERS = {path.parent.name for path in TESTS.parent.glob("*/__init__.py")} - {"l
     "mcap",
 }
 """Packages beside it."""
+
+WORDS = {*OTHERS - {"rclpy", "mcap"}, "los", "fsm", "pma", "k_fsm", "k_pma"}
+SUBJECTS = re.compile(rf"telescope|mirror|spacecraft|testbed|\b({'|'.join(sorted(WORDS))})\b", re.IGNORECASE)
+"""What the packages beside it are about."""
+
+EARLIER_NAMES = "support/format_names.py"
+"""The module of the library with the names that formats of files had before."""
 
 
 def imported(path: Path) -> set[str]:
@@ -52,3 +61,18 @@ def test_no_test_of_lftkit_reads_what_is_not_a_test() -> None:
         depth = len(path.relative_to(TESTS).parts) - 1
         for levels in re.findall(r"parents\[(\d+)\]", path.read_text("utf-8")):
             assert int(levels) <= depth, path
+
+
+def test_the_library_names_no_subject_of_another_package() -> None:
+    """Code, messages, docstrings, formats and the README; names of formats that are read as they were once written."""
+    folder = TESTS.parent / "lftkit"
+    texts = [*files_of(folder), *folder.glob("*.md"), folder / "pyproject.toml"]
+    named = [
+        f"{path.relative_to(folder).as_posix()}:{number}: {line.strip()}"
+        for path in texts
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+        if SUBJECTS.search(line)
+    ]
+    wrong = [line for line in named if not line.startswith(f"{EARLIER_NAMES}:")]
+    assert len(texts) > 150 and len(named) > len(wrong)
+    assert not wrong

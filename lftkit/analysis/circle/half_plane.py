@@ -1,19 +1,20 @@
 """A discrete-time system as one in continuous time, where the map loses little.
 
-``s = (z - sign) / (z + sign)`` takes the unit circle to the imaginary axis. The inverse that it needs is that of
-``sign A + I``: well conditioned as long as no pole is near ``z = -sign``.
+It is the bilinear map of ``sign z`` (:mod:`lftkit.systems.sampled.bilinear`, with the period 2). The inverse that it
+needs is that of ``sign A + I``: well conditioned as long as no pole is near ``z = -sign``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import atan, pi
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
 
-from lftkit.arrays import ComplexArray, FloatArray, Matrices
+from lftkit.arrays import ComplexArray, Matrices
+from lftkit.systems.sampled.bilinear import discrete_point, to_continuous, unwarped_frequency
 
 MAX_CONDITION = 1e4  # of the matrix that is inverted
 
@@ -49,13 +50,13 @@ class HalfPlane(NamedTuple):
 
     def angle(self, omega: float) -> float:
         """Angle on the unit circle [rad] of the frequency `omega` in continuous time."""
-        turn = 2.0 * atan(omega)
+        turn = 2.0 * unwarped_frequency(omega)
         return turn if self.sign > 0.0 else pi - turn
 
     def response(self, omega: float) -> ComplexArray:
         """Response (p, m) of the matrices that were given, at the point of the circle of `omega`."""
         A, B, C, D = self.given
-        z = complex(-self.sign) if omega == np.inf else self.sign * (1.0 + 1j * omega) / (1.0 - 1j * omega)
+        z = self.sign * (complex(-1.0) if omega == np.inf else discrete_point(1j * omega))
         shifted = np.multiply(A, -1.0 + 0.0j, order="F")
         shifted.flat[:: len(A) + 1] += z
         return np.asarray(C @ lapack.zgesv(shifted, B, overwrite_a=1)[2] + D)
@@ -63,19 +64,11 @@ class HalfPlane(NamedTuple):
 
 def _mapped(system: Matrices, sign: float) -> HalfPlane | None:
     A, B, C, D = system
-    n = len(A)
-    shifted = A * sign
-    shifted.flat[:: n + 1] += 1.0
-    identity: FloatArray = np.zeros((n, n), order="F")
-    identity.flat[:: n + 1] = 1.0
-    inverse, info = lapack.dgesv(shifted, identity)[2:]
-    if info:
+    try:
+        mapped = to_continuous(A * sign, B * sign, C, D, rcond=0.0)
+    except ValueError:
         return None
+    one = np.eye(len(A))
+    shifted, inverse = A * sign + one, 0.5 * (one - mapped[0])
     condition = float(abs(shifted).sum(axis=0).max() * abs(inverse).sum(axis=0).max())
-    if not condition <= MAX_CONDITION:
-        return None
-    own = inverse * -2.0
-    own.flat[:: n + 1] += 1.0
-    driven = inverse @ B
-    mapped = own, driven * (2.0 * sign), C @ inverse, D - (C @ driven) * sign
-    return HalfPlane(mapped, system, sign, condition)
+    return HalfPlane(mapped, system, sign, condition) if condition <= MAX_CONDITION else None

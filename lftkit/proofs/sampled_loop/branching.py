@@ -1,9 +1,9 @@
 """Which parameter of a box to bisect where no scalings prove it.
 
 The loss of a parameter, ``trace(D z S z*)``, says where the scalings spend their margin, not what a smaller interval
-would gain: at 400 rad/s the wheel speeds of the telescope have the largest losses, while bisecting them six times
-lowers the bound by nothing, and only small intervals of the arrays' angle do. So the gain is measured: the level that
-can be proven with a parameter held near its lower end, its middle and its upper end, against that of the whole box.
+would gain. The parameters with the largest losses may be some whose bisection, even six times over, does not lower the
+bound, while small intervals of another one do. So the gain is measured: the level that can be proven with a parameter
+held near its lower end, its middle and its upper end, against that of the whole box.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from lftkit.proofs.sampled_loop.model import LoopModel
 from lftkit.proofs.trusted.given import LoopProof
 from lftkit.proofs.trusted.loop import Loop
 
-FORMAT = "los-testbed loop proof 1"
+FORMAT = "lftkit loop proof 1"
 HEADER: dict[str, Form] = {
     "groups": each(each(index)),
     "angle": each(truth),

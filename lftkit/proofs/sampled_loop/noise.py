@@ -34,7 +34,7 @@ from lftkit.proofs.trusted.polynomials import INFLATE, UNIT
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
 from lftkit.proofs.trusted.stability import stable_below
 
-FORMAT = "los-testbed noise proof 2"
+FORMAT = "lftkit noise proof 2"
 PIECES = 64
 """Of a part, in each of which the weight of the relative error counts with its value at the upper end."""
 

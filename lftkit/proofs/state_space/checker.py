@@ -49,9 +49,10 @@ from lftkit.proofs.entries import each, file_content, fixed, index, mapping, may
 from lftkit.proofs.trusted.definite import positive
 from lftkit.proofs.trusted.polynomials import TINY
 from lftkit.proofs.trusted.proof import ProofError, uncovered
+from lftkit.support.format_names import current_name
 
-FORMAT = "los-testbed proof 1"
-DISCRETE = "los-testbed proof in discrete time 1"
+FORMAT = "lftkit proof 1"
+DISCRETE = "lftkit proof in discrete time 1"
 SCALING = fixed(table, table)
 CELL = record(
     {
@@ -366,6 +367,7 @@ def _band(ends: Any) -> tuple[float, float]:
 def _checked(proof: dict[str, Any]) -> CheckedProof:
     own = digest(proof)
     proof = CONTENT(proof, "proof")
+    proof = {**proof, "format": current_name(proof["format"])}
     if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
         raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
     if proof["sha256"] != own:

@@ -2,7 +2,8 @@
 
 On the unit circle ``z = exp(j omega dt)`` the sum x and the difference v of the next states and the states satisfy
 ``v = j tan(omega dt / 2) x``. With x as states a system in discrete time is one in continuous time, whose axis is the
-circle. What is found is checked with the matrices that were given (:mod:`lftkit.proofs.state_space.checker`).
+circle: that of the bilinear map, with twice its states. What is found is checked with the matrices that were given
+(:mod:`lftkit.proofs.state_space.checker`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy import linalg
 
 from lftkit.proofs.state_space.disk_search import DiskMember
 from lftkit.proofs.state_space.search import Member
+from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 from lftkit.systems.system import System
 
 OUTWARD = 1e-14
@@ -31,15 +33,11 @@ def over_axis(system: System) -> System:
     """
     if not system.dt:
         return system
-    n = system.order
-    ahead = system.A + np.eye(n)
-    sizes = linalg.svdvals(ahead) if n else np.ones(1)
-    if not sizes.min() > 1e-13 * sizes.max():
-        raise ValueError(f"{system.name}: the nominal member must have no pole at z = -1, got one")
-    back = linalg.solve(ahead, np.hstack([np.eye(n), system.B])) if n else np.hstack([np.eye(n), system.B])
-    A, B = (system.A - np.eye(n)) @ back[:, :n], 2.0 * back[:, n:]
-    C, D = system.C @ back[:, :n], system.D - system.C @ back[:, n:]
-    return replace(system, A=A, B=B, C=C, D=D, dt=0.0)
+    try:
+        A, B, C, D = to_continuous(*system.lft)
+    except ValueError as error:
+        raise ValueError(f"nominal member of {system.name}: {error}") from None
+    return system.with_lft((A, 2.0 * B, 0.5 * C, D), dt=0.0)
 
 
 def static_part(system: System) -> System:
@@ -59,18 +57,17 @@ def band_over_axis(band: tuple[float, float], dt: float) -> tuple[float, float]:
     """
     if not dt:
         return band
-    low, high = band
-    if not 0.5 * low * dt < 0.5 * math.pi:
-        raise ValueError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {low}")
-    upper = math.tan(0.5 * high * dt) if 0.5 * high * dt < 0.5 * math.pi else math.inf
-    return (1.0 - OUTWARD) * math.tan(0.5 * low * dt), (1.0 + OUTWARD) * upper
+    low, high = (warped_frequency(0.5 * dt * end) for end in band)
+    if not low < math.inf:
+        raise ValueError(f"band must begin below pi / dt = {math.pi / dt:.6g} rad/s, got {band[0]}")
+    return (1.0 - OUTWARD) * low, (1.0 + OUTWARD) * high
 
 
 def reached(system: System, found: Member) -> Member:
     """A member found over the axis, with frequency [rad/s] and gain of the system that was given."""
     if not system.dt:
         return found
-    omega = 2.0 / system.dt * math.atan(found.frequency)
+    omega = 2.0 / system.dt * unwarped_frequency(found.frequency)
     if np.isinf(found.gain) and not isinstance(found, DiskMember):
         return replace(found, frequency=_least_stable(system, found, omega))
     if np.isinf(found.gain) or not (system.inputs and system.outputs) or isinstance(found, DiskMember):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, optimize
 
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
@@ -94,11 +95,10 @@ class DiskSearch:
 
     def frequencies(self) -> FloatArray:
         """Grid of the band, its ends included."""
-        poles = np.abs(self.system.poles())
-        poles = poles[poles > 0.0] if np.any(poles > 0.0) else np.ones(1)
-        low, high = self.band
-        inside = [*np.geomspace(0.1 * poles.min(), 10.0 * poles.max(), GRID), *poles, low, high]
-        return np.asarray(np.unique([w for w in inside if low <= w <= high]))
+        poles = self.system.poles()
+        (least, most), (low, high) = pole_range(poles, zero=0.0), self.band
+        grid = frequency_grid(poles, 0.1 * least, 10.0 * most, points=GRID, offsets=(0.0,))
+        return np.asarray(np.unique([low, *grid[(grid >= low) & (grid <= high)], high]))
 
     def worst(
         self, at: Callable[[float], tuple[float, Any]], closely: Callable[[float], tuple[float, Any]] | None = None

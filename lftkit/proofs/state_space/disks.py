@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -11,6 +10,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import warped_frequency
 from lftkit.systems.sampled.sampling import discretise
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter, DynamicElement, width
@@ -121,7 +121,7 @@ def dynamics_with(matrix: ComplexArray, omega: float, dt: float = 0.0) -> System
     >>> bool(abs(member(2.0j) - 0.3j) < 1e-12), member.order
     (True, 1)
     """
-    where = 2.0 / dt * math.tan(0.5 * omega * dt) if dt else omega
+    where = warped_frequency(omega, dt) if dt else omega
     ends = (2.0 / dt * NEAR_OF_SAMPLES, 2.0 / dt / NEAR_OF_SAMPLES) if dt else (NEAR, 1.0 / NEAR)
     given = np.atleast_2d(np.asarray(matrix, complex))
     left, sizes, right = linalg.svd(given)

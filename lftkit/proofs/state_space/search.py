@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, optimize
 
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import refined_response
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.analysis.norms import hinf_norm
@@ -67,10 +68,10 @@ def _peak_in_band(
     band: tuple[float, float],
 ) -> Member:
     low, high = band
-    top = high if np.isfinite(high) else 100.0 * max(1.0, low, float(np.abs(poles).max(initial=1.0)))
-    floor = max(low, 1e-4 * top)
-    inside = np.abs(poles)[(np.abs(poles) >= low) & (np.abs(poles) <= top)]
-    omega = np.unique(np.concatenate([[low, top], np.geomspace(floor, top, 60), inside]))
+    least, most = pole_range(poles)
+    top = high if np.isfinite(high) else 100.0 * max(1.0, low, most)
+    floor = max(low, min(1e-4 * top, 0.5 * least))
+    omega = np.unique([low, *frequency_grid(poles, floor, top, points=60, offsets=(0.0,))])
 
     def at(w: float) -> float:
         return float(linalg.norm(refined_response(*matrices, w), 2)) if min(matrices[3].shape) else 0.0

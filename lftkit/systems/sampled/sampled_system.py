@@ -1,12 +1,11 @@
 """Sampled linear systems with named ports, ready for a real-time loop (numpy only).
 
-The observer K_FSM and the controller K_PMA are stored as files of this kind (``designs/*.json``), and so is a user's
-own controller. The file is a JSON object:
+Controllers are stored as files of this kind. A file is a JSON object:
 
 =================  ============================================================================================
 key                value
 =================  ============================================================================================
-``format``         ``los-testbed/sampled-system``; ``version``: 1
+``format``         ``lftkit/sampled-system``; ``version``: 1
 ``name``           text
 ``dt``             sampling period [s]
 ``inputs``         list of ports, objects with ``name``, ``size``, ``unit``; ``outputs`` alike
@@ -28,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import StructuredTextError, load_json
 from lftkit.systems.control_conversion import control_system, ports_and_matrices
@@ -39,7 +39,7 @@ from lftkit.systems.system_summary import named_line
 if TYPE_CHECKING:
     import control
 
-FORMAT = "los-testbed/sampled-system"
+FORMAT = "lftkit/sampled-system"
 VERSION = 1
 
 
@@ -58,8 +58,7 @@ class SampledSystem:
     name : str
         What the system is, for messages and reports.
     design_basis : mapping
-        What the system was made for, names and values; empty where nothing is known. Of a controller:
-        :class:`titop_plant.interface.DesignBasis`.
+        What the system was made for, names and values; empty where nothing is known.
     provenance : mapping
         How it was made: command, seed, commit, norms.
 
@@ -241,7 +240,7 @@ class SampledSystem:
             raise ValueError(f"{path} is not a controller file: {error}") from None
         except UnicodeDecodeError:
             raise ValueError(f"{path} is not a controller file: it must be JSON, got no text in UTF-8") from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
+        if not isinstance(content, dict) or current_name(content.get("format")) != FORMAT:
             raise ValueError(f'{path} is not a controller file: expected JSON with "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise ValueError(f"{path}: expected version {VERSION}, got {content.get('version')}")

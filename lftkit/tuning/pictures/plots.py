@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from lftkit.analysis.batched_linalg import largest_gains
-from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
 from lftkit.systems.system import System
@@ -223,11 +223,9 @@ def _frequencies(systems: Sequence[System], r: HinfGain, decades: float = DECADE
     dt = systems[0].dt
     found = [rates(x.poles(), x.dt) if x.dt else x.poles() for x in systems]
     poles: ComplexArray = np.concatenate([np.zeros(0, dtype=complex), *found])
-    size = np.abs(poles)
-    size = size[size > 1e-9 * size.max(initial=0.0)]
-    edges = [w for w in r.band if 0.0 < w < np.inf]
-    low = min([float(size.min(initial=1.0)), *edges]) / MARGIN
-    high = max([float(size.max(initial=1.0)), *edges]) * MARGIN
+    least, most = pole_range(poles)
+    edges = [1.0, *(w for w in r.band if 0.0 < w < np.inf)]
+    low, high = min(least, *edges) / MARGIN, max(most, *edges) * MARGIN
     low = max(low, high / 10.0**decades)
     if dt:
         high = np.pi / dt

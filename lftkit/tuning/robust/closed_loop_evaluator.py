@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_gains, solve
-from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response
 from lftkit.analysis.norms import h2_norm
 from lftkit.arrays import ComplexArray, FloatArray
@@ -86,8 +86,7 @@ class ClosedLoopEvaluator:
 
     def _grid(self) -> FloatArray:
         poles = self._response.poles
-        sizes = np.abs(poles[np.abs(poles) > 0])
-        low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
+        low, high = pole_range(poles, zero=0.0)
         grid = frequency_grid(poles, low / 10.0, high * 10.0, per_decade=12, offsets=(0.0, 1.0))
         return np.concatenate([[0.0], grid, [np.inf]])
 

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import FloatArray
+from lftkit.arrays import FloatArray, Matrices
 from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import discrete_gradient, to_continuous
 from lftkit.systems.system import System
 from lftkit.tuning.structures.bounds import Bounds, bounds_of
 from lftkit.tuning.structures.decentralised import Decentralised
@@ -69,43 +70,30 @@ class StructureOnImage:
         n, K = self.order, self.discrete.gain_matrix(x)
         return System(K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:], self.inputs, self.outputs, name, dt=self.dt)
 
-    def _parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """``(A + I)^-1`` and B, C, D."""
+    def _matrices(self, x: FloatArray) -> Matrices:
+        """Matrices of the discrete controller at `x`, without a pole at exactly z = -1."""
         n, K = self.order, self.discrete.gain_matrix(x)
-        moved = K[:n, :n] + np.eye(n)
-        inverse, singular = _inverse(moved)
-        if singular:
-            inverse, _ = _inverse(moved + SINGULAR * max(float(np.abs(moved).max()), 1.0) * np.eye(n))
-        return inverse, K[:n, n:], K[n:, :n], K[n:, n:]
+        A, moved = K[:n, :n], K[:n, :n] + np.eye(n)
+        if n and linalg.lapack.dgetrf(moved)[2] > 0:
+            A = A + SINGULAR * max(float(np.abs(moved).max()), 1.0) * np.eye(n)
+        return A, K[:n, n:], K[n:, :n], K[n:, n:]
 
     def gain_matrix(self, x: FloatArray) -> FloatArray:
         """Gain matrix of the image at `x` (size,)."""
-        M, B, C, D = self._parts(x)
-        rate, root = 2.0 / self.dt, 2.0 / self.dt**0.5
-        return np.block([[rate * (np.eye(self.order) - 2.0 * M), root * M @ B], [root * C @ M, D - C @ M @ B]])
+        A, B, C, D = to_continuous(*self._matrices(x), self.dt, rcond=0.0)
+        root = self.dt**0.5  # the Gramians stay
+        return np.block([[A, root * B], [C / root, D]])
 
     def pullback(self, x: FloatArray, G: FloatArray) -> FloatArray:
         """Gradient of ``sum(G * gain_matrix(x))``."""
-        n, (M, B, C, _) = self.order, self._parts(x)
-        rate, root = 2.0 / self.dt, 2.0 / self.dt**0.5
-        GA, GB, GC, GD = G[:n, :n], G[:n, n:], G[n:, :n], G[n:, n:]
-        by_inverse = root * (GB @ B.T + C.T @ GC) - C.T @ GD @ B.T - 2.0 * rate * GA
-        of_A = -M.T @ by_inverse @ M.T
-        of_B, of_C = M.T @ (root * GB - C.T @ GD), (root * GC - GD @ B.T) @ M.T
-        return self.discrete.pullback(x, np.block([[of_A, of_B], [of_C, GD]]))
+        n, root = self.order, self.dt**0.5
+        of_image = G[:n, :n], root * G[:n, n:], G[n:, :n] / root, G[n:, n:]
+        A, B, C, D = discrete_gradient(*self._matrices(x)[:3], of_image, self.dt)
+        return self.discrete.pullback(x, np.block([[A, B], [C, D]]))
 
     def start(self, rng: np.random.Generator) -> FloatArray:
         """Parameters of a random start."""
         return self.discrete.start(rng)
-
-
-def _inverse(matrix: FloatArray) -> tuple[FloatArray, bool]:
-    """Inverse, and whether the matrix is exactly singular."""
-    if not len(matrix):
-        return matrix, False
-    factors, pivots, _ = linalg.lapack.dgetrf(matrix)
-    inverse, info = linalg.lapack.dgetri(factors, pivots)
-    return np.asarray(inverse), bool(info)
 
 
 def required_period(structure: Structure, dt: float) -> None:

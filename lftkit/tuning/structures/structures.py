@@ -18,6 +18,7 @@ from scipy import linalg
 
 from lftkit.arrays import BoolArray, FloatArray, IntArray
 from lftkit.systems.ports import Port, read_only
+from lftkit.systems.sampled.bilinear import to_discrete
 from lftkit.systems.system import System
 from lftkit.tuning.structures.bounds import Bounds, bounds_by_name, number_of
 
@@ -339,14 +340,15 @@ def pid(
         raise ValueError(f"terms must be letters of 'PID', got {terms!r}")
     if not (dt >= 0 and np.isfinite(dt)):
         raise ValueError(f"dt must be a sampling period [s], or 0 for continuous time, got {dt}")
-    tau, half = derivative_filter, 0.5 * dt
-    # states: integral of y; filtered y, of which Kd s / (tau s + 1) = Kd / tau (1 - 1 / (tau s + 1)). With a period
-    # 1 / s = half + dt / (z - 1) and s / (tau s + 1) = rate (1 - (1 - pole) / (z - pole)), the states those of y
-    rate, pole = 1.0 / (tau + half), (tau - half) / (tau + half)
-    into, decay = ((dt, 1.0 - pole), (1.0, pole)) if dt else ((1.0, 1.0 / tau), (0.0, -1.0 / tau))
-    base = np.array([[decay[0], 0.0, into[0]], [0.0, decay[1], into[1]], [0.0, 0.0, 0.0]])
-    integral = [(2, 0, 1.0), (2, 2, half)] if dt else [(2, 0, 1.0)]
-    entries = {"P": [(2, 2, 1.0)], "I": integral, "D": [(2, 2, rate), (2, 1, -rate)]}
+    rate = 1.0 / derivative_filter
+    # states: integral of y; filtered y, of which Kd s / (tau s + 1) = Kd / tau (1 - 1 / (tau s + 1))
+    A, B = np.diag([0.0, -rate]), np.array([[1.0], [rate]])
+    C, D = np.diag([1.0, -rate]), np.array([[0.0], [rate]])  # of the terms I and D, which have the gains 1
+    if dt:
+        A, B, C, D = to_discrete(A, B, C, D, dt)
+    base = np.block([[A, B], [np.zeros((1, 3))]])
+    integral, derivative = ([(2, k, C[k, k]), (2, 2, D[k, 0])] for k in range(2))
+    entries = {"P": [(2, 2, 1.0)], "I": integral if dt else integral[:1], "D": derivative}
     listed = [(r, c, k, v) for k, t in enumerate(terms) for r, c, v in entries[t]]
     rows, columns, parameters = (np.array([e[i] for e in listed], dtype=np.intp) for i in range(3))
     keep = [s for s, term in ((0, "I"), (1, "D")) if term in terms]

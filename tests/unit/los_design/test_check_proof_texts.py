@@ -59,7 +59,7 @@ def test_words_of_a_loop_are_no_lines(where: str, tmp_path: Path, capsys: pytest
 
 
 def test_a_refusal_is_one_line_whatever_the_file_has_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "proof.json").write_text(json.dumps({"format": "los-testbed proof 2", "kind": FORGED}))
+    (tmp_path / "proof.json").write_text(json.dumps({"format": "lftkit proof 2", "kind": FORGED}))
     code, out, lines = ended(capsys, tmp_path / "proof.json")
     assert code == 1 and out == "" and len(lines) == 1 and lines[0].startswith("refused: ")
 

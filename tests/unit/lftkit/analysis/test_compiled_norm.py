@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import lftkit.analysis.norms
+from lftkit.analysis.circle.half_plane import HalfPlane
 from lftkit.analysis.norms import HInfNorm, compiled, hinf_norm
 from lftkit.analysis.small_norm import COMPILED_STATES
+from lftkit.systems.sampled.bilinear import to_continuous
 
 pytest.importorskip("numba")
 SHAPES = [(1, 1), (2, 2), (3, 1), (2, 4), (3, 3)]
@@ -55,6 +57,18 @@ def test_values_are_those_without_compiled_code(shape: tuple[int, int], dt: floa
         found = kernel.norm(balanced, 1e-7, balanced, 0.0, 0.0) if dt is None else kernel.circle_norm(balanced, 1e-7)
         used += found[0] >= 0.0
     assert used >= 7
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_compiled_map_is_the_bilinear_one(sign: float) -> None:
+    kernel = compiled()
+    for seed in range(12):
+        A, B, C, D = random_system(seed, (2, 3), 0.1)
+        found, condition = kernel.mapped((A, B, C, D), sign)
+        same = [plane.condition for plane in HalfPlane.of((A, B, C, D)) if plane.sign == sign]
+        assert not same or condition == pytest.approx(same[0], rel=1e-9)
+        for one, other in zip(found, to_continuous(sign * A, sign * B, C, D)):
+            assert one == pytest.approx(other, rel=1e-9, abs=1e-11 * condition)
 
 
 @pytest.mark.parametrize("dt", [None, 0.1])

@@ -13,7 +13,7 @@ from oracles.accurate_response import extended_response
 
 from lftkit import Port, System, state_space
 from lftkit.analysis.batched_linalg import largest_gains, singular_values
-from lftkit.analysis.frequency_grid import frequency_grid
+from lftkit.analysis.frequency_grid import frequency_grid, logarithmic_grid, pole_range
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response, frequency_response, refined_response
 from lftkit.analysis.norms import h2_norm, hinf_norm
 
@@ -247,6 +247,19 @@ def test_grid_lies_on_the_resonances() -> None:
     assert len(frequency_grid([], 0.1, 10.0, per_decade=30)) == 60
     with pytest.raises(ValueError, match=r"low and high must be 0 < low < high, got 1\.0 and 0\.1"):
         frequency_grid([pole], 1.0, 0.1)
+
+
+def test_range_of_poles_leaves_out_those_at_zero() -> None:
+    assert pole_range([]) == pole_range([0.0, 0.0j]) == (1.0, 1.0)
+    assert pole_range([1e-12, -3.0, 4.0 + 3.0j]) == (3.0, 5.0)
+    assert pole_range([1e-12, -3.0, 4.0 + 3.0j], zero=0.0) == (1e-12, 5.0)
+
+
+def test_steps_of_a_logarithmic_grid_are_equal() -> None:
+    grid = logarithmic_grid(0.3, 70.0, 0.01)
+    steps = np.diff(np.log(grid))
+    assert grid[0] == 0.3 and grid[-1] == pytest.approx(70.0)
+    assert np.ptp(steps) < 1e-12 and 0.01 <= steps[0] < 0.0101
 
 
 def test_grid_goes_around_an_undamped_pole() -> None:

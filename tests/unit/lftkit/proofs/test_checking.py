@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -15,9 +16,11 @@ from lftkit import proofs, real, s
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.checking import FORMATS, proof_format
-from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
+from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, files, loop_model, prove_level
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.state_space import Proof
+from lftkit.proofs.state_space.checker import digest
+from lftkit.support.format_names import EARLIER_NAMES
 
 LONG = BoundOptions(wall_limit=3600.0)
 PROVERS = (
@@ -79,6 +82,22 @@ def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
     for what in (proof, path):
         checked = check_proof(what)
         assert isinstance(checked, CheckedLoop) and checked.level == 6.0
+
+
+def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    earlier = {now: then for then, now in EARLIER_NAMES.items()}
+    content = dict(worst_case_gain(aligned_modes(1, damping=0.05), options=LONG).proof.content)
+    content["format"] = earlier[content["format"]]
+    content["sha256"] = digest(content)
+    (tmp_path / "cells").write_text(json.dumps(content), "utf-8")
+    assert check_proof(tmp_path / "cells").level == check_proof(content).level == content["level"]
+    system = aligned_modes(1, damping=0.1)
+    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
+    proof = LoopProof(model, ("k0",), box, band, 6.0, tuple(prove_level(model, box, band, 6.0).strips))
+    monkeypatch.setattr(files, "FORMAT", earlier[now := files.FORMAT])
+    write_loop_proof(proof, tmp_path / "loop")
+    monkeypatch.undo()
+    assert proof_format(tmp_path / "loop") == now and check_proof(tmp_path / "loop").level == 6.0
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]"])

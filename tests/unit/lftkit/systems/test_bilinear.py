@@ -1,11 +1,23 @@
-"""The bilinear map against its definition."""
+"""The bilinear map against its definition, and what it keeps: norms, poles, Gramians."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from scipy import linalg
 
-from lftkit.systems.sampled.bilinear import to_continuous, to_discrete
+from lftkit.analysis.norms import hinf_norm
+from lftkit.systems.sampled.bilinear import (
+    continuous_point,
+    discrete_gradient,
+    discrete_point,
+    to_continuous,
+    to_discrete,
+    unwarped_frequency,
+    warped_frequency,
+)
 
 DT = 0.3
 
@@ -55,7 +67,106 @@ def test_period_must_be_positive(dt: float) -> None:
 
 def test_poles_without_an_image_are_refused() -> None:
     one = np.ones((1, 1))
-    with pytest.raises(ValueError, match=r"poles must not be at 2 / dt = 4\.0 rad/s, got one there"):
+    with pytest.raises(ValueError, match=r"^system must have no pole at s = 2 / dt = 4\.0 rad/s, got one$"):
         to_discrete(4.0 * one, one, one, one, 0.5)
-    with pytest.raises(ValueError, match="poles must not be at -1, got one there"):
-        to_continuous(-one, one, one, one)
+    for rcond in (0.0, 1e-13):
+        with pytest.raises(ValueError, match=r"^system must have no pole at z = -1, got one$"):
+            to_continuous(-one, one, one, one, rcond=rcond)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poles_at_minus_one_to_rounding_are_refused(seed: int) -> None:
+    T = np.random.default_rng(seed).normal(size=(5, 5))
+    B, C, D = np.ones((5, 1)), np.ones((1, 5)), np.zeros((1, 1))
+    A = T @ np.diag([-1.0, 0.3, 0.5, -0.2, 0.9]) @ np.linalg.inv(T)
+    with pytest.raises(ValueError, match="pole at z = -1"):
+        to_continuous(A, B, C, D)
+    with pytest.raises(ValueError, match="pole at s = 2 / dt"):
+        to_discrete(-2.0 / DT * A, B, C, D, DT)
+
+
+def test_units_of_the_states_are_no_poles_without_an_image() -> None:
+    units = np.diag([1e9, 1e-9, 1.0, 1e-6])
+    A, B, C, D = system()
+    scaled = units @ A @ np.linalg.inv(units), units @ B, C @ np.linalg.inv(units), D
+    given = to_discrete(A, B, C, D, DT)
+    found = to_discrete(*scaled, DT)
+    for a, b in zip(
+        given, (np.linalg.inv(units) @ found[0] @ units, np.linalg.inv(units) @ found[1], found[2] @ units)
+    ):
+        np.testing.assert_allclose(b, a, rtol=1e-10, atol=1e-13)
+    back = to_continuous(*found, DT)
+    np.testing.assert_allclose(np.linalg.inv(units) @ back[0] @ units, A, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 2.0])
+def test_poles_are_mapped_as_points(dt: float) -> None:
+    A = to_discrete(*system(), dt)[0]
+    slow, fast = np.linalg.eigvals(system()[0]), np.linalg.eigvals(A)
+    assert np.sort_complex(discrete_point(slow.astype(complex), dt)) == pytest.approx(np.sort_complex(fast), abs=1e-12)
+    assert np.sort_complex(continuous_point(fast.astype(complex), dt)) == pytest.approx(
+        np.sort_complex(slow.astype(complex)), rel=1e-9
+    )
+    assert (slow.real.max() < 0.0) == (np.abs(fast).max() < 1.0)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 2.0])
+@pytest.mark.parametrize("share", [1e-6, 0.1, 0.5, 0.99])
+def test_frequencies_are_warped_as_points_of_the_circle(dt: float, share: float) -> None:
+    omega = share * np.pi / dt
+    s = continuous_point(complex(np.exp(1j * omega * dt)), dt)
+    assert s == pytest.approx(1j * warped_frequency(omega, dt), rel=1e-9)
+    assert unwarped_frequency(warped_frequency(omega, dt), dt) == pytest.approx(omega, rel=1e-12)
+    assert warped_frequency(np.pi / dt, dt) == warped_frequency(np.inf, dt) == np.inf
+    assert unwarped_frequency(np.inf, dt) == pytest.approx(np.pi / dt)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_norm_and_frequency_of_the_peak_are_those_of_the_image(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, dt = int(rng.integers(1, 9)), float(10.0 ** rng.uniform(-3.0, 0.0))
+    A = rng.normal(size=(n, n))
+    A *= (1.0 - 10.0 ** rng.uniform(-3.0, -0.5)) / np.abs(np.linalg.eigvals(A)).max()
+    given = A, rng.normal(size=(n, 2)), rng.normal(size=(3, n)), rng.normal(size=(3, 2))
+    here, there = hinf_norm(*given, dt=dt), hinf_norm(*to_continuous(*given, dt))
+    assert here.value <= there.upper * (1.0 + 1e-9) and there.value <= here.upper * (1.0 + 1e-9)
+    at = warped_frequency(here.omega, dt)
+    gain = np.linalg.norm(response(to_continuous(*given, dt), 1j * at), 2) if np.isfinite(at) else here.value
+    assert gain == pytest.approx(there.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("dt", [0.01, 2.0])
+def test_gramians_stay_where_the_root_of_the_period_is_shared(dt: float) -> None:
+    A, B, C, _ = system()
+    a, b, c, _ = to_discrete(*system(), dt)
+    root = dt**0.5
+    P = linalg.solve_continuous_lyapunov(A, -(root * B) @ (root * B).T)
+    Q = linalg.solve_continuous_lyapunov(A.T, -(C / root).T @ (C / root))
+    np.testing.assert_allclose(linalg.solve_discrete_lyapunov(a, b @ b.T), P, rtol=1e-9)
+    np.testing.assert_allclose(linalg.solve_discrete_lyapunov(a.T, c.T @ c), Q, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.3, 2.0])
+def test_gradient_is_that_of_differences(dt: float) -> None:
+    given = to_discrete(*system(), dt)
+    rng = np.random.default_rng(1)
+    slopes = [rng.normal(size=M.shape) for M in given]
+    found = discrete_gradient(*given[:3], slopes, dt)
+    assert found[3] is slopes[3]
+
+    def value(matrices: Sequence[np.ndarray]) -> float:
+        return sum(float(np.sum(G * M)) for G, M in zip(slopes, to_continuous(*matrices, dt)))
+
+    for number in range(4):
+        for index in np.ndindex(given[number].shape):
+            ends = []
+            for step in (1e-6, -1e-6):
+                moved = [M.copy() for M in given]
+                moved[number][index] += step
+                ends.append(value(moved))
+            assert found[number][index] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-5)
+
+
+def test_gradient_without_states_is_that_of_the_feedthrough() -> None:
+    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2))
+    assert discrete_gradient(*empty[:3], empty) is empty

@@ -91,6 +91,15 @@ def test_not_a_file_and_not_json(tmp_path: Path) -> None:
         SampledSystem.from_file(tmp_path / "y.json")
 
 
+def test_the_earlier_name_of_the_format_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    example().to_file(path)
+    content = json.loads(path.read_text())
+    assert content["format"] == "lftkit/sampled-system"
+    path.write_text(json.dumps({**content, "format": "los-testbed/sampled-system"}))
+    assert SampledSystem.from_file(path).to_json() == example().to_json()
+
+
 def test_tustin_keeps_the_response_at_its_warped_frequency() -> None:
     lag = state_space([[-2.0]], [[2.0]], [[1.0]], [[0.0]], [Port("u", 1)], [Port("y", 1)])
     k, w = sampled(lag, 1e-2), 3.0
