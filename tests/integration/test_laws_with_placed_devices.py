@@ -13,7 +13,7 @@ from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.replay import controller_of, controllers, drive
+from los_testbed.run.replay import controller_of, controllers, drive, metrics
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_a_budget
 
 import fsm_pma_controller
@@ -28,6 +28,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
+from pointing_analysis.replay.replay import compare
 from pointing_analysis.requirements.summary import summarise
 from titop_plant.interface import COMMANDED, DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MEASURED
 from titop_plant.simulation.plant_config import parameter_values
@@ -299,6 +300,14 @@ def test_such_a_run_is_replayed_bit_by_bit(base: RunConfig, tmp_path: Path) -> N
     for name in ("sensor/at_root", "sensor/on_m1", "actuator/shaker/command"):
         assert np.array_equal(run[name].values, other[name].values) and run[name].values.any()
     law = law_with_devices()
+    order = np.r_[6, :6]  # the same law with its sensor first, in another file
+    replace(law, B=law.B[:, order], D=law.D[:, order], inputs=(AT_ROOT, *K_PMA_INPUTS)).to_file(tmp_path / "same.json")
+    chosen = controllers(run, k_pma=Path("same.json"))
+    assert not chosen.warnings or "starts at rest" not in chosen.warnings[-1]
+    assert not chosen.as_recorded and compare(run, drive(run, chosen, lambda done, total: None)).identical
+    found = metrics(run, drive(run, chosen, lambda done, total: None))
+    forces = [np.abs(run[name].values).max() for name in ("pma/command", "actuator/shaker/command")]
+    assert found["recorded"]["pma_peak_n"] == found["replayed"]["pma_peak_n"] == max(forces)
     for port, message in ((Port("idle", 1, "N"), "got idle"), (Port("shaker", 1, "N"), "topic sensor/elsewhere")):
         unlike = replace(law, inputs=(*K_PMA_INPUTS, Port("elsewhere", 1)), outputs=(*K_PMA_OUTPUTS, port))
         unlike.to_file(tmp_path / "other.json")

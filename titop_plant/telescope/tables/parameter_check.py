@@ -50,6 +50,9 @@ POSITIVE = {
 }
 """Keys whose numbers must be above zero, in whatever table they stand."""
 
+RANGES = {"weights.band_edge": (1e-2, 3e3, "rad/s, within the frequencies of the loop of 1 kHz")}
+"""Smallest and largest value, with the unit, by full name."""
+
 ANY_SIGN = ("pma.height",)
 """By full name those that are positions: a section's height is above zero, that of the actuators is over a point."""
 
@@ -213,6 +216,9 @@ class ParameterFile:
             raise self.error(name, f"must be a whole number, got {value!r}")
         if key in POSITIVE and name not in ANY_SIGN and not value > 0:
             raise self.error(name, f"must be positive, got {value!r}")
+        low, high, unit = RANGES.get(name, (-math.inf, math.inf, ""))
+        if not low <= value <= high:
+            raise self.error(name, f"must be between {low:g} and {high:g} {unit}, got {value!r}")
         if key in NOT_NEGATIVE and not value >= 0:
             raise self.error(name, f"must not be negative, got {value!r}")
         if key in FRACTIONS and not 0 <= value <= FRACTIONS[key]:

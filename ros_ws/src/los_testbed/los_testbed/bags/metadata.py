@@ -21,7 +21,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.parts.user_blocks import UserBlock
 from los_testbed.plugins import source_hashes
-from los_testbed.topics import SENSORS
+from los_testbed.topics import SENSORS, sensor_topics
 from pointing_analysis.image.optics import METADATA as OPTICS
 from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
@@ -135,12 +135,15 @@ def _further_limits(parts: RunParts) -> dict[str, str]:
 
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
-    """The sensors of a run; without noise where it has none."""
-    config = parts.config
-    noise = parts.telescope.loop_ports.reference.noise * float(config.noise)
+    """The sensors of a run, those of the loop first; without noise where it has none."""
+    acts, rows = float(parts.config.noise), parts.telescope.loop_ports
+    noise, further = rows.reference.noise * acts, rows.further_sensors
+    found = [(topic, noise[topic.columns]) for topic in SENSORS]
+    if not parts.config.other_plant:
+        found += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
     return tuple(
-        RecordedSensor(t.name, t.unit, RATE / t.every(config.frame_ticks), t.framed, tuple(noise[t.columns].tolist()))
-        for t in SENSORS
+        RecordedSensor(t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()))
+        for t, sigma in found
     )
 
 

@@ -140,7 +140,7 @@ def reasons_against(parts: RunParts) -> list[str]:
     found += [
         f"{name} uses {', '.join(port.name for port in ports.further)} of the telescope's file"
         for name, ports in ({} if parts.code else parts.used).items()  # code is not made for its ports
-        if ports.further
+        if ports.further and parts.acts(name)
     ]
     own = parts.telescope.design_basis
     found += [

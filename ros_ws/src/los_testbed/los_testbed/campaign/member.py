@@ -65,6 +65,9 @@ CRASHED = "crashed"
 """Status of a member that ended its process or for which there was no memory: another machine may do better, so a
 resumed campaign computes its part again."""
 
+ALL_FORCES = slice(FORCES.start, None)
+"""Columns of the command with those of further actuators."""
+
 DEPTHS = ("time", "model")
 """How a member is evaluated: from a simulated run, or from its matrices."""
 
@@ -287,7 +290,7 @@ class _Record:
         part = self.values[self.done : self.done + rows]
         part[:, :2] = block.truth[:rows]
         part[:, 2:4] = block.los_estimate[:rows] + self.gain * block.measurement[:rows, FSM_ANGLE] - part[:, :2]
-        for k, columns in enumerate((MIRROR, FORCES)):
+        for k, columns in enumerate((MIRROR, ALL_FORCES)):
             self.largest[k] = max(self.largest[k], float(np.abs(block.command[:rows, columns]).max()))
         done, self.done = self.done, self.done + rows
         if done // mapped_arrays.PART != self.done // mapped_arrays.PART:

@@ -29,7 +29,7 @@ from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, mak
 from los_testbed.plugins import RAISED, in_one_line, make
 from los_testbed.run_settings import with_scenario
 from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
-from titop_plant.interface import MIRROR_STAGES, DesignBasis, design_warnings
+from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 from titop_plant.simulation.plant_config import PlantConfig, motion
 from titop_plant.telescope.guide_camera import star_camera
 from titop_plant.telescope.load import load_telescope
@@ -282,7 +282,7 @@ class RunParts:
     @property
     def idle_devices(self) -> str:
         """A line on further sensors that no controller reads and further actuators that nothing drives, if any."""
-        used = [port.name for ports in self.used.values() for port in ports.further]
+        used = [port.name for name, ports in self.used.items() if self.acts(name) for port in ports.further]
         sources = [source.place for source in self.sources] if self.ports.further_actuators else []
         return self.ports.idle([*used, *sources])
 
@@ -359,6 +359,10 @@ class RunParts:
     def used(self) -> dict[str, LoopPorts]:
         """Rows that ``k_fsm`` and ``k_pma`` use: those of the reference, then those that each of them names."""
         return {name: self._used(name) for name in LAWS}
+
+    def acts(self, name: str) -> bool:
+        """Whether what a controller computes is used in the stage: estimates always, as they are recorded."""
+        return name == "k_fsm" or self.config.loop in FORCE_STAGES
 
     @property
     def uses_devices(self) -> bool:

@@ -33,7 +33,7 @@ from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.parts.user_blocks import with_further_ports
 from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.replay_ports import layout_of, rows_of
-from los_testbed.topics import TOPICS, TopicDefinition, further_topics
+from los_testbed.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
 from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
@@ -53,6 +53,8 @@ from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 CHUNK_NS = RATE * TICK_NS
+
+COMMAND_TOPICS = {topic.name for topic in COMMANDS}
 
 Signals = Mapping[str, tuple[NDArray[np.int64], FloatArray]]
 
@@ -133,10 +135,13 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
     estimator = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm, rows["k_fsm"].further_measured)
     states = _states(run)
-    if states is not None and _starts_as_recorded(fsm, same, "k_fsm.json", states.k_fsm):
-        estimator.start_at(states.k_fsm, states.camera)
-    if states is not None and _starts_as_recorded(pma, same, "k_pma.json", states.k_pma) and stage == recorded:
-        controller.start_at(states.k_pma)
+    if states is not None:
+        if begins := _starts_as_recorded(run, "k_fsm", fsm, states.k_fsm):
+            estimator.start_at(states.k_fsm, states.camera)
+        if _starts_as_recorded(run, "k_pma", pma, states.k_pma) and stage == recorded:
+            controller.start_at(states.k_pma)
+        if not begins:
+            warnings += ("k_fsm is not the recorded one and starts at rest: figures of the replay have its start-up",)
     as_recorded, layout = stage == recorded and all(same.values()), layout_of(rows["k_fsm"], rows["k_pma"])
     return Controllers(files, stage, as_recorded, estimator, controller, layout, warnings)
 
@@ -158,10 +163,16 @@ def _file_name(name: str, law: SampledSystem | LibraryLaw) -> str:
 
 
 def _starts_as_recorded(
-    law: SampledSystem | LibraryLaw, same: Mapping[str, bool], file: str, state: FloatArray | tuple[float, ...]
+    run: Run, name: str, law: SampledSystem | LibraryLaw, state: FloatArray | tuple[float, ...]
 ) -> bool:
-    """Whether the recorded state is one of this law: it is the recorded one, or a library of the same order."""
-    return law.order == len(state) if isinstance(law, LibraryLaw) else same[file]
+    """Whether the recorded state is of this law: one of the recorded matrices, or a library of the same order."""
+    if isinstance(law, LibraryLaw) or f"{name}.json" not in run.attachments:
+        return law.order == len(state)
+    recorded = controller_of(run, name)[0]
+    before = with_further_ports(name, _file_name(name, recorded), recorded, rows_of(run, recorded))
+    if law.inputs != before.inputs or law.outputs != before.outputs:
+        return False
+    return all(np.array_equal(getattr(law, M), getattr(before, M)) for M in "ABCD")
 
 
 def _states(run: Run) -> LoopStart | None:
@@ -228,11 +239,12 @@ def _knowledge(series: ErrorSeries, window: float) -> dict[str, float]:
 
 
 def _commands(signals: Signals) -> dict[str, float]:
-    found = {}
-    for name, key in (("fsm/command", "fsm_peak_rad"), ("pma/command", "pma_peak_n")):
-        if name in signals and len(signals[name][1]):
-            values = signals[name][1]
-            found[key] = float(max(np.abs(values[part]).max() for part in parts(len(values))))
+    found: dict[str, float] = {}
+    for name, (_, values) in signals.items():
+        if name in COMMAND_TOPICS or name.startswith(f"{COMMANDED}/"):
+            key = "fsm_peak_rad" if name == FSM_COMMAND.name else "pma_peak_n"
+            peaks = [float(np.abs(values[part]).max()) for part in parts(len(values))]
+            found[key] = max([found.get(key, 0.0), *peaks])
     return found
 
 
