@@ -27,6 +27,8 @@ from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop
 from los_loop.open_loop import OpenLoop
+from titop_plant.interface import STAGES
+from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.telescope import Telescope
 
 COARSE = 1.1
@@ -157,11 +159,10 @@ class MemberLoop:
     control: ComplexArray
 
     @classmethod
-    def of(
-        cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
-    ) -> MemberLoop:
+    def of(cls, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> MemberLoop:
         """Evaluate the LFT of an `ImplementedLoop` on the grid."""
         ports = telescope.loop_ports.used_by(k_fsm, k_pma)
+        system = loop_plant(telescope, ports, isolated=stage != STAGES[0])
         loop = ImplementedLoop(OpenLoop(system, telescope, real=True, ports=ports), k_fsm, k_pma, stage)
         U, V = channel_factors(system)
         rng = np.random.default_rng(0)

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lftkit import SampledSystem, System
+from lftkit import SampledSystem
 from lftkit.analysis.batched_linalg import determinants, gains_above, largest_gains
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from los_loop.figures_of_merit import FigureOfMerit, figure, gain_figures
@@ -94,22 +94,17 @@ class MemberMetrics:
     noise: tuple[float, float]
 
     @classmethod
-    def of(
-        cls, system: System, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str
-    ) -> MemberMetrics:
-        """Prepare what the members of a family share.
+    def of(cls, telescope: Telescope, k_fsm: SampledSystem, k_pma: SampledSystem, stage: str) -> MemberMetrics:
+        """Prepare what the members of a telescope's family share.
 
         Parameters
         ----------
-        system : System
-            Of the family, with its parameters, as :func:`los_loop.loop_plant.loop_plant` makes it for the ports that
-            the controllers use.
         telescope : Telescope
-            Of the telescope.
         k_fsm, k_pma : SampledSystem
+            Also with further sensors and actuators of the telescope.
         stage : {"none", "isolator", "fsm", "fsm+pma"}
         """
-        model = MemberLoop.of(system, telescope, k_fsm, k_pma, stage)
+        model = MemberLoop.of(telescope, k_fsm, k_pma, stage)
         sigma = model.loop.ports.noise_of_ticks()
         seen = rpe_weight(model.omega, telescope.weights.rpe_window)
         noise = _exact_noise(model.loop, {})

@@ -56,7 +56,7 @@ found |= {
     "verified": worst[name].gamma,
     "frequency": worst[name].omega,
     "all forces": worst["force"].gamma,
-    "campaign": MemberMetrics.of(system, telescope, *pair, "fsm+pma").metrics({})["force_slow_gain"],
+    "campaign": MemberMetrics.of(telescope, *pair, "fsm+pma").metrics({})["force_slow_gain"],
 }
 """
 

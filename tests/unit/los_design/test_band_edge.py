@@ -73,7 +73,7 @@ def test_search_worst_tone_and_members_look_in_its_bands(own: Telescope, system)
     found = {index: worst_tone(loop, plant, own, index=index, stage=STAGE).omega for index in error_names()}
     assert found["slow"] <= EDGE <= found["fast"]
     above = own.changed({"weights": {"band_edge": 150.0}})
-    first, other = (MemberMetrics.of(system, one, *pair, STAGE).metrics({}) for one in (load_telescope(), above))
+    first, other = (MemberMetrics.of(one, *pair, STAGE).metrics({}) for one in (load_telescope(), above))
     assert 85.0 < first["rpe_peak_rad_s"] < 150.0
     assert other["slow_tone_mas"] == pytest.approx(first["fast_tone_mas"]) and other["fast_tone_mas"] < 18.0
 

@@ -122,7 +122,7 @@ def test_an_added_row_is_a_column_of_campaigns(monkeypatch, telescope, system) -
     assert set(metric_columns("model", ())) - set(before) == {"force_slow_gain"}
     assert meaning("force_slow_gain") == "force slow gain"
     pair = load_designs("implemented")
-    found = MemberMetrics.of(system, telescope, *pair, "fsm+pma").metrics({})
+    found = MemberMetrics.of(telescope, *pair, "fsm+pma").metrics({})
     assert tuple(found) == metric_names()
     loop = ImplementedLoop(OpenLoop(system, telescope), *pair, "fsm+pma")
     metric = loop_metrics(telescope, "fsm+pma")["force, slow"]

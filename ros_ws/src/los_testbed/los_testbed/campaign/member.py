@@ -44,7 +44,6 @@ from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, r
 from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.compilation import kernel
-from titop_plant.telescope.control_plant import loop_plant
 
 COMMON_METRICS = (
     "ape_max_arcsec",
@@ -253,13 +252,8 @@ class MemberEvaluator:
     @cached_property
     def _model(self) -> MemberMetrics:
         """What the members share at depth model: a few seconds, once for a process."""
-        k_fsm, k_pma = self.controllers["k_fsm"], self.controllers["k_pma"]
-        telescope = self.family.telescope
-        ports = telescope.loop_ports.used_by(k_fsm, k_pma)
-        system = self.family.control_loop
-        if ports.further:
-            system = loop_plant(telescope, ports, isolated=self.family.isolated)
-        return MemberMetrics.of(system, telescope, k_fsm, k_pma, self.base.loop)
+        pair = self.controllers["k_fsm"], self.controllers["k_pma"]
+        return MemberMetrics.of(self.family.telescope, *pair, self.base.loop)
 
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
