@@ -67,7 +67,7 @@ SENSITIVITY_PORTS = {
 
 @dataclass(frozen=True)
 class ActuatorPlant:
-    """Generalised plant of K_PMA as a function of the parameter values (see :class:`lftkit.tuning.System`)."""
+    """Generalised plant of K_PMA as a function of the parameter values (see :class:`lftkit.System`)."""
 
     system: System
 

@@ -41,7 +41,7 @@ class ForceLaw(Protocol):
 
 
 class ForceActuator(Protocol):
-    """A further actuator; :class:`titop_plant.telescope.loop_ports.LoopActuator` is one."""
+    """A further actuator; :class:`titop_plant.telescope.actuators.Actuator` is one."""
 
     @property
     def port(self) -> Port:

@@ -58,7 +58,7 @@ SENSITIVITY_PORTS = {COMMAND_PORTS[0].name: (ADDED.name, APPLIED)}
 class ObserverPlant:
     """Generalised plant of K_FSM as a function of the parameter values.
 
-    Calling it with values gives a :class:`lftkit.tuning.System` with the disturbance, noise and estimate
+    Calling it with values gives a :class:`lftkit.System` with the disturbance, noise and estimate
     ports in, line of sight, mirror command and measurements out.
     """
 

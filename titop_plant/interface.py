@@ -197,7 +197,7 @@ class DesignBasis:
     Parameters
     ----------
     parameters_hash : str, optional
-        Name of the parameter values, :func:`titop_plant.telescope.load.parameters_hash`.
+        Name of the parameter values, :attr:`titop_plant.telescope.telescope.Telescope.parameters_hash`.
     los_sensitivity : float, optional
         Line of sight by an angle of the mirror, rad/rad. **The mirror is driven to -estimate / los_sensitivity.**
     fsm_authority, pma_authority : float, optional

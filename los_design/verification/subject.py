@@ -22,7 +22,7 @@ class Subject:
 
     @classmethod
     def of(cls, k_fsm: SampledSystem, k_pma: SampledSystem, telescope: str) -> Subject:
-        """Of controllers and the :func:`titop_plant.telescope.load.parameters_digest` of their telescope."""
+        """Of controllers and the :attr:`titop_plant.telescope.telescope.Telescope.digest` of their telescope."""
         return cls(digest(k_fsm), digest(k_pma), telescope)
 
     def covers(self, other: Subject, stage: str) -> bool:

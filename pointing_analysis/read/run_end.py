@@ -67,7 +67,7 @@ def run_end(parameters: Mapping[str, Any], covered: int | None = None) -> RunEnd
 
     Parameters
     ----------
-    parameters : what the recorder wrote about the run (:attr:`pointing_analysis.read.run.Run.parameters`)
+    parameters : what the recorder wrote about the run (``parameters`` of a :class:`pointing_analysis.read.run.Run`)
     covered : ticks that the messages cover, see :class:`RunEnd`
 
     Examples

@@ -1,4 +1,4 @@
-"""Paths, links, objects and commands named in README.md and the documentation exist; pages refer to the glossary."""
+"""Paths, links, objects and commands that pages name exist, also objects that docstrings name."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from los_testbed.cli.app import app
+from support.packages import FOLDERS, NAMES, files_of
 from typer.main import get_command
 
 ROOT = Path(__file__).parents[2]
@@ -128,18 +129,44 @@ def is_object(name: str) -> bool:
     if name.startswith("los_testbed.nodes"):
         module, _, attribute = name.rpartition(".")
         source = find_spec(module)
+        if source is not None and source.submodule_search_locations and find_spec(name):
+            return True
         return source is not None and f"class {attribute}" in Path(str(source.origin)).read_text("utf-8")
     try:
         resolve_name(name)
     except (ImportError, AttributeError):
-        return False
+        return is_field(name)
     return True
+
+
+def is_field(name: str) -> bool:
+    """Whether a dotted name is a field without default of a class."""
+    owner, _, field = name.rpartition(".")
+    try:
+        return field in getattr(resolve_name(owner), "__annotations__", {})
+    except (ImportError, AttributeError):
+        return False
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_named_objects_exist(page: Path) -> None:
     names = named_objects(page.read_text("utf-8"), page.stem == "CHANGELOG")
     assert not {name for name in names if not is_object(name)}
+
+
+REFERENCE = re.compile(r":(?:mod|func|class|data|meth|attr|exc):`~?(\w+(?:\.\w+)+)`")
+"""Dotted name in a docstring or comment."""
+
+
+def test_objects_that_docstrings_name_exist() -> None:
+    found = {
+        f"{relative(path)}: {name}"
+        for folder in FOLDERS
+        for path in files_of(ROOT / folder)
+        for name in set(REFERENCE.findall(path.read_text("utf-8")))
+        if name.partition(".")[0] in NAMES and not is_object(name)
+    }
+    assert found == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)

@@ -1,7 +1,7 @@
 """Files that a telescope and a run are read from, beside the controllers: which they are, and a digest of them all.
 
-:func:`titop_plant.telescope.load.parameters_hash` names a telescope for its designs: it leaves out what no design
-depends on. The rows of a campaign, the runs of `stages` and those of a trade depend on all of it.
+:attr:`titop_plant.telescope.telescope.Telescope.parameters_hash` names a telescope for its designs: it leaves out
+what no design depends on. The rows of a campaign, the runs of `stages` and those of a trade depend on all of it.
 """
 
 from __future__ import annotations
