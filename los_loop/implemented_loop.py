@@ -34,10 +34,11 @@ from los_loop.sampled_loop import SampledLoop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.spec import DISTURBANCE, LOS_ROWS
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+from titop_plant.telescope.sections import LOOP_FREQUENCIES
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight
 
-LOWEST, HIGHEST = 1e-2, 3000.0
+LOWEST, HIGHEST = LOOP_FREQUENCIES
 """Frequencies of a search [rad/s]; the highest is just below half of the sampling rate."""
 STEP = 1e-6
 """Of log frequency, to both sides, for the slope of a gain."""

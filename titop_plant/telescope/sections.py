@@ -15,6 +15,9 @@ Matrix = tuple[Vector, ...]
 
 Table = TypeVar("Table")
 
+LOOP_FREQUENCIES = (1e-2, 3000.0)
+"""Frequencies [rad/s] at which figures of the loop are looked for; the edge of the bands is among them."""
+
 FIRST_BAND_EDGE = 85.0
 """Edge between slow and fast tones [rad/s] of telescopes whose stored tables do not say it."""
 

@@ -44,6 +44,13 @@ def test_it_is_in_the_name_unless_it_is_that_of_before(own: Telescope) -> None:
     assert own.changed({"weights": {"band_edge": reference.weights.band_edge}}).digest == reference.digest
 
 
+@pytest.mark.parametrize("edge", [-1.0, 0.001, 5000.0])
+def test_an_edge_beyond_the_frequencies_of_the_loop_is_refused(tmp_path: Path, edge: float) -> None:
+    (tmp_path / "mission.toml").write_text(f"[weights]\nband_edge = {edge}\n")
+    with pytest.raises(ValueError, match=rf"weights.band_edge. must be between 0.01 and 3000 rad/s, got {edge}"):
+        load_telescope(tmp_path / "mission.toml")
+
+
 def test_figures_tuner_and_proofs_are_split_there(own: Telescope) -> None:
     assert figure("slow").band_of(own) == (0.0, EDGE) and figure("fast").band_of(own) == (EDGE, math.inf)
     around = np.array([EDGE * (1.0 - 1e-9), EDGE])

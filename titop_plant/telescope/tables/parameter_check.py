@@ -10,6 +10,7 @@ from typing import Any
 
 from titop_plant.ports import AXES
 from titop_plant.sensors import SENSORS
+from titop_plant.telescope.sections import LOOP_FREQUENCIES
 
 POSITIVE = {
     "mass",
@@ -33,7 +34,6 @@ POSITIVE = {
     "rpe_limit_fine",
     "rpe_window",
     "washout",
-    "band_edge",
     "E",
     "G",
     "density",
@@ -49,9 +49,6 @@ POSITIVE = {
     "weight_mas",
 }
 """Keys whose numbers must be above zero, in whatever table they stand."""
-
-RANGES = {"weights.band_edge": (1e-2, 3e3, "rad/s, within the frequencies of the loop of 1 kHz")}
-"""Smallest and largest value, with the unit, by full name."""
 
 ANY_SIGN = ("pma.height",)
 """By full name those that are positions: a section's height is above zero, that of the actuators is over a point."""
@@ -72,8 +69,13 @@ NOT_NEGATIVE = {
     "spider_width",
 }
 
-FRACTIONS = {"share": 1.0, "relative_uncertainty": 0.99, "obscuration": 0.99}
-"""Keys between 0 and this."""
+RANGES = {
+    "share": (0.0, 1.0, ""),
+    "relative_uncertainty": (0.0, 0.99, ""),
+    "obscuration": (0.0, 0.99, ""),
+    "band_edge": (*LOOP_FREQUENCIES, " rad/s"),
+}
+"""Smallest and largest value of keys, and their unit."""
 
 ANY_LENGTH = {"force_harmonics", "force_ratios", "torque_harmonics", "torque_ratios", "step_harmonics"}
 """Lists that may be longer or shorter than those of the reference."""
@@ -216,13 +218,11 @@ class ParameterFile:
             raise self.error(name, f"must be a whole number, got {value!r}")
         if key in POSITIVE and name not in ANY_SIGN and not value > 0:
             raise self.error(name, f"must be positive, got {value!r}")
-        low, high, unit = RANGES.get(name, (-math.inf, math.inf, ""))
-        if not low <= value <= high:
-            raise self.error(name, f"must be between {low:g} and {high:g} {unit}, got {value!r}")
         if key in NOT_NEGATIVE and not value >= 0:
             raise self.error(name, f"must not be negative, got {value!r}")
-        if key in FRACTIONS and not 0 <= value <= FRACTIONS[key]:
-            raise self.error(name, f"must be between 0 and {FRACTIONS[key]:g}, got {value!r}")
+        low, high, unit = RANGES.get(key, (-math.inf, math.inf, ""))
+        if not low <= value <= high:
+            raise self.error(name, f"must be between {low:g} and {high:g}{unit}, got {value!r}")
         if key == "theta_range" and not abs(value) < 2.0 * math.pi:
             raise self.error(
                 name, f"must be between -2 pi and 2 pi rad, where tau = tan(theta/4) is regular, got {value!r}"
