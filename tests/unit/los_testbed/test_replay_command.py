@@ -90,6 +90,23 @@ def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path)
     assert "identical" in out
 
 
+def test_a_replay_says_where_its_controllers_start(call, tmp_path) -> None:
+    """The recorded observer in another file starts as it did, another one at rest; so does a replay of its own bag."""
+    run_in_process(RunConfig(duration=1.5, mode="inprocess"), tmp_path / "steady")
+    stored = json.loads(Run.open(tmp_path / "steady").attachments["k_fsm.json"])
+    (tmp_path / "same.json").write_text(json.dumps(stored))
+    (tmp_path / "weaker.json").write_text(json.dumps({**stored, "C": [[0.9 * c for c in row] for row in stored["C"]]}))
+    code, out, err = call(tmp_path / "steady", "--k-fsm", tmp_path / "same.json", "--json")
+    assert code == 0 and json.loads(out.splitlines()[-1])["identical"] and "at rest" not in err
+    code, out, err = call(tmp_path / "steady", "--k-fsm", tmp_path / "weaker.json", "--output", "other", "--json")
+    assert code == 0 and "k_fsm of the replay at rest" in err
+    for options in ((), ("--loop", "isolator")):  # the second one starts K_PMA anew, which does not act
+        code, out, err = call("other", *options, "--output", f"again{len(options)}", "--json")
+        assert code == 0 and json.loads(out.splitlines()[-1])["identical"] is not bool(options)
+        code, out, _ = call(f"again{len(options)}", "--json")
+        assert code == 0 and json.loads(out.splitlines()[-1])["identical"]
+
+
 def test_another_stage_on_the_same_sensors(call, recorded) -> None:
     code, out, _ = call(recorded, "--loop", "isolator", "--json", "--output", "open")
     assert code == 0

@@ -49,7 +49,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
 from pointing_analysis.replay.replay import LoopLayout
 from pointing_analysis.requirements.summary import exposure_of_run
-from titop_plant.interface import RATE, STAGES, TICK_NS, DesignBasis
+from titop_plant.interface import FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 CHUNK_NS = RATE * TICK_NS
@@ -75,6 +75,8 @@ class Controllers:
     controller : FsmPmaController
     layout : LoopLayout
         Topics that they read and write.
+    start : LoopStart, optional
+        States in which they start, with the others of the run; None for a bag without states: at rest.
     warnings : tuple of str
         One line for each controller that was made for other parameters or limits than those of the bag.
     """
@@ -85,6 +87,7 @@ class Controllers:
     estimator: LosEstimator | LibraryLaw
     controller: FsmPmaController
     layout: LoopLayout
+    start: LoopStart | None = None
     warnings: tuple[str, ...] = ()
 
 
@@ -134,16 +137,15 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     files = {_file_name(name, law): data for name, (law, data) in found.items()}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
     estimator = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm, rows["k_fsm"].further_measured)
-    states = _states(run)
-    if states is not None:
-        if begins := _starts_as_recorded(run, "k_fsm", fsm, states.k_fsm):
-            estimator.start_at(states.k_fsm, states.camera)
-        if _starts_as_recorded(run, "k_pma", pma, states.k_pma) and stage == recorded:
-            controller.start_at(states.k_pma)
-        if not begins:
-            warnings += ("k_fsm is not the recorded one and starts at rest: figures of the replay have its start-up",)
+    start, resting = _started(run, {"k_fsm": fsm, "k_pma": pma}, closed=stage == recorded)
+    if start is not None:
+        estimator.start_at(start.k_fsm, start.camera)
+        controller.start_at(start.k_pma)
+    if resting := [name for name in resting if name == "k_fsm" or stage in FORCE_STAGES]:
+        of_replay = " and ".join(resting)
+        warnings += (f"the run starts in a steady state, {of_replay} of the replay at rest: figures have the start-up",)
     as_recorded, layout = stage == recorded and all(same.values()), layout_of(rows["k_fsm"], rows["k_pma"])
-    return Controllers(files, stage, as_recorded, estimator, controller, layout, warnings)
+    return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings)
 
 
 def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | LibraryLaw, bytes]:
@@ -166,13 +168,33 @@ def _starts_as_recorded(
     run: Run, name: str, law: SampledSystem | LibraryLaw, state: FloatArray | tuple[float, ...]
 ) -> bool:
     """Whether the recorded state is of this law: one of the recorded matrices, or a library of the same order."""
-    if isinstance(law, LibraryLaw) or f"{name}.json" not in run.attachments:
-        return law.order == len(state)
+    if isinstance(law, LibraryLaw):
+        return bool(law.order == len(state))
+    if f"{name}.json" not in run.attachments:
+        return False
     recorded = controller_of(run, name)[0]
     before = with_further_ports(name, _file_name(name, recorded), recorded, rows_of(run, recorded))
     if law.inputs != before.inputs or law.outputs != before.outputs:
         return False
-    return all(np.array_equal(getattr(law, M), getattr(before, M)) for M in "ABCD")
+    return all(bool(np.array_equal(getattr(law, M), getattr(before, M))) for M in "ABCD")
+
+
+def _started(
+    run: Run, laws: Mapping[str, SampledSystem | LibraryLaw], *, closed: bool
+) -> tuple[LoopStart | None, list[str]]:
+    """States in which the laws of a replay start, and the names of those that start at rest where the run did not.
+
+    K_PMA starts as it did where the stage is that of the run, too (`closed`).
+    """
+    states = _states(run)
+    if states is None:
+        return None, []
+    same = {name: _starts_as_recorded(run, name, law, getattr(states, name)) for name, law in laws.items()}
+    same["k_pma"] &= closed
+    still = {name: np.zeros(law.order) for name, law in laws.items() if not same[name]}
+    if "k_fsm" in still:
+        still["camera"] = np.zeros_like(states.camera)
+    return replace(states, **still), [name for name in laws if not same[name]]
 
 
 def _states(run: Run) -> LoopStart | None:
@@ -289,6 +311,8 @@ def write_bag(path: Path, run: Run, replayed: replay.Replayed, chosen: Controlle
         metadata["controller_warnings"] = "; ".join(chosen.warnings)
     laws = {Path(name).stem for name in chosen.files}  # the recorded ones are not those of this bag
     others = {name: data for name, data in run.attachments.items() if Path(name).stem not in laws}
+    if chosen.start is not None:
+        others[START_FILE] = replace(RunStart.from_bytes(others[START_FILE]), states=chosen.start).to_bytes()
     files = {name: ("application/octet-stream", data) for name, data in others.items()}
     kinds = {".json": "application/json", ".so": "application/octet-stream"}
     files.update({name: (kinds[Path(name).suffix], data) for name, data in chosen.files.items()})
