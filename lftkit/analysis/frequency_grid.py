@@ -36,14 +36,14 @@ def pole_range(poles: ArrayLike, *, zero: float = ZERO) -> tuple[float, float]:
 
 
 def logarithmic_grid(low: float, high: float, step: float) -> FloatArray:
-    """Frequencies from `low` to `high` [rad/s] whose logarithms are about `step` apart.
+    """Frequencies from `low` to `high` [rad/s] whose logarithms are about `step` apart, both ends among them.
 
     Examples
     --------
     >>> logarithmic_grid(1.0, 100.0, 1.5).round(6).tolist()
     [1.0, 10.0, 100.0]
     """
-    return np.asarray(np.geomspace(low, high, int(np.log(high / low) / step)), dtype=float)
+    return np.asarray(np.geomspace(low, high, max(int(np.log(high / low) / step), 2)), dtype=float)
 
 
 def frequency_grid(

@@ -256,6 +256,7 @@ def test_range_of_poles_leaves_out_those_at_zero() -> None:
 
 
 def test_steps_of_a_logarithmic_grid_are_equal() -> None:
+    assert logarithmic_grid(1.0, 1.001, 0.5).tolist() == [1.0, 1.001]
     grid = logarithmic_grid(0.3, 70.0, 0.01)
     steps = np.diff(np.log(grid))
     assert grid[0] == 0.3 and grid[-1] == pytest.approx(70.0)
