@@ -136,11 +136,10 @@ def _further_limits(parts: RunParts) -> dict[str, str]:
 
 def _sensors(parts: RunParts) -> tuple[RecordedSensor, ...]:
     """The sensors of a run, those of the loop first; without noise where it has none."""
-    acts, rows = float(parts.config.noise), parts.telescope.loop_ports
-    noise, further = rows.reference.noise * acts, rows.further_sensors
+    acts, further = float(parts.config.noise), parts.ports.further_sensors
+    noise = parts.telescope.loop_ports.reference.noise * acts
     found = [(topic, noise[topic.columns]) for topic in SENSORS]
-    if not parts.config.other_plant:
-        found += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
+    found += [(topic, row.noise * acts) for topic, row in zip(sensor_topics(further), further)]
     return tuple(
         RecordedSensor(t.name, t.unit, RATE / t.every(parts.config.frame_ticks), t.framed, tuple(sigma.tolist()))
         for t, sigma in found

@@ -19,7 +19,7 @@ MEANINGS = {
     "ake_p997_arcsec": "absolute knowledge error, 99.7 % of the instants [arcsec]",
     "rke_rms_mas": "relative knowledge error, rms [mas]",
     "mirror_max_mrad": "largest mirror command [mrad]",
-    "force_max_n": "largest force command, further actuators among them [N]",
+    "force_max_n": "largest force command of all actuators [N]",
     "rpe_window_max_mas": "relative error, rms of the worst window [mas]",
     "rpe_window_p997_mas": "relative error, rms of a window, 99.7 % of the windows [mas]",
     "ape_gain": "largest absolute error of a tone of unit norm over its limit",
