@@ -13,7 +13,7 @@ import pytest
 
 COMMAND = """
 import sys
-from los_design.synthesis.synthesis import synthesis
+from los_design.synthesis import synthesis
 from los_design.synthesis.rounds import Effort
 from los_design.search.worst_case_search import SearchOptions
 from los_testbed.cli.app import main
