@@ -136,6 +136,19 @@ def design_limits(requirements: Sequence[Requirement]) -> tuple[dict[str, float]
     return {**values, "rpe_window": window}, made
 
 
+def unseen_by_design(requirements: Sequence[Requirement]) -> tuple[Requirement, ...]:
+    """Requirements that no limit of a design is made of: runs are judged by them.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> unseen_by_design(load_telescope().requirements)
+    ()
+    """
+    seen = {i for places in design_limits(requirements)[1].values() for i in places}
+    return tuple(one for i, one in enumerate(requirements) if i not in seen)
+
+
 def window_length(requirements: Sequence[Requirement]) -> float:
     """``rpe_window`` [s], by which the loop is weighted; NaN without a requirement that it is made of.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli import app as cli
+from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
 from los_testbed.members import WORST_POINTS, worst_member
@@ -95,6 +96,16 @@ def test_a_mistake_is_one_line(tmp_path: Path, monkeypatch, capsys, arguments: l
         cli.main(["design", *arguments])
     assert stop.value.code == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_requirements_that_a_design_does_not_see_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name_unseen_requirements(load_telescope())
+    assert capsys.readouterr().err == ""
+    table = '[[requirement]]\nname = "slow"\ntext = "prob(rms RPE(250 ms) < 100 mas) >= 0.99 at 90 % confidence"\n'
+    (tmp_path / "mission.toml").write_text(table)
+    name_unseen_requirements(load_telescope(tmp_path / "mission.toml"))
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "designs do not see slow (prob(rms RPE(250 ms) < 100 mas)" in said
 
 
 def test_the_effect_of_control_is_told_where_it_is_adverse() -> None:

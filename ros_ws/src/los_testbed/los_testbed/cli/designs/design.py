@@ -11,6 +11,7 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
+from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import ALL_EXAMPLES, design_all, given_output
 from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
@@ -131,6 +132,7 @@ def _make(
     path = given_output(output, "a file for the design")
     check_output(path, "--output")
     telescope = load_telescope(file)
+    name_unseen_requirements(telescope)
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
     key = {"kind": kind, "parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
     go_on = told_how_to_go_on("rounds so far", path, state=rounds)

@@ -1,7 +1,8 @@
-"""Telescope and controllers of a folder of ``los-testbed design all``."""
+"""Telescope and controllers of a folder of ``los-testbed design all``, and what its designs do not see."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,3 +30,11 @@ def designs_in(folder: Path) -> tuple[Telescope, SampledSystem, SampledSystem]:
     telescope = load_telescope(file if file.exists() else None)
     k_fsm, k_pma = (SampledSystem.from_file(folder / name) for name in DESIGN_FILES.values())
     return telescope, k_fsm, k_pma
+
+
+def name_unseen_requirements(telescope: Telescope) -> None:
+    """A line, on the error output, with the requirements that no figure of a design is made of, if any."""
+    from titop_plant.telescope.requirements import unseen_by_design
+
+    if unseen := [f"{one.name} ({one})" for one in unseen_by_design(telescope.requirements)]:
+        sys.stderr.write(f"requirements: designs do not see {', '.join(unseen)}; runs are judged by them\n")

@@ -13,7 +13,7 @@ import typer
 from rich.table import Table
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.mission import (
     NO_MISSION,
     Mission,
@@ -163,6 +163,7 @@ def design_all(
     check_output(folder, parameters, uncertain or ())
     if unseen := sources_of_mission(None if parameters is None else str(parameters)):
         sys.stderr.write(f"sources: the tuning does not see {', '.join(unseen)}; the verification does\n")
+    name_unseen_requirements(own)
     for line in differences(parameters or REFERENCE):
         sys.stderr.write(f"telescope: {line}\n")
     mission = Mission()

@@ -15,7 +15,7 @@ import typer
 from rich.text import Text
 
 from lftkit.support.progress import Progress
-from los_testbed.cli.designs.folders import designs_in
+from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.mission import Mission, verify_mission
 from los_testbed.cli.designs.redesign import show_implemented
 from los_testbed.cli.interrupts import told_how_to_go_on
@@ -131,6 +131,7 @@ def _of_folder(
 
     telescope, k_fsm, k_pma = designs_in(folder)
     telescope = telescope.with_uncertain(uncertain)
+    name_unseen_requirements(telescope)
     warn(design_warnings((k_fsm, k_pma), telescope.design_basis, closed=True))
     with Progress(f"{folder.name} as implemented") as bar:
         system = loop_plant(telescope, telescope.loop_ports.used_by(k_fsm, k_pma))
