@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.proofs.blocks.structure import UncertaintyBlock, complex_block, full_block, real_block
-    from lftkit.proofs.checked_proof import CheckedProof
+    from lftkit.proofs.blocks.structure import complex_block, full_block, real_block
     from lftkit.proofs.checking import check_proof
     from lftkit.proofs.disk_margin import DiskMarginBounds, worst_case_disk_margin
     from lftkit.proofs.options import BoundOptions
@@ -18,8 +17,8 @@ if TYPE_CHECKING:
     from lftkit.proofs.robustness import robust_performance, robust_stability, worst_case_gain
     from lftkit.proofs.state_space.bounds import ProvenBounds
     from lftkit.proofs.structured.bounds import MuBounds, mu
-    from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-    from lftkit.proofs.trusted.proof import ProofError
+    from lftkit.proofs.trusted.proof import CheckedProof, ProofError
+    from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu
 
 __all__ = [
     "BoundOptions",
@@ -51,13 +50,12 @@ __getattr__ = names_on_demand(
         "checking": ("check_proof",),
         "disk_margin": ("DiskMarginBounds", "worst_case_disk_margin"),
         "structured.bounds": ("MuBounds", "mu"),
-        "structured.certificate": ("MuCertificate", "check_mu"),
-        "blocks.structure": ("UncertaintyBlock", "complex_block", "full_block", "real_block"),
+        "blocks.structure": ("complex_block", "full_block", "real_block"),
         "options": ("BoundOptions",),
         "profiles": ("Profile", "gain_profile", "stability_profile"),
         "robustness": ("robust_performance", "robust_stability", "worst_case_gain"),
         "state_space.bounds": ("ProvenBounds",),
-        "trusted.proof": ("ProofError",),
-        "checked_proof": ("CheckedProof",),
+        "trusted.proof": ("CheckedProof", "ProofError"),
+        "trusted.structured": ("MuCertificate", "UncertaintyBlock", "check_mu"),
     },
 )

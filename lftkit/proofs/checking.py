@@ -1,35 +1,50 @@
-"""One entry to the checks of all kinds of proofs. It and what it imports optimise nothing and find no proof."""
+"""One check of proofs of all kinds. It and what it imports optimise nothing and find no proof."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from lftkit.proofs.axis.checker import check_axis_proof
-from lftkit.proofs.axis.proof import FORMAT as AXIS
-from lftkit.proofs.axis.proof import AxisProof
-from lftkit.proofs.checked_proof import CheckedProof
-from lftkit.proofs.entries import file_content
-from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
-from lftkit.proofs.sampled_loop.files import read_loop_proof
-from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE
-from lftkit.proofs.sampled_loop.noise import CheckedNoise, NoiseProof, check_noise_proof
-from lftkit.proofs.state_space.checker import DISCRETE
-from lftkit.proofs.state_space.checker import FORMAT as CELLS
-from lftkit.proofs.state_space.checker import check_proof as check_cells
-from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
-from lftkit.proofs.trusted.given import LoopProof
-from lftkit.proofs.trusted.proof import ProofError
-from lftkit.support.format_names import current_name
-
-FORMATS = (CELLS, DISCRETE, LOOP, AXIS, NOISE)
-
+from lftkit.proofs.axis.proof import KIND as AXIS
+from lftkit.proofs.axis.proof import AxisProof, axis_proof
+from lftkit.proofs.earlier_files import present_header
+from lftkit.proofs.proof_files import Content, read_content
+from lftkit.proofs.sampled_loop.files import LOOP, NOISE, loop_proof, noise_proof
+from lftkit.proofs.trusted.axis import check_axis_proof
+from lftkit.proofs.trusted.cells import KIND as CELLS
+from lftkit.proofs.trusted.cells import check_cells
+from lftkit.proofs.trusted.entries import FORMAT
+from lftkit.proofs.trusted.noise import CheckedNoise, NoiseProof, check_noise_proof
+from lftkit.proofs.trusted.proof import CheckedProof, Each, ProofError, require
+from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 
 Checked = CheckedProof | CheckedLoop | CheckedNoise
 
 
-def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> Checked:
+class ProofKind(NamedTuple):
+    """What belongs to a kind of proofs: the proof of a file's content, its type, its check."""
+
+    made: Callable[[Content], Any]
+    type: type
+    check: Callable[[Any, Each], Checked]
+
+
+def _cells(content: Content) -> dict[str, Any]:
+    header, arrays = content
+    require(not arrays, f"a proof by cells must have no arrays, got {sorted(arrays)}"[:300])
+    return header
+
+
+KINDS = {
+    CELLS: ProofKind(_cells, dict, lambda proof, each: check_cells(proof)),
+    AXIS: ProofKind(axis_proof, AxisProof, check_axis_proof),
+    LOOP: ProofKind(loop_proof, LoopProof, check_loop_proof),
+    NOISE: ProofKind(noise_proof, NoiseProof, check_noise_proof),
+}
+
+
+def check_proof(proof: Any, each: Each = map) -> Checked:
     """Verify a proof of any kind; a ProofError says why it is refused.
 
     Parameters
@@ -49,37 +64,35 @@ def check_proof(proof: Any, each: Callable[..., Iterable[int | str]] = map) -> C
     ProofError
         It is no proof, it is damaged, or what it claims does not follow.
     """
+    for kind in KINDS.values():
+        if isinstance(proof, kind.type) and not isinstance(proof, dict):
+            return kind.check(proof, each)
+    content: Content
     if isinstance(proof, (str, Path)):
-        path = Path(proof)
-        name = proof_format(path)
-        return check_cells(path) if name in (CELLS, DISCRETE) else _check_strips(path, name, each)
-    if isinstance(proof, AxisProof):
-        return check_axis_proof(proof, each)
-    if isinstance(proof, LoopProof):
-        return check_loop_proof(proof, each)
-    if isinstance(proof, NoiseProof):
-        return check_noise_proof(proof, each)
-    if isinstance(proof, Mapping) or hasattr(proof, "content"):
-        return check_cells(proof)
-    raise ProofError(f"proof must be a file or the proof of bounds, got {type(proof).__name__}")
+        content = read_content(Path(proof))
+    else:
+        header = getattr(proof, "content", proof)
+        require(isinstance(header, Mapping), f"proof must be a file or the proof of bounds, got {type(proof).__name__}")
+        content = present_header(header), {}
+    kind = KINDS[kind_of(content)]
+    return kind.check(kind.made(content), each)
 
 
-def _check_strips(path: Path, name: str, each: Callable[..., Iterable[int | str]]) -> Checked:
-    if name == NOISE:
-        return check_noise_proof(NoiseProof.from_file(path), each)
-    return check_loop_proof(read_loop_proof(path), each) if name == LOOP else check_axis_proof(path, each)
-
-
-def proof_format(path: Path) -> str:
-    """Name of the format that a file's header says, one of :data:`FORMATS`.
+def kind_of(content: Content) -> str:
+    """Kind of a proof, one of :data:`KINDS`, as its header says.
 
     Raises
     ------
     ProofError
-        No such file, or no header of a proof.
+        No header of a proof.
     """
-    header, _ = file_content(path)
-    name = current_name(header.get("format")) if isinstance(header, dict) else None
-    if name not in FORMATS:
-        raise ProofError(f"format must be one of {', '.join(map(repr, FORMATS))}, got {name!r}"[:400])
-    return str(name)
+    header = content[0]
+    kind = header.get("kind") if isinstance(header, dict) and header.get("format") == FORMAT else None
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ProofError(f"the header must be one of {FORMAT!r}, kind {', '.join(KINDS)}, got {kind!r}"[:400])
+    return kind
+
+
+def proof_kind(path: Path) -> str:
+    """Kind of the proof in a file; errors as of :func:`kind_of`."""
+    return kind_of(read_content(path))

@@ -1,7 +1,8 @@
-"""Files of strips of scalings.
+"""Content of files of proofs of all kinds, and strips as arrays in them.
 
-A file is a compressed ``.npz``: arrays, and one member `header` with the rest as JSON. No check depends on how a proof
-was read: what is read (:mod:`lftkit.proofs.entries`) is checked.
+A file is a header and arrays (:mod:`lftkit.proofs.trusted.entries` reads both). Every header begins with the same four
+entries: the format, the kind, the claim and the plant that it is about. No check depends on how a proof was read: what
+is read is checked.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.entries import Form, array, file_content, record, refuse
-from lftkit.proofs.trusted.proof import ProofError, Strip
-from lftkit.support.format_names import current_name
+from lftkit.proofs.earlier_files import present_header
+from lftkit.proofs.trusted.entries import FORMAT, Form, array, file_content, record, refuse
+from lftkit.proofs.trusted.proof import Box, Interval, Strip
+
+Content = tuple[dict[str, Any], dict[str, Any]]
+"""Header and arrays."""
 
 
 def packed(strips: Sequence[Strip], parameters: int) -> dict[str, Any]:
@@ -78,29 +82,64 @@ def unpacked(arrays: Mapping[str, Any], parameters: int, prefix: str = "") -> tu
     return tuple(strips)
 
 
-def write_archive(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    """Write a proof."""
-    text = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+def write_content(path: Path, content: Content) -> None:
+    """Write header and arrays: JSON without arrays, else a compressed ``.npz`` with the header as a member."""
+    header, arrays = content
+    text = json.dumps(header).encode()
+    if not arrays:
+        path.write_bytes(text)
+        return
     with path.open("wb") as file:
-        np.savez_compressed(file, **arrays, header=text)
+        np.savez_compressed(file, **arrays, header=np.frombuffer(text, dtype=np.uint8))
 
 
-def read_archive(
-    path: Path, form: str, header: Form, arrays: Mapping[str, Form], prefixes: Sequence[str] = ("",)
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Header and arrays of a proof, with the strips' arrays under prefixes.
+def read_content(path: Path) -> Content:
+    """Header and arrays of a file; those of version 0.1 as if they were of the present format.
 
     Raises
     ------
     ProofError
-        No such file, another format than `form`, or an entry that has not its form, is missing or unknown.
+        No such file, or no proof.
     """
-    given, found = file_content(path)
-    own = current_name(given.get("format")) if isinstance(given, dict) else None
-    if own != form:
-        raise ProofError(f"format must be {form!r}, got {own!r}"[:200])
-    known = header(given, "header")
-    forms = dict(arrays)
+    header, arrays = file_content(path)
+    return present_header(header), arrays
+
+
+def header_entries(kind: str, claim: Mapping[str, Any], plant: Mapping[str, Any], **others: Any) -> dict[str, Any]:
+    """What every header begins with, and the others of a kind."""
+    return {"format": FORMAT, "kind": kind, "claim": dict(claim), "plant": dict(plant), **others}
+
+
+def named_box(names: Sequence[str], box: Box) -> dict[str, Interval]:
+    """Box of a claim, by names of the parameters."""
+    return dict(zip(names, box))
+
+
+def box_of_claim(header: Mapping[str, Any]) -> Box:
+    """Box of a claim in the order of the plant's parameters.
+
+    Raises
+    ------
+    ProofError
+        It is one of other parameters.
+    """
+    names, box = header["plant"]["parameters"], header["claim"]["box"]
+    if len(set(names)) != len(names) or set(names) != set(box):
+        raise refuse("box", f"one of the parameters {names}"[:200], sorted(box))
+    return tuple(box[name] for name in names)
+
+
+def arrays_of(
+    arrays: Mapping[str, Any], forms: Mapping[str, Form], parameters: int, prefixes: Sequence[str] = ("",)
+) -> dict[str, Any]:
+    """Arrays of a proof, those of its strips, with prefixes, among them.
+
+    Raises
+    ------
+    ProofError
+        One has not its form, is missing or unknown.
+    """
+    whole = dict(forms)
     for prefix in prefixes:
-        forms |= strip_arrays(found, len(known["names"]), prefix)
-    return known, record(forms)(found, "the file")
+        whole |= strip_arrays(arrays, parameters, prefix)
+    return dict(record(whole)(dict(arrays), "the file"))

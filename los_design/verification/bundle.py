@@ -13,7 +13,7 @@ member                      content
 ``k_fsm.json``              sampled controllers, as :class:`lftkit.SampledSystem` stores them
 ``k_pma.json``
 ``proofs/STAGE-FIGURE.npz`` of :class:`lftkit.proofs.sampled_loop.LoopProof`
-``proofs/STAGE-noise.npz``  of :class:`lftkit.proofs.sampled_loop.noise.NoiseProof`, where there is one
+``proofs/STAGE-noise.npz``  of :class:`lftkit.proofs.trusted.noise.NoiseProof`, where there is one
 ==========================  ========================================================================================
 
 The hashes find damage; they are no defence against somebody who makes new ones. What counts is what
@@ -41,10 +41,10 @@ import numpy as np
 import scipy
 
 from lftkit import SampledSystem
-from lftkit.proofs.entries import mapping, parsed, record, text, zip_members
 from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
-from lftkit.proofs.sampled_loop.files import read_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, check_noise_proof
+from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
+from lftkit.proofs.trusted.entries import mapping, parsed, record, text, zip_members
+from lftkit.proofs.trusted.noise import NoiseBound, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
 from los_design.synthesis.provenance import commit
@@ -208,7 +208,7 @@ class ProofBundle:
 
     def noise_proof(self, stage: str) -> NoiseProof:
         """The proof of a stage's noise as its file has it."""
-        return NoiseProof.from_file(self.folder / member_of(stage, NOISE))
+        return read_noise_proof(self.folder / member_of(stage, NOISE))
 
     def count_strips(self) -> int:
         """Strips of all proofs.

@@ -22,16 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.entries import each, index, number, pair, record, text, truth
-from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
+from lftkit.proofs.proof_files import arrays_of, packed, read_content, unpacked, write_content
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions
 from lftkit.proofs.sampled_loop.files import write_loop_proof
-from lftkit.proofs.trusted.checker import covered
-from lftkit.proofs.trusted.premises import require_strip
-from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
+from lftkit.proofs.trusted.entries import FORMAT, Form, each, header_of, index, number, pair, text, truth
+from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.stability import nominal_windows, whole_axis, windows_above
-from lftkit.proofs.trusted.strips import check_strip, windows_of
+from lftkit.proofs.trusted.strips import check_strip, require_strip, windows_of
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
@@ -47,18 +45,15 @@ SLOWEST_PARTS = (0.01, 0.3)
 """Upper ends of the first parts of a band that begins at zero [rad/s]."""
 
 
-PART_FORMAT = "los-testbed part of a proof 1"
-PART_ENTRIES = record(
-    {
-        "format": text,
-        "names": each(text),
-        "uncovered": each(pair),
-        "point": each(number),
-        "windows": index,
-        "finished": truth,
-        **dict.fromkeys(("lower", "omega", "seconds"), number),
-    }
-)
+PART_KIND = "part of a proof"
+PART_ENTRIES: dict[str, Form] = {
+    "names": each(text),
+    "uncovered": each(pair),
+    "point": each(number),
+    "windows": index,
+    "finished": truth,
+    **dict.fromkeys(("lower", "omega", "seconds"), number),
+}
 PROBES, MOST_OTHERS = 6, 3
 """Windows of another proof that are tried, and most other proofs."""
 
@@ -233,7 +228,7 @@ def kept_part(part: ProofPart) -> PartResult | None:
 def _check_part(part: ProofPart, result: PartResult) -> None:
     """Refuse strips that do not prove a part; what a part leaves open needs no proof."""
     if not result.uncovered:
-        covered(LoopProof(part.model, ("",) * len(part.box), part.box, part.band, part.level, result.strips))
+        require_cover(result.strips, part.box, part.band, "rad/s")
     for place, strip in enumerate(result.strips):
         require_strip(place, strip, part.model)
         outcome = check_strip((part.model, strip, part.level))
@@ -269,9 +264,9 @@ def keep_part(part: ProofPart, result: PartResult) -> None:
     """Write a part that is finished to its file."""
     if result.finished:
         summary = {name: value for name, value in vars(result).items() if name != "strips"}
-        header = {"format": PART_FORMAT, "names": [""] * len(part.box), **summary}
+        header = {"format": FORMAT, "kind": PART_KIND, "names": [""] * len(part.box), **summary}
         with atomic_file(part.file) as temporary:
-            write_archive(temporary, header, packed(result.strips, len(part.box)))
+            write_content(temporary, (header, packed(result.strips, len(part.box))))
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())  # else a loss of power may leave the name of a file without its content
 
@@ -287,8 +282,10 @@ def _strips(file: Path) -> tuple[Strip, ...]:
 
 def _read_part(file: Path) -> PartResult:
     """What the file of a part says; a ProofError where it cannot be read."""
-    header, arrays = read_archive(file, PART_FORMAT, PART_ENTRIES, {})
-    strips, uncovered = unpacked(arrays, len(header["names"])), list(header["uncovered"])
+    given, arrays = read_content(file)
+    header = header_of(given, PART_KIND, PART_ENTRIES)
+    strips = unpacked(arrays_of(arrays, {}, len(header["names"])), len(header["names"]))
+    uncovered = list(header["uncovered"])
     rest = {name: header[name] for name in ("lower", "omega", "windows", "seconds", "finished")}
     return PartResult(strips, uncovered, point=list(header["point"]), **rest)
 
@@ -296,8 +293,7 @@ def _read_part(file: Path) -> PartResult:
 def _useful(part: PartTask, strips: tuple[Strip, ...]) -> bool:
     """Whether strips of another proof cover a part, and most of some windows hold for it."""
     try:
-        names = ("",) * len(part.box)
-        covered(LoopProof(part.model, names, part.box, part.band, part.level, strips))
+        require_cover(strips, part.box, part.band, "rad/s")
     except ProofError:
         return False
     tried = [(strip, number) for strip in strips for number in range(len(strip.nodes) - 1)]

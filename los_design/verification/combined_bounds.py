@@ -26,7 +26,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import optimize
 
-from lftkit.proofs.sampled_loop.noise import NoiseBound
+from lftkit.proofs.trusted.noise import NoiseBound
 from los_design.verification.error_sum import FAST, WITH_NOISE, ErrorSum, parts_of_band, required_probabilities
 from los_loop.figures_of_merit import figure
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS

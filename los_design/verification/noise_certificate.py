@@ -1,7 +1,7 @@
 """Proof of the noise of a stage: root mean square of the line of sight over the whole box of parameters.
 
 One proof bounds the absolute and the relative error, whose weight grows with frequency
-(:mod:`lftkit.proofs.sampled_loop.noise`), both of all axes together and along any axis. Parts of the band are narrow
+(:mod:`lftkit.proofs.trusted.noise`), both of all axes together and along any axis. Parts of the band are narrow
 where the response of the nominal member changes much in them (:data:`EXCESS`). The level of each part is as far above
 what members have as :data:`ABOVE` says; where that can't be proven it is raised. Parts are kept as those of figures
 are.
@@ -21,7 +21,8 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.proofs.sampled_loop import LoopModel
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, noise_bound, power_area
+from lftkit.proofs.sampled_loop.files import write_loop_proof
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, noise_bound, power_area
 from lftkit.proofs.trusted.proof import Interval, ProofError
 from los_design.verification.certify import (
     FigureBounds,
@@ -138,7 +139,7 @@ def _bounds(
     proof = NoiseProof(model, names, box_of(loop), parts, {"stage": loop.stage, "figure": NOISE})
     file = f"{loop.stage}-{NOISE}.npz"
     with atomic_file(folder / file) as temporary:
-        proof.to_file(temporary)
+        write_loop_proof(proof, temporary)
     upper = noise_bound(replace(model, scale=1.0), parts, 0.0).rms
     return replace(bounds, upper=upper, proof=file, stable=stable_above(loop))
 

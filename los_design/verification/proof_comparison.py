@@ -16,8 +16,7 @@ import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
-from lftkit.proofs.sampled_loop.noise import NoiseProof
-from lftkit.proofs.trusted.given import GivenLoop
+from lftkit.proofs.trusted.noise import NoiseProof
 from lftkit.proofs.trusted.proof import Interval, ProofError
 from los_design.verification.loop_models import NYQUIST, box_of, provable, telescope_model
 from los_design.verification.noise_certificate import noise_of_loop
@@ -83,7 +82,7 @@ def same_noise(proof: NoiseProof, loop: ImplementedLoop) -> bool:
     return _compared(proof.model, anew.model, (0.0, NYQUIST), []).same
 
 
-def _compared(one: GivenLoop, model: LoopModel, band: Interval, found: list[str]) -> ProofComparison:
+def _compared(one: LoopModel, model: LoopModel, band: Interval, found: list[str]) -> ProofComparison:
     """Compare the model of a file with that of a loop; `found` is what else is another one."""
     found = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + found
     for name, where in POLES.items():
@@ -138,7 +137,7 @@ def _equal(one: Any, other: Any) -> bool:
     return np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
 
 
-def _shapes(model: GivenLoop) -> tuple[tuple[int, ...], ...]:
+def _shapes(model: LoopModel) -> tuple[tuple[int, ...], ...]:
     return tuple(getattr(model, name).shape for name in ("C", "B", "D", "K_C", "K_B", "K_D"))
 
 
@@ -167,7 +166,7 @@ def _frequencies(model: LoopModel, band: Interval) -> FloatArray:
     return found[(found >= low) & (found <= high)]
 
 
-def _difference(one: GivenLoop, other: GivenLoop, omega: float) -> float:
+def _difference(one: LoopModel, other: LoopModel, omega: float) -> float:
     """Largest difference of the responses at a frequency, of the largest entry of each."""
     pairs = zip(one.at(omega), other.at(omega))
     return max(float(np.abs(a - b).max() / max(np.abs(b).max(), np.finfo(float).tiny)) for a, b in pairs)

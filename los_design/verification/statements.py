@@ -161,7 +161,7 @@ def _sums(
     instants, windows = required_probabilities(telescope, stage)
     if all(row.probability == (instants if row.name.startswith("APE") else windows) for row in found):
         return found
-    from lftkit.proofs.sampled_loop.noise import NoiseBound
+    from lftkit.proofs.trusted.noise import NoiseBound
     from los_design.verification.combined_bounds import error_sums
 
     absolute, relative = (NoiseBound(**bound) for bound in shipped["noise"][stage])

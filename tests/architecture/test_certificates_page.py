@@ -1,4 +1,4 @@
-"""What docs/certificates.md states of the check of sampled loops: its lines, and the tests of its premises."""
+"""What docs/certificates.md states of the checks: their lines, and the tests of the premises of sampled loops."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from support.trusted_code import CHECKER, code_lines, imported_by, lines
+from support.trusted_code import CHECKERS, code_lines, imported_by, lines
 
 TESTS = Path(__file__).parents[1]
 PAGE = (TESTS.parent / "docs" / "certificates.md").read_text("utf-8")
@@ -29,7 +29,7 @@ def stated(pattern: str) -> list[int]:
 
 
 def test_the_page_states_how_much_code_is_trusted() -> None:
-    files = imported_by(CHECKER, PACKAGES)
+    files = imported_by(*CHECKERS, packages=PACKAGES)
     found = [len(files), lines(files), sum(map(code_lines, files))]
     assert found == stated(
         r"What is trusted is the package `lftkit/proofs/trusted`: (\d+) files, (\d+) lines, (\d+) of"
@@ -38,7 +38,7 @@ def test_the_page_states_how_much_code_is_trusted() -> None:
 
 def test_the_page_states_what_makes_the_model() -> None:
     """To a tenth: it is the program itself, and changes with it."""
-    files = imported_by("los_design.verification.loop_models", PACKAGES)
+    files = imported_by("los_design.verification.loop_models", packages=PACKAGES)
     assert [len(files), lines(files)] == pytest.approx(
         stated(r"some (\d+) files with (\d+) lines make the model"), rel=0.1
     )
@@ -49,5 +49,5 @@ def test_each_premise_of_the_page_has_a_forged_proof() -> None:
     tried = runpy.run_path(str(TESTS / "unit/lftkit/proofs/test_proof_premises.py"))
     table = PAGE.split("**Premises.**")[1].split("\n\n")[1]
     named = {row.split("|")[2].strip().strip("`") for row in table.splitlines()[2:]}
-    others = {"covered", "scalings_allowed", "negative", "proof_of_loop"}
+    others = {"require_cover", "scalings_allowed", "negative", "proof_of_loop"}
     assert named == {function for function, _ in tried["ALONE"].values()} | others | set(tried["UNSTABLE"])

@@ -33,9 +33,9 @@ from lftkit import Port, RealParameter, System
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_stability, worst_case_gain
 from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_level, write_loop_proof
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.files import read_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof
-from lftkit.proofs.state_space.checker import digest
+from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
+from lftkit.proofs.trusted.cells import digest
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
 
 DT = 0.1
 NYQUIST = math.pi / DT
@@ -96,7 +96,7 @@ def originals(folder: Path) -> list[Path]:
     write_loop_proof(LoopProof(model, names, box, (0.0, NYQUIST), ONE, strips, {}), files[0])
     two = replace(model, C=np.vstack([model.C, model.C[-1:]]), D=np.vstack([model.D, model.D[-1:]]), rows=(0, 1))
     both = tuple(prove_level(two, box, (0.0, NYQUIST), level=TWO).strips)
-    NoiseProof(two, names, box, (NoisePart((0, 1), (0.0, NYQUIST), TWO, both),)).to_file(files[1])
+    write_loop_proof(NoiseProof(two, names, box, (NoisePart((0, 1), (0.0, NYQUIST), TWO, both),)), files[1])
     for file, method in ((files[2], "axis"), (files[3], "cells")):
         proof: Any = worst_case_gain(system, options=BoundOptions(method=method)).proof
         proof.to_file(file)
@@ -131,7 +131,7 @@ def loop_exceeds(path: Path, checked: Any) -> bool:
 
 def noise_exceeds(path: Path, checked: Any) -> bool:
     """Whether a member has a larger gain in a part than the level that counts there for all rows."""
-    proof = NoiseProof.from_file(path)
+    proof = read_noise_proof(path)
     points, rows = members(list(proof.box)), tuple(map(int, proof.model.rows))
     for part in proof.parts:
         model = replace(proof.model, rows=rows if part.rows == proof.model.rows else tuple(map(int, part.rows)))

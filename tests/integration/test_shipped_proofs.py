@@ -25,8 +25,8 @@ from support.stored_proofs import (
 
 from lftkit.analysis.eigenvectors import modal
 from lftkit.proofs.sampled_loop import check_loop_proof
-from lftkit.proofs.sampled_loop.files import read_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseBound, NoiseProof, noise_bound
+from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
+from lftkit.proofs.trusted.noise import NoiseBound, noise_bound
 from lftkit.proofs.trusted.strips import windows_of
 from los_design.search.worst_points import load_worst_points
 from los_design.synthesis.store import load_designs
@@ -125,7 +125,7 @@ def test_shipped_statements_are_those_of_the_stored_proofs(bundle: ProofBundle) 
         assert row["level"] == bundle.proof(row["stage"], row["figure"]).level
         assert row["figure"].startswith(PART) or row["text"] in figures_proven(bundle, row["stage"])
     for stage in bundle.noise:
-        proof = NoiseProof.from_file(bundle.folder / member_of(stage, "noise"))
+        proof = read_noise_proof(bundle.folder / member_of(stage, "noise"))
         for bound, window in zip(said["noise"][stage], (0.0, 0.02)):
             assert noise_bound(proof.model, proof.parts, window).rms == pytest.approx(bound["rms"], rel=1e-12)
 

@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.sampled_loop import LoopProof
-from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseProof
+from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof, write_loop_proof
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.strips import check_strip
 from los_design.synthesis.store import load_designs
@@ -121,9 +120,9 @@ def pack(source: Path, target: Path) -> Iterator[int]:
         return tuple(strip for strip, _ in found)
 
     if source.stem.endswith(f"-{NOISE}"):
-        noise = NoiseProof.from_file(source)
+        noise = read_noise_proof(source)
         parts = [replace(part, strips=rounded_strips(noise.of_part(part))) for part in noise.parts]
-        replace(noise, parts=tuple(parts)).to_file(coarse_file)
+        write_loop_proof(replace(noise, parts=tuple(parts)), coarse_file)
     else:
         proof = read_loop_proof(source)
         write_loop_proof(replace(proof, strips=rounded_strips(proof)), coarse_file)

@@ -1,4 +1,4 @@
-"""The files that have to be trusted of the check of sampled loops, and their lines."""
+"""The files that have to be trusted of the checks of proofs, and their lines."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import ast
 import importlib.util
 from pathlib import Path
 
-CHECKER = "lftkit.proofs.trusted.checker"
+CHECKERS = tuple(f"lftkit.proofs.trusted.{name}" for name in ("axis", "cells", "noise", "sampled_loop", "structured"))
+"""The checks of all kinds."""
 
 
 def file_of(module: str) -> Path:
@@ -23,9 +24,9 @@ def is_for_types(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
-def imported_by(start: str, packages: tuple[str, ...] = ("lftkit",)) -> set[Path]:
-    """A module, and the modules of these packages that it imports when it runs, one by one from others."""
-    waiting, found = [start], dict[str, Path]()
+def imported_by(*start: str, packages: tuple[str, ...] = ("lftkit",)) -> set[Path]:
+    """Some modules, and the modules of these packages that they import when they run, one by one from others."""
+    waiting, found = [*start], dict[str, Path]()
     while waiting:
         module = waiting.pop()
         if module in found or module.split(".")[0] not in packages or not file_of(module).exists():

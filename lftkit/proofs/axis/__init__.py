@@ -8,12 +8,8 @@ from typing import TYPE_CHECKING
 from lftkit.support.on_demand import names_on_demand
 
 if TYPE_CHECKING:
-    from lftkit.proofs.axis.checker import check_axis_proof
     from lftkit.proofs.axis.proof import AxisProof
 
-__all__ = ["AxisProof", "check_axis_proof"]
+__all__ = ["AxisProof"]
 
-__getattr__ = names_on_demand(
-    __name__,
-    {"checker": ("check_axis_proof",), "proof": ("AxisProof",)},
-)
+__getattr__ = names_on_demand(__name__, {"proof": ("AxisProof",)})

@@ -18,7 +18,6 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.axis.model import AxisModel
 from lftkit.proofs.axis.proof import AxisProof
-from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions, prove_level
 from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_level, named_member, smallest_unstable
@@ -32,7 +31,7 @@ from lftkit.proofs.state_space.search import (
     scaled_box,
     worst_member,
 )
-from lftkit.proofs.trusted.proof import Interval, Strip
+from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL, Interval, Strip
 from lftkit.systems.system import System
 
 PART = 0.1
@@ -56,6 +55,7 @@ class _Axis:
     """The proof of one claim as far as it is: strips on both sides of the border, and the pieces that are left."""
 
     proof: AxisProof
+    model: AxisModel
     disks: list[DiskChannels]
     pieces: list[Piece]
     strips: dict[bool, list[Strip]] = field(default_factory=lambda: {False: [], True: []})
@@ -89,13 +89,7 @@ class _Axis:
         poles, T, X = modal_form(system.A)
         fastest = 4.0 * float(np.abs(poles).max(initial=0.25))
         border = 2.0 ** math.ceil(math.log2(max(fastest, band[0], 1e-100)))
-        proof = AxisProof(
-            kind,
-            None,
-            (*names, *(disk.name for disk in disks)),
-            (*(p.nominal for p in system.parameters), *(0.0 for _ in disks)),
-            (*((float(low), float(high)) for low, high in box), *((-disk.radius, disk.radius) for disk in disks)),
-            band,
+        model = AxisModel(
             np.array(system.A),
             np.array(system.B[:, inner]),
             np.array(system.C[inner]),
@@ -105,9 +99,19 @@ class _Axis:
             X,
             (*groups, *(disk.channels for disk in disks)),
             (*(REAL for _ in names), *(FULL if disk.full else COMPLEX for disk in disks)),
+            False,
+        )
+        proof = AxisProof(
+            kind,
+            None,
+            (*names, *(disk.name for disk in disks)),
+            (*(p.nominal for p in system.parameters), *(0.0 for _ in disks)),
+            (*((float(low), float(high)) for low, high in box), *((-disk.radius, disk.radius) for disk in disks)),
+            band,
+            model,
             border,
         )
-        if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.model(False).nominal_stable():
+        if not all(low <= 0.0 <= high for low, high in proof.deviations) or not proof.system.nominal_stable():
             raise ValueError(SEPARATE)
         widths = [p.upper - p.lower for p in system.parameters]
         whole = tuple(_widened(*each) for each in zip(proof.deviations, widths)) + proof.deviations[len(widths) :]
@@ -115,7 +119,7 @@ class _Axis:
         pieces: list[Piece] = [(False, whole, (band[0], high))] if band[0] < high else []
         if math.isinf(band[1]):
             pieces.append((True, whole, (0.0, 1.0 / border)))
-        return cls(proof, disks, pieces)
+        return cls(proof, model, disks, pieces)
 
     def prove(self, level: float, until: float, seed: int) -> bool:
         """Prove the pieces that are left; True if none is left now."""
@@ -125,7 +129,7 @@ class _Axis:
             if time.monotonic() > until or self._exceeded(level):
                 self.pieces += waiting[number:]
                 break
-            found = prove_level(self._model(beyond), box, band, level, until=until, options=options)
+            found = prove_level(replace(self.model, beyond=beyond), box, band, level, until=until, options=options)
             self.strips[beyond] += found.strips
             self.pieces += [(beyond, piece, ends) for piece, ends in found.uncovered]
             if found.point is not None and (self.worst is None or found.lower > self.worst.gain):
@@ -139,9 +143,6 @@ class _Axis:
         of_disks = zip(self.disks, values[count:])
         disks = {disk.name: value * np.eye(disk.outputs, disk.inputs, dtype=complex) for disk, value in of_disks}
         return DiskMember(gain, values[:count], omega, disks)
-
-    def _model(self, beyond: bool) -> AxisModel:
-        return self.proof.model(beyond)
 
     def _exceeded(self, level: float) -> bool:
         return self.worst is not None and self.worst.gain >= level

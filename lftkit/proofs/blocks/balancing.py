@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.structure import UncertaintyBlock, parts
+from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 
 BALANCING_SWEEPS = 8
 

@@ -16,7 +16,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.structure import COMPLEX, FULL, REAL, UncertaintyBlock, parts
+from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL
+from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 
 sl_optimize: Any = optimize
 ITERATIONS = 200

@@ -9,8 +9,7 @@ if TYPE_CHECKING:
     from lftkit.proofs.sampled_loop.build import box_of, loop_model
     from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
     from lftkit.proofs.sampled_loop.model import LoopModel
-    from lftkit.proofs.trusted.checker import CheckedLoop, check_loop_proof
-    from lftkit.proofs.trusted.given import LoopProof
+    from lftkit.proofs.trusted.sampled_loop import CheckedLoop, LoopProof, check_loop_proof
 
 __all__ = [
     "BisectionOptions",
@@ -33,7 +32,6 @@ __getattr__ = names_on_demand(
         "build": ("box_of", "loop_model"),
         "files": ("read_loop_proof", "write_loop_proof"),
         "model": ("LoopModel",),
-        "lftkit.proofs.trusted.checker": ("CheckedLoop", "check_loop_proof"),
-        "lftkit.proofs.trusted.given": ("LoopProof",),
+        "lftkit.proofs.trusted.sampled_loop": ("CheckedLoop", "LoopProof", "check_loop_proof"),
     },
 )

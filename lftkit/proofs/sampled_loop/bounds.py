@@ -19,12 +19,11 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.lft_response import LftResponse
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop.branching import Branching
+from lftkit.proofs.sampled_loop.responses import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import NodeScalings, ScalingTest
-from lftkit.proofs.trusted.given import Responses
-from lftkit.proofs.trusted.premises import require_box
-from lftkit.proofs.trusted.proof import Interval, Strip
+from lftkit.proofs.trusted.proof import REAL, Interval, Strip
+from lftkit.proofs.trusted.sampled_loop import require_box
 from lftkit.proofs.trusted.strips import windows_of
 from lftkit.support.threads import one_thread
 
@@ -117,7 +116,7 @@ class LoopBounds:
 
 
 def prove_level(
-    model: Responses,
+    model: SearchedResponses,
     box: Sequence[Interval],
     band: Interval,
     level: float,
@@ -130,7 +129,7 @@ def prove_level(
 
     Parameters
     ----------
-    model : Responses
+    model : SearchedResponses
     box : sequence of (low, high)
         Deviations from the nominal values; of an angle theta [rad].
     band : (low, high)
@@ -163,7 +162,7 @@ def prove_level(
 
 @dataclass
 class _State:
-    model: Responses
+    model: SearchedResponses
     level: float
     until: float
     options: BisectionOptions
@@ -319,7 +318,7 @@ class _State:
             self.found.lower, self.found.point, self.found.omega = float(gains[best]), members[best], omega
 
 
-def member_gains(model: Responses, omega: float, members: FloatArray) -> FloatArray:
+def member_gains(model: SearchedResponses, omega: float, members: FloatArray) -> FloatArray:
     """Gain over the limit of members (N, parameters) at a frequency."""
     q = model.sizes[0]
     z, e = model.at(omega)

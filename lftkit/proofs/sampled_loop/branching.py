@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.blocks.structure import REAL
+from lftkit.proofs.sampled_loop.responses import SearchedResponses
 from lftkit.proofs.sampled_loop.scalings import ScalingTest
-from lftkit.proofs.trusted.given import Responses
-from lftkit.proofs.trusted.proof import Interval
+from lftkit.proofs.trusted.proof import REAL, Interval
 from lftkit.proofs.trusted.strips import is_circle
 
 Box = tuple[Interval, ...]
@@ -42,14 +41,14 @@ class Branching:
 
     Parameters
     ----------
-    model : Responses
+    model : SearchedResponses
     level : float
         To be proven.
     until : float
         ``time.monotonic()`` after which nothing is measured.
     """
 
-    model: Responses
+    model: SearchedResponses
     level: float
     until: float = math.inf
     known: list[tuple[Box, float, FloatArray | None]] = field(default_factory=list)

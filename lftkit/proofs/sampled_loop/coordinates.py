@@ -19,13 +19,14 @@ from lftkit.proofs.trusted.stability import WIDEST, deviation_share
 from lftkit.proofs.trusted.strips import ends_of, is_circle
 
 if TYPE_CHECKING:
-    from lftkit.proofs.trusted.given import GivenLoop, Responses
+    from lftkit.proofs.sampled_loop.responses import SearchedResponses
+    from lftkit.proofs.trusted.loop import Loop
 
 ENOUGH = 0.7
 """Share at the middle of a window below which its width is what has to be less."""
 
 
-def coordinates(model: Responses, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
+def coordinates(model: SearchedResponses, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
     """(w, d) by coordinates in which the form of a strip is about -I at a frequency after the node `number`."""
     q, d = model.sizes[0], model.sizes[3]
     z, e = model.at(omega)
@@ -56,7 +57,7 @@ def coordinates(model: Responses, strip: Strip, number: int, omega: float, level
     return V
 
 
-def _middle(model: Responses, box: Sequence[Interval], z: ComplexArray) -> ComplexArray:
+def _middle(model: SearchedResponses, box: Sequence[Interval], z: ComplexArray) -> ComplexArray:
     """(w, d) by (deviation of w from the middle of the box, d)."""
     q, d = model.sizes[0], model.sizes[3]
     cz, sz, cw, sw = middle_of(model, box)
@@ -67,7 +68,7 @@ def _middle(model: Responses, box: Sequence[Interval], z: ComplexArray) -> Compl
     return np.vstack([w, np.hstack([np.zeros((d, q)), np.eye(d)])])
 
 
-def middle_of(model: Responses, box: Sequence[Interval]) -> Matrices:
+def middle_of(model: SearchedResponses, box: Sequence[Interval]) -> Matrices:
     """Of each channel ``z = cz z' + sz w'`` and ``w = cw z' + sw w'`` with w' = 0 in the middle, +-z' at the ends."""
     q = model.sizes[0]
     cz, sz, cw, sw = np.ones(q), np.zeros(q), np.zeros(q), np.zeros(q)
@@ -83,7 +84,7 @@ def middle_of(model: Responses, box: Sequence[Interval]) -> Matrices:
     return cz, sz, cw, sw
 
 
-def to_bisect(model: GivenLoop, M: Polynomial, part: Box) -> int | None:
+def to_bisect(model: Loop, M: Polynomial, part: Box) -> int | None:
     """Parameter to bisect where the channels are M over a window, or None where a narrower window is what helps."""
     wide = [k for k, (low, high) in enumerate(part) if model.angle[k] and high - low > WIDEST]
     if wide:
@@ -92,7 +93,7 @@ def to_bisect(model: GivenLoop, M: Polynomial, part: Box) -> int | None:
     return widest(model, at, part) if deviation_share(model, at, part) > ENOUGH else None
 
 
-def widest(model: GivenLoop, M: Polynomial, part: Box) -> int:
+def widest(model: Loop, M: Polynomial, part: Box) -> int:
     """Parameter whose interval alone has the largest share."""
     shares = []
     for k, (low, high) in enumerate(part):

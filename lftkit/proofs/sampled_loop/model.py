@@ -7,29 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.blocks.structure import REAL
 from lftkit.proofs.sampled_loop import coordinates
-from lftkit.proofs.trusted.given import GivenLoop
-from lftkit.proofs.trusted.loop import CHANGE
+from lftkit.proofs.trusted.loop import CHANGE, Loop
 from lftkit.proofs.trusted.polynomials import Polynomial
 from lftkit.proofs.trusted.proof import Box, Strip
 
 
 @dataclass(frozen=True)
-class LoopModel(GivenLoop):
+class LoopModel(Loop):
     """The loop of a proof, for those who search proofs and for the checker; fields are those of :class:`Loop`."""
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """All parameters are real."""
-        return (REAL,) * len(self.groups)
 
     @property
     def slowest(self) -> float:
         """Smallest magnitude of the plant's poles [rad/s], at most 1 / dt."""
         return float(np.abs(self.poles).min(initial=1.0 / self.dt))
 
-    def at(self, omega: float) -> tuple[ComplexArray, ComplexArray]:
+    def at(self, omega: float, /) -> tuple[ComplexArray, ComplexArray]:
         """``z`` and the bounded output by (w, d) at one frequency, (q, q + d) and (rows, q + d), without bounds."""
         q, y, _, d, _ = self.sizes
         s, z = 1j * omega, np.exp(1j * omega * self.dt)
@@ -51,15 +44,15 @@ class LoopModel(GivenLoop):
         outputs = u if self.commands else own[q + y :] + seen[y:] @ u
         return channels, np.asarray(outputs[list(self.rows)])
 
-    def amplitudes(self, omega: float) -> tuple[float, FloatArray]:
+    def amplitudes(self, omega: float, /) -> tuple[float, FloatArray]:
         """Weight of the bounded output (over the limit) and amplitudes of the disturbances, without bounds."""
         output, inputs = self.performance(omega, 0.0)
         return float(np.sqrt(output.c[0, 0].real)), np.asarray(inputs.c[0].real ** -0.5)
 
-    def coordinates(self, strip: Strip, number: int, omega: float, level: float) -> ComplexArray:
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float, /) -> ComplexArray:
         """Coordinates in which the form of a strip is about -I: (w, d) by them, square."""
         return coordinates.coordinates(self, strip, number, omega, level)
 
-    def to_bisect(self, M: Polynomial, part: Box) -> int | None:
+    def to_bisect(self, M: Polynomial, part: Box, /) -> int | None:
         """Parameter to bisect where the channels are M over a window, or None where a narrower window helps."""
         return coordinates.to_bisect(self, M, part)

@@ -12,6 +12,7 @@ from scipy import linalg
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
 from lftkit.proofs.sampled_loop.coordinates import middle_of
+from lftkit.proofs.sampled_loop.responses import SearchedResponses
 from lftkit.proofs.state_space.barrier import (
     ANY_REAL,
     CENTRED,
@@ -23,7 +24,6 @@ from lftkit.proofs.state_space.barrier import (
     newton_step,
 )
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
-from lftkit.proofs.trusted.given import Responses
 from lftkit.proofs.trusted.proof import Interval
 from lftkit.proofs.trusted.strips import is_circle
 
@@ -52,7 +52,7 @@ class ScalingTest:
 
     Parameters
     ----------
-    model : Responses
+    model : SearchedResponses
     box : sequence of (low, high)
     omega : float
         Frequency [rad/s], positive.
@@ -62,7 +62,7 @@ class ScalingTest:
     """
 
     def __init__(
-        self, model: Responses, box: Sequence[Interval], omega: float, level: float, static: bool = False
+        self, model: SearchedResponses, box: Sequence[Interval], omega: float, level: float, static: bool = False
     ) -> None:
         self.model, self.omega = model, omega
         self.groups = list(map(list, model.groups))

@@ -20,7 +20,6 @@ from scipy import linalg
 from lftkit.arrays import FloatArray
 from lftkit.proofs.options import BoundOptions
 from lftkit.proofs.state_space.cells import Cell, CellTest, SingularCellError
-from lftkit.proofs.state_space.checker import Inequality, frequencies
 from lftkit.proofs.state_space.circle import band_over_axis, over_axis, reached, static_part
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import disks_of, dynamics_with, scaled_radii, without_disks
@@ -33,6 +32,7 @@ from lftkit.proofs.state_space.search import (
     smallest_unstable_factor,
     worst_member,
 )
+from lftkit.proofs.trusted.cells import Inequality, frequencies
 from lftkit.support.progress import Progress
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter
@@ -140,8 +140,9 @@ class _Cover:
     @classmethod
     def of(cls, system: System, claim: dict[str, Any], cell: Cell, static: bool = False) -> _Cover:
         part = static_part(system) if static else over_axis(system)
-        radii = {disk["name"]: disk["radius"] for disk in claim["system"].get("disks", [])}
-        cover = cls(CellTest(part, claim["kind"] == "gain" and not static, radii), Inequality(claim, static), [])
+        radii = {disk["name"]: disk["radius"] for disk in claim["plant"].get("disks", [])}
+        gain = claim["claim"]["property"] == "gain" and not static
+        cover = cls(CellTest(part, gain, radii), Inequality(claim, static), [])
         cover.push(0.0, cell)
         return cover
 
@@ -251,7 +252,8 @@ class GainByCells:
         posed = _posed(self.system, claim, self.box, start + wall_limit, max_tests)
         if posed is None or (whole and stable is None):
             return self._bounds(np.inf, None, "out_of_time", (Cell(tuple(self.box), self.over),))
-        proof = finished({**claim, "level": upper}, cover.proven, stable, posed)
+        claim["claim"]["level"] = upper
+        proof = finished(claim, cover.proven, stable, posed)
         return self._bounds(upper, proof, "closed" if closed else "out_of_time")
 
     def searched(self) -> Member:

@@ -3,7 +3,7 @@
 On the unit circle ``z = exp(j omega dt)`` the sum x and the difference v of the next states and the states satisfy
 ``v = j tan(omega dt / 2) x``. With x as states a system in discrete time is one in continuous time, whose axis is the
 circle: that of the bilinear map, with twice its states. What is found is checked with the matrices that were given
-(:mod:`lftkit.proofs.state_space.checker`).
+(:mod:`lftkit.proofs.trusted.cells`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Proofs as files: what :mod:`lftkit.proofs.state_space.checker` verifies."""
+"""Proofs by cells as they are written: what :mod:`lftkit.proofs.trusted.cells` verifies."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.proof_files import write_content
 from lftkit.proofs.state_space.cells import Cell, CellScalings, scalings_to_mapping
-from lftkit.proofs.state_space.checker import DISCRETE, FORMAT, Inequality, digest
 from lftkit.proofs.state_space.disks import disks_of
+from lftkit.proofs.trusted.cells import KIND, Inequality, digest
+from lftkit.proofs.trusted.entries import FORMAT
 from lftkit.systems.system import System
 
 
@@ -38,7 +40,7 @@ class Proof:
 
     def to_file(self, path: Path) -> None:
         """Write the proof as JSON."""
-        path.write_text(json.dumps(self.content), "utf-8")
+        write_content(path, (self.content, {}))
 
 
 def statement(
@@ -59,12 +61,15 @@ def statement(
         for disk in disks_of(system, radii)
     ]
     return {
-        "format": DISCRETE if system.dt else FORMAT,
-        "kind": kind,
-        "level": level,
-        "band": [band[0], None if np.isinf(band[1]) else band[1]],
-        "box": {p.name: list(ends) for p, ends in zip(system.parameters, box)},
-        "system": {
+        "format": FORMAT,
+        "kind": KIND,
+        "claim": {
+            "property": kind,
+            "level": level,
+            "band": [band[0], None if np.isinf(band[1]) else band[1]],
+            "box": {p.name: list(ends) for p, ends in zip(system.parameters, box)},
+        },
+        "plant": {
             **({"dt": system.dt} if system.dt else {}),
             "order": system.order,
             "inputs": system.B.shape[1] - q,
@@ -91,7 +96,7 @@ def finished(
     claim: dict[str, Any], cells: list[dict[str, Any]], stable: dict[str, Any] | None, posed: list[dict[str, Any]]
 ) -> Proof:
     """The claim with its cells, the stable member, in discrete time what is well posed, and the SHA-256 of it all."""
-    discrete = {"posed": posed} if claim["format"] == DISCRETE else {}
+    discrete = {"posed": posed} if "dt" in claim["plant"] else {}
     content = json.loads(json.dumps({**claim, "cells": cells, "stable": stable, **discrete}))
     return Proof({**content, "sha256": digest(content)})
 

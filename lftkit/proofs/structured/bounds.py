@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.blocks.balancing import balanced_matrix
 from lftkit.proofs.blocks.lower import lower_bound
-from lftkit.proofs.blocks.structure import UncertaintyBlock, checked_matrix
-from lftkit.proofs.structured.certificate import MuCertificate
 from lftkit.proofs.structured.upper import upper_bound
+from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, checked_matrix
 from lftkit.support.threads import one_thread
 
 

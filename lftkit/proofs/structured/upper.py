@@ -10,11 +10,10 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray
 from lftkit.proofs.blocks.balancing import balanced_matrix
-from lftkit.proofs.blocks.structure import FULL, REAL, UncertaintyBlock, parts
 from lftkit.proofs.state_space.barrier import BarrierBlock, find_scalings
 from lftkit.proofs.state_space.scalar_barrier import barrier_problem
-from lftkit.proofs.structured.certificate import MuCertificate, check_mu
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.proof import FULL, REAL, ProofError
+from lftkit.proofs.trusted.structured import MuCertificate, UncertaintyBlock, check_mu, parts
 
 LEAST = 1e-9
 """Level, as a part of the norm of M, below which nothing is proven."""

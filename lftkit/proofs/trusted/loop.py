@@ -10,24 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lftkit.proofs.trusted.polynomials import (
-    INFLATE,
-    TINY,
-    UNIT,
-    Polynomial,
-    constant,
-    exponential,
-    inverse,
-    linear,
-    reciprocal,
-)
-
-if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray, IntArray
+from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT
+from lftkit.proofs.trusted.polynomials import Polynomial, constant, exponential, inverse, linear, reciprocal
+from lftkit.proofs.trusted.proof import REAL, Box, ComplexArray, FloatArray, Strip
 
 CHANGE = 2
 """Of :attr:`Loop.returned`: the change within a tick."""
@@ -81,7 +70,7 @@ class Loop:
     K_C: ComplexArray
     K_B: ComplexArray
     K_D: FloatArray
-    frame: IntArray
+    frame: NDArray[np.int64]
     groups: tuple[tuple[int, ...], ...]
     angle: tuple[bool, ...]
     weights: FloatArray
@@ -97,6 +86,19 @@ class Loop:
         """Channels, measurements, errors, disturbances, commands."""
         q, y, u = sum(len(g) for g in self.groups), len(self.frame), len(self.K_C)
         return q, y, len(self.C) - q - y, len(self.weights), u
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """All parameters are real."""
+        return (REAL,) * len(self.groups)
+
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float, /) -> ComplexArray:
+        """As of :class:`~lftkit.proofs.trusted.strips.Responses`, of who searches proofs."""
+        raise NotImplementedError
+
+    def to_bisect(self, M: Polynomial, part: Box, /) -> int | None:
+        """Parameter to bisect where the channels are M over a window, or None; of who searches proofs, untrusted."""
+        raise NotImplementedError
 
     @cached_property
     def entry(self) -> FloatArray:

@@ -1,7 +1,6 @@
 """Matrix polynomials in t, -1 <= t <= 1, with an elementwise bound of everything that is left out.
 
-Every operation adds its truncation and its rounding to the radius. Roundings that are granted to numpy and LAPACK, with
-their sources, are the table of ``docs/certificates.md``.
+Every operation adds its truncation and its rounding to the radius.
 """
 
 from __future__ import annotations
@@ -9,17 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import linalg
 
-if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray
+from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT
+from lftkit.proofs.trusted.proof import ComplexArray, FloatArray
 
-UNIT = 2.0**-53
-INFLATE = 1.0 + 1e-9  # covers the rounding of the radii themselves
-TINY = 1e-290
 ORDER = 5
 
 

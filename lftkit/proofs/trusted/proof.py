@@ -1,21 +1,72 @@
-"""Strips of a proof, why one is refused, and whether strips cover a box and a band."""
+"""What all proofs share: types, why one is refused, strips and whether they cover a box, what a proof guarantees."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
-if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray
+import numpy as np
+from numpy.typing import NDArray
 
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 Interval = tuple[float, float]
 Box = tuple[Interval, ...]
+Each = Callable[..., Iterable["int | str"]]
+"""Maps a function over the strips of a proof: ``map``, or that of several processes."""
+REAL, COMPLEX, FULL = "real", "complex", "full"
+"""Uncertain elements: real numbers, complex numbers in a disk, dynamics (any complex matrix up to a norm)."""
 
 
 class ProofError(ValueError):
     """The proof is refused; the message says why and where."""
+
+
+FAULTS = (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError)
+"""What a damaged proof may raise."""
+
+
+def require(met: object, message: str) -> None:
+    """Refuse a proof where a premise is not met."""
+    if not met:
+        raise ProofError(message)
+
+
+def indices(values: Sequence[object], below: int) -> bool:
+    """Whether all are integers from zero to `below`; truth values, which numpy takes for a mask, are none."""
+    return all(type(value) is int and 0 <= value < below for value in values)
+
+
+@contextmanager
+def refusing(what: str) -> Iterator[None]:
+    """A check of what must be a proof of something: whatever fails in it is a ProofError."""
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
+            yield
+    except ProofError:
+        raise
+    except FAULTS as error:
+        raise ProofError(f"the file must be {what}, got {error!r}") from None
+
+
+@dataclass(frozen=True)
+class CheckedProof:
+    """What a proof of a system by cells, or over the axis, guarantees.
+
+    `margin` is the smallest ratio of a margin to the bound of all rounding. `disks` has the radii of complex numbers
+    and the bounds of dynamics by name.
+    """
+
+    kind: str
+    level: float | None
+    box: dict[str, Interval]
+    band: Interval
+    cells: int
+    margin: float
+    stable: bool
+    disks: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

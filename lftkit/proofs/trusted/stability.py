@@ -16,30 +16,15 @@ infinity in the last window all members are well posed, so that no pole comes fr
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
-from lftkit.proofs.trusted.loop import ONE
-from lftkit.proofs.trusted.polynomials import (
-    INFLATE,
-    ORDER,
-    TINY,
-    UNIT,
-    Polynomial,
-    constant,
-    inverse,
-    span,
-    weighted_share,
-    windows_with,
-)
-from lftkit.proofs.trusted.proof import Box, Interval
+from lftkit.proofs.trusted.arithmetic import INFLATE, TINY, UNIT
+from lftkit.proofs.trusted.loop import ONE, Loop
+from lftkit.proofs.trusted.polynomials import ORDER, Polynomial, constant, inverse, span, weighted_share, windows_with
+from lftkit.proofs.trusted.proof import Box, ComplexArray, FloatArray, Interval
 from lftkit.proofs.trusted.strips import TRIG, ends_of
-
-if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray
-    from lftkit.proofs.trusted.given import GivenLoop
 
 LOOSE = 3e-5
 """Largest remainder of a window."""
@@ -58,7 +43,7 @@ def whole_axis(band: Interval, dt: float) -> bool:
     return band[0] == 0.0 and band[1] >= math.pi / dt
 
 
-def stable_below(model: GivenLoop, band: Interval, box: Box) -> float:
+def stable_below(model: Loop, band: Interval, box: Box) -> float:
     """Frequency [rad/s] up to which no pole of a member crosses the axis, if its gain is bounded over `band`.
 
     Poles move continuously with the parameters. Infinite if every member was proven stable; half of the sampling rate
@@ -70,7 +55,7 @@ def stable_below(model: GivenLoop, band: Interval, box: Box) -> float:
         return math.inf if windows_above(model, box) else math.pi / model.dt
 
 
-def nominal_windows(model: GivenLoop) -> int:
+def nominal_windows(model: Loop) -> int:
     """Windows of frequency with which the nominal loop was proven stable; 0 if it was not.
 
     Zero too without a controller: such a plant's axis has no end at half of the sampling rate.
@@ -103,7 +88,7 @@ def is_real(poles: ComplexArray, B: ComplexArray, C: ComplexArray) -> bool:
     return True
 
 
-def argument_change(model: GivenLoop, low: float, high: float) -> tuple[float, float]:
+def argument_change(model: Loop, low: float, high: float) -> tuple[float, float]:
     """Change of the argument of ``det(I - K G)`` from `low` to `high` [rad/s], and a bound of its error [rad].
 
     Raises
@@ -127,7 +112,7 @@ def argument_change(model: GivenLoop, low: float, high: float) -> tuple[float, f
     return after - before, 2.0 * n * (2.0 * loose + 1e3 * n * n * UNIT)
 
 
-def windows_above(model: GivenLoop, box: Box) -> int:
+def windows_above(model: Loop, box: Box) -> int:
     """Windows from half of the sampling rate on in which no member has a pole on the axis; 0 if not proven.
 
     Above the last one, up to infinity, there is none either. The nominal loop must have been proven stable by
@@ -143,13 +128,13 @@ def windows_above(model: GivenLoop, box: Box) -> int:
     return windows_with(lambda a, b: regular(model, channels(model, a, b), parts), low, high, DEEPEST)
 
 
-def channels(model: GivenLoop, low: float, high: float) -> Polynomial:
+def channels(model: Loop, low: float, high: float) -> Polynomial:
     """``M``: z by w, the nominal loop closed, over a window [rad/s]."""
     q, d = model.sizes[0], model.sizes[3]
     return model.responses(*span(low, high), np.eye(q + d, q, dtype=complex))[0]
 
 
-def commands_bound(model: GivenLoop) -> FloatArray:
+def commands_bound(model: Loop) -> FloatArray:
     """Bound of the commands' changes from tick to tick, ``(1 - 1/z) u``, by what is added to the measurements.
 
     Shape (u, y). It holds at all frequencies, as functions of z are periodic.
@@ -173,7 +158,7 @@ def commands_bound(model: GivenLoop) -> FloatArray:
     return largest
 
 
-def beyond(model: GivenLoop, omega: float, commands: FloatArray) -> Polynomial:
+def beyond(model: Loop, omega: float, commands: FloatArray) -> Polynomial:
     """``M`` at all frequencies from `omega` [rad/s] to infinity: its value there, and a bound of the rest.
 
     Modes are below ``1 / |j w - p|``; the hold is ``(1 - 1/z) / (j w dt)``, and `commands` has its numerator.
@@ -187,7 +172,7 @@ def beyond(model: GivenLoop, omega: float, commands: FloatArray) -> Polynomial:
     return Polynomial(model.D[None, :q, :q].astype(complex), INFLATE * rest + TINY)
 
 
-def regular(model: GivenLoop, M: Polynomial, parts: list[Box]) -> bool:
+def regular(model: Loop, M: Polynomial, parts: list[Box]) -> bool:
     """Whether no member has a pole on the axis where its channels are M; parts of the box are bisected as needed."""
     whole = Polynomial(M.c[:1], INFLATE * (M.sizes[1:].sum(axis=0) + M.rad))
     waiting, done, left = parts.copy(), [], PARTS
@@ -206,7 +191,7 @@ def regular(model: GivenLoop, M: Polynomial, parts: list[Box]) -> bool:
     return True
 
 
-def deviation_share(model: GivenLoop, M: Polynomial, part: Box) -> float:
+def deviation_share(model: Loop, M: Polynomial, part: Box) -> float:
     """Bound of the spectral radius of |N|; infinite where the middle of the part may have a pole."""
     if any(angle and high - low > WIDEST for angle, (low, high) in zip(model.angle, part)):
         return math.inf

@@ -17,17 +17,25 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from lftkit.proofs.trusted.definite import positive
-from lftkit.proofs.trusted.polynomials import ORDER, UNIT, Polynomial, constant, linear, span, windows_with
-from lftkit.proofs.trusted.proof import Box, Strip
-
-if TYPE_CHECKING:
-    from lftkit.arrays import ComplexArray, FloatArray
-    from lftkit.proofs.trusted.given import Responses
+from lftkit.proofs.trusted.arithmetic import UNIT, positive
+from lftkit.proofs.trusted.polynomials import ORDER, Polynomial, constant, linear, span, windows_with
+from lftkit.proofs.trusted.proof import (
+    COMPLEX,
+    REAL,
+    Box,
+    ComplexArray,
+    Each,
+    FloatArray,
+    Interval,
+    ProofError,
+    Strip,
+    require,
+    require_cover,
+)
 
 PIECES = 4
 """Parts of a window in which the inequality is checked one after the other."""
@@ -35,6 +43,45 @@ DEEPEST = 30
 """Most bisections of the frequencies between two nodes."""
 TRIG = 4.0 * UNIT
 """Relative error of sine and cosine."""
+
+
+class Responses(Protocol):
+    """Responses of an uncertain system whose channels are ``w = delta z``, over windows of a variable.
+
+    It is the frequency, or a function of it. All but :meth:`coordinates` is trusted.
+    """
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]:
+        """Channels, measurements, errors, disturbances, commands."""
+        ...
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Channels of each element."""
+        ...
+
+    @property
+    def angle(self) -> tuple[bool, ...]:
+        """Whether an element is tan(theta / 2) of an angle theta."""
+        ...
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """``real``, ``complex`` or ``full`` for each element."""
+        ...
+
+    def performance(self, middle: float, half: float) -> tuple[Polynomial, Polynomial]:
+        """Squares of the output's weight (1,), and of one over the disturbances' amplitudes (d,)."""
+        ...
+
+    def responses(self, middle: float, half: float, V: ComplexArray) -> tuple[Polynomial, Polynomial]:
+        """``z`` and the bounded output over a window, as maps from the coordinates of V."""
+        ...
+
+    def coordinates(self, strip: Strip, number: int, omega: float, level: float, /) -> ComplexArray:
+        """Coordinates in which the form of a strip is about -I: (w, d) by them, square. Nobody trusts them."""
+        ...
 
 
 def is_circle(low: float, high: float) -> bool:
@@ -136,4 +183,49 @@ def check_strip(item: tuple[Responses, Strip, float]) -> int | str:
         if not count:
             return f"the inequality must hold beyond rounding, got no margin from {low:.9g} to {high:.9g} rad/s"
         windows += count
+    return windows
+
+
+def require_strip(number: int, strip: Strip, model: Responses) -> None:
+    """Ordered intervals; frequencies that ascend from zero or above; scalings of every element at every one."""
+    nodes, shapes = strip.nodes, [(len(strip.nodes), len(group), len(group)) for group in model.groups]
+    finite = len(strip.box) == len(shapes) and all(-math.inf < low <= high < math.inf for low, high in strip.box)
+    require(finite, f"strip {number} must have a finite interval of each parameter, got {strip.box}")
+    numbers = nodes.dtype == np.float64 and nodes.ndim == 1 and len(nodes) >= 2
+    ascending = numbers and nodes[0] >= 0.0 and nodes[-1] < math.inf and np.all(np.diff(nodes) > 0.0)
+    require(ascending, f"strip {number} must have two frequencies from zero or above that ascend, got {nodes}")
+    for name, scalings in (("D", strip.D), ("G", strip.G)):
+        own = [array.shape for array in scalings] == shapes and all(m.dtype == np.complex128 for m in scalings)
+        require(own, f"strip {number} must have {name} of shapes {shapes}, got others")
+    factors = strip.factor.shape == nodes.shape and strip.factor.dtype == np.float64
+    require(factors, f"strip {number} must have a factor at each node, got shape {strip.factor.shape}")
+
+
+def require_disks(number: int, strip: Strip, kinds: Sequence[str]) -> None:
+    """Scalings of complex and dynamic elements, whose terms are not negative for any value in the whole disk.
+
+    In an interval [-r, r] the term of a strip is ``2 (r^2 z* D z - w* D w)`` and what G adds. Without G it holds for
+    ``w = delta z`` with every complex delta up to r; where D is a number, for ``w = Delta z`` with every matrix of norm
+    up to r.
+    """
+    for kind, (low, high), D, G in zip(kinds, strip.box, strip.D, strip.G):
+        single = kind in (REAL, COMPLEX) or np.array_equal(D, D[:, :1, :1] * np.eye(D.shape[-1]))
+        own = kind == REAL or (low == -high and not np.any(G) and single)
+        require(own, f"strip {number} must have a whole disk, G zero and D of its kind for {kind} elements")
+
+
+def check_strips(
+    model: Responses, strips: Sequence[Strip], box: Box, band: Interval, level: float, each: Each, unit: str
+) -> int:
+    """Windows with which cover and the inequality of every strip were verified over a box and a band."""
+    for number, strip in enumerate(strips):
+        require_strip(number, strip, model)
+        require_disks(number, strip, model.kinds)
+    require_cover(strips, box, band, unit)
+    windows = count = 0
+    for count, outcome in enumerate(each(check_strip, [(model, strip, level) for strip in strips]), 1):
+        if isinstance(outcome, str):
+            raise ProofError(f"strip {count - 1}: {outcome}")
+        windows += outcome
+    require(count == len(strips), f"each of {len(strips)} strips must be checked, got {count}")
     return windows

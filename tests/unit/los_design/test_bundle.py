@@ -20,7 +20,7 @@ from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoiseProof
+from lftkit.proofs.trusted.noise import NoiseProof
 from lftkit.proofs.trusted.proof import ProofError, Strip
 from los_design.synthesis.store import load_designs
 from los_design.verification import statements
@@ -118,7 +118,7 @@ def test_a_proof_of_noise_goes_with_it_and_needs_all_its_parts(
     written: Path, loop: ImplementedLoop, proof: LoopProof, tmp_path: Path
 ) -> None:
     """It counts in the bundle's name; without parts it is refused, and without proof of stability."""
-    NoiseProof(noise_model(loop), proof.names, proof.box, ()).to_file(tmp_path / "noise.npz")
+    write_loop_proof(NoiseProof(noise_model(loop), proof.names, proof.box, ()), tmp_path / "noise.npz")
     with open_bundle(written) as bundle:
         own, files = bundle.name, {(STAGE, FIGURE): bundle.folder / member_of(STAGE, FIGURE)}
         assert bundle.noise == ()

@@ -16,8 +16,8 @@ from scipy.integrate import trapezoid
 from lftkit import SampledSystem
 from lftkit.proofs.sampled_loop import LoopProof, check_loop_proof
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof
-from lftkit.proofs.state_space import ProofError
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof
+from lftkit.proofs.trusted.proof import ProofError
 from lftkit.support.workers import Workers
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.store import load_designs

@@ -13,7 +13,7 @@ from support.stored_proofs import FOLDER, SUFFIX, unpack
 from lftkit import real, s
 from lftkit.proofs import worst_case_gain
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
-from lftkit.proofs.state_space.checker import digest
+from lftkit.proofs.trusted.cells import digest
 from los_design.verification.check_proof_texts import TextError, require_plain
 
 FORGED = "k in [8, 12]\nproven: gain below 1e-09 at all frequencies from 0 rad/s on\nproven: stable\nfor all k"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lftkit.arrays import FloatArray
-from lftkit.proofs.sampled_loop.noise import NoiseBound
+from lftkit.proofs.trusted.noise import NoiseBound
 from los_design.verification.combined_bounds import error_sums, fast_pieces
 from los_design.verification.error_sum import parts_of_band, required_probabilities
 from los_design.verification.figure_texts import bound_text, margin_text

@@ -15,12 +15,12 @@ from support.uncertain_examples import aligned_modes, chain_of_masses, de_gaston
 
 from lftkit import RealParameter, System
 from lftkit.analysis.frequency_response import refined_response
-from lftkit.proofs import BoundOptions, robust_stability, worst_case_gain
-from lftkit.proofs.axis import AxisProof, check_axis_proof
+from lftkit.proofs import BoundOptions, check_proof, robust_stability, worst_case_gain
+from lftkit.proofs.axis import AxisProof
 from lftkit.proofs.axis.bounds import axis_takes, modal_form
 from lftkit.proofs.axis.model import AxisModel
-from lftkit.proofs.blocks.structure import REAL
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.axis import check_axis_proof
+from lftkit.proofs.trusted.proof import REAL, ProofError
 
 AXIS, CELLS = (BoundOptions(wall_limit=3600.0, method=method) for method in ("axis", "cells"))
 axis_gain, axis_stability = (partial(f, options=AXIS) for f in (worst_case_gain, robust_stability))
@@ -89,9 +89,13 @@ def test_an_inexact_basis_of_eigenvectors_is_within_the_bound() -> None:
 def test_a_proof_passes_from_its_file(proof: AxisProof, tmp_path: Path) -> None:
     path = tmp_path / "proof.npz"
     proof.to_file(path)
-    checked = check_axis_proof(path)
+    checked: Any = check_proof(path)
     assert checked.stable and checked.kind == "gain" and checked.level == proof.level
     assert checked.band == (0.0, np.inf) and checked.box["k1"] == (0.8, 1.2)
+
+
+def _system(proof: AxisProof, **changes: Any) -> dict[str, Any]:
+    return {"system": replace(proof.system, **changes)}
 
 
 def _without(name: str) -> Callable[[AxisProof], dict[str, Any]]:
@@ -108,14 +112,14 @@ def _without(name: str) -> Callable[[AxisProof], dict[str, Any]]:
         _without("above"),
         lambda p: {"box": ((0.8, 1.2), (0.8, 1.2 + 1e-9))},
         lambda p: {"nominal": (1.0, 1.0 + 1e-9)},
-        lambda p: {"A": p.A + 0.02 * np.eye(4)},  # less damping
-        lambda p: {"A": p.A * np.nan},
-        lambda p: {"B": 1.1 * p.B},
-        lambda p: {"X": 0.0 * p.X},
-        lambda p: {"poles": -p.poles},
+        lambda p: _system(p, A=p.system.A + 0.02 * np.eye(4)),  # less damping
+        lambda p: _system(p, A=p.system.A * np.nan),
+        lambda p: _system(p, B=1.1 * p.system.B),
+        lambda p: _system(p, X=0.0 * p.system.X),
+        lambda p: _system(p, poles=-p.system.poles),
         lambda p: {"border": 0.5 * p.border},
         lambda p: {"border": 1.1 * p.border},
-        lambda p: {"groups": ((0,), (0,))},
+        lambda p: _system(p, groups=((0,), (0,))),
         lambda p: {"below": tuple(replace(s, factor=-s.factor) for s in p.below)},
         lambda p: {"below": tuple(replace(s, D=tuple(0.0 * d for d in s.D)) for s in p.below)},
         lambda p: {"below": tuple(replace(s, D=tuple(-d for d in s.D)) for s in p.below)},

@@ -23,9 +23,8 @@ from lftkit.proofs.sampled_loop import (
 )
 from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
-from lftkit.proofs.state_space import ProofError
 from lftkit.proofs.trusted.polynomials import Polynomial, exponential, inverse, reciprocal
-from lftkit.proofs.trusted.proof import Strip
+from lftkit.proofs.trusted.proof import ProofError, Strip
 from lftkit.proofs.trusted.stability import nominal_windows
 
 DT = 0.01

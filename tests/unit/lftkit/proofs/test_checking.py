@@ -15,13 +15,15 @@ from support.uncertain_examples import aligned_modes, chain_of_masses
 from lftkit import proofs, real, s
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_performance, robust_stability, worst_case_gain
 from lftkit.proofs.axis import AxisProof
-from lftkit.proofs.checking import FORMATS, proof_format
-from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, files, loop_model, prove_level
+from lftkit.proofs.checking import KINDS, proof_kind
+from lftkit.proofs.proof_files import write_content
+from lftkit.proofs.sampled_loop import CheckedLoop, LoopProof, box_of, loop_model, prove_level
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.state_space import Proof
-from lftkit.proofs.state_space.checker import digest
+from lftkit.proofs.trusted.cells import digest
 from lftkit.support.format_names import EARLIER_NAMES
 
+OLDER = Path(__file__).parents[3] / "fixtures" / "files_of_0_1" / "proofs"
 LONG = BoundOptions(wall_limit=3600.0)
 PROVERS = (
     "axis.bounds",
@@ -51,7 +53,7 @@ def test_a_check_loads_nothing_of_what_finds_proofs() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     loaded, others = done.stdout.splitlines()
-    assert not set(loaded.split()) & set(PROVERS) and "axis.checker" in loaded.split()
+    assert not set(loaded.split()) & set(PROVERS) and "trusted.axis" in loaded.split()
     assert others == "False"
     folder = Path(proofs.__file__).parent
     existing = {".".join(path.relative_to(folder).with_suffix("").parts) for path in folder.rglob("*.py")}
@@ -67,7 +69,7 @@ def test_the_proof_of_bounds_passes_as_object_content_and_file(tmp_path: Path) -
         bounds.proof.to_file(path)
         for what in (bounds.proof, path, str(path)):
             assert check_proof(what).level == bounds.upper
-        assert proof_format(path) in FORMATS
+        assert proof_kind(path) == ("cells", "axis")[number] in KINDS
     assert check_proof(cells.proof.content).stable
 
 
@@ -84,20 +86,78 @@ def test_a_proof_of_a_loop_is_told_by_its_header(tmp_path: Path) -> None:
         assert isinstance(checked, CheckedLoop) and checked.level == 6.0
 
 
-def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "level", "stable"),
+    [
+        ("axis.npz", 5.278047045285301, True),
+        ("cells.json", 5.278047045285301, True),
+        ("discrete.json", 1.7416666666666665, True),
+        ("loop.npz", 5.3, False),
+        ("stable.json", None, True),
+    ],
+)
+def test_files_of_version_0_1_prove_what_they_proved(name: str, level: float | None, stable: bool) -> None:
+    checked: Any = check_proof(OLDER / name)
+    assert (checked.level, checked.stable) == (level, stable)
+    box = {"p": (0.3, 0.7)} if name == "discrete.json" else {"p": (-1.0, 1.0)}
+    assert (checked.box if isinstance(checked.box, dict) else dict(zip(checked.names, checked.box))) == box
+    assert checked.band == ((0.0, np.inf) if not name.startswith(("loop", "discrete")) else (0.0, 10.0 * np.pi))
+
+
+def test_a_proof_of_noise_of_version_0_1_proves_what_it_proved() -> None:
+    checked: Any = check_proof(OLDER / "noise.npz")
+    assert (checked.absolute.rms, checked.absolute.along) == (10.60660172841012, 7.5000000075037505)
+
+
+def older(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Header and arrays of a file of version 0.1."""
+    if name.endswith(".json"):
+        return json.loads((OLDER / name).read_text("utf-8")), {}
+    with np.load(OLDER / name) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    return json.loads(bytes(arrays.pop("header"))), arrays
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in OLDER.iterdir()))
+def test_files_of_version_0_1_are_read_as_strictly(name: str, tmp_path: Path) -> None:
+    """An entry more or less, or one of another type; `kinds` may be missing, as in the oldest ones."""
+    header, arrays = older(name)
+    del header["format"]
+
+    def refused(changed: dict[str, Any]) -> None:
+        content = {"format": older(name)[0]["format"], **changed}
+        if not arrays:
+            content["sha256"] = digest(content)
+        write_content(tmp_path / name, (content, arrays))
+        with pytest.raises(ProofError):
+            check_proof(tmp_path / name)
+
+    refused({**header, "more": 1})
+    refused({**header, "claim": header.get("kind", "gain"), "plant": {}})
+    for gone in header.keys() - {"kinds", "sha256"}:
+        refused({key: value for key, value in header.items() if key != gone})
+    for key in header.keys() - {"sha256"}:
+        refused({**header, key: True})
+        refused({**header, key: {"0": []}})
+    content, _ = older(name)
+    for other in {"lftkit proof 1", "lftkit loop proof 1", "lftkit noise proof 2"} - {content["format"]}:
+        refused({**header, "format": other})
+    if not arrays:
+        write_content(tmp_path / name, ({**content, "level": 2.0 * (content["level"] or 1.0)}, {}))
+        with pytest.raises(ProofError, match="SHA-256"):
+            check_proof(tmp_path / name)
+
+
+def test_proofs_with_the_earlier_name_of_their_format_are_read(tmp_path: Path) -> None:
     earlier = {now: then for then, now in EARLIER_NAMES.items()}
-    content = dict(worst_case_gain(aligned_modes(1, damping=0.05), options=LONG).proof.content)
-    content["format"] = earlier[content["format"]]
-    content["sha256"] = digest(content)
-    (tmp_path / "cells").write_text(json.dumps(content), "utf-8")
-    assert check_proof(tmp_path / "cells").level == check_proof(content).level == content["level"]
-    system = aligned_modes(1, damping=0.1)
-    model, box, band = loop_model(system, dt=0.1), box_of(system), (0.0, 31.4)
-    proof = LoopProof(model, ("k0",), box, band, 6.0, tuple(prove_level(model, box, band, 6.0).strips))
-    monkeypatch.setattr(files, "FORMAT", earlier[now := files.FORMAT])
-    write_loop_proof(proof, tmp_path / "loop")
-    monkeypatch.undo()
-    assert proof_format(tmp_path / "loop") == now and check_proof(tmp_path / "loop").level == 6.0
+    for name in ("cells.json", "discrete.json", "loop.npz", "noise.npz"):
+        header, arrays = older(name)
+        header["format"] = earlier[header["format"]]
+        if not arrays:
+            header["sha256"] = digest(header)
+        write_content(tmp_path / name, (header, arrays))
+        assert proof_kind(tmp_path / name) == proof_kind(OLDER / name)
+        assert check_proof(tmp_path / name) == check_proof(OLDER / name)
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "other"}', b"PK\x03\x04", b"\x00\xff", b"[1]"])

@@ -17,7 +17,7 @@ from lftkit.proofs import (
     worst_case_disk_margin,
     worst_case_gain,
 )
-from lftkit.proofs.state_space.checker import DISCRETE, FORMAT, digest
+from lftkit.proofs.trusted.cells import digest
 
 PORTS = ((Port("u", 1),), (Port("y", 1),))
 Content = dict[str, Any]
@@ -122,8 +122,8 @@ def proof() -> Content:
 
 
 def faster(content: Content) -> None:
-    content["system"]["dt"] *= 0.5  # the band of the whole circle stays one: the claim changes its frequencies alone
-    content["band"] = [0.0, 1.0]
+    content["plant"]["dt"] *= 0.5  # the band of the whole circle stays one: the claim changes its frequencies alone
+    content["claim"]["band"] = [0.0, 1.0]
 
 
 def without_posed(content: Content) -> None:
@@ -135,30 +135,33 @@ def half_posed(content: Content) -> None:
 
 
 def in_continuous_time(content: Content) -> None:
-    del content["system"]["dt"]
-    content["format"] = FORMAT
+    del content["plant"]["dt"], content["posed"]
 
 
-def with_the_other_format(content: Content) -> None:
-    content["format"] = FORMAT
+def without_its_tick(content: Content) -> None:
+    del content["plant"]["dt"]
+
+
+def without_a_list(content: Content) -> None:
+    del content["posed"]
 
 
 def unstable(content: Content) -> None:
-    content["system"]["A"] = [[0.6]]
+    content["plant"]["A"] = [[0.6]]
 
 
 def other_dynamics(content: Content) -> None:
-    content["system"]["A"] = [[-0.3]]
-    content["system"]["B"] = [[-1.0, 1.0]]
-    content["level"] = 2.0
+    content["plant"]["A"] = [[-0.3]]
+    content["plant"]["B"] = [[-1.0, 1.0]]
+    content["claim"]["level"] = 2.0
 
 
 @pytest.mark.parametrize(
     "change",
-    [faster, without_posed, half_posed, in_continuous_time, with_the_other_format, unstable, other_dynamics],
+    [faster, without_posed, half_posed, in_continuous_time, without_its_tick, without_a_list, unstable, other_dynamics],
 )
 def test_a_forged_proof_is_refused(proof: Content, change: Callable[[Content], None]) -> None:
-    assert proof["format"] == DISCRETE and check_proof(proof).stable
+    assert proof["plant"]["dt"] and check_proof(proof).stable
     forged = json.loads(json.dumps(proof))
     change(forged)
     forged["sha256"] = digest(forged)

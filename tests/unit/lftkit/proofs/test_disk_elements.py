@@ -22,8 +22,8 @@ from lftkit.proofs import (
     stability_profile,
     worst_case_gain,
 )
-from lftkit.proofs.state_space.checker import digest
 from lftkit.proofs.state_space.disks import dynamics_with
+from lftkit.proofs.trusted.cells import digest
 from lftkit.uncertainty.elements import DynamicElement
 
 LONG = BoundOptions(wall_limit=3600.0)
@@ -157,27 +157,27 @@ def content() -> dict[str, Any]:
 
 
 def _disk(content: dict[str, Any], **changes: Any) -> None:
-    content["system"]["disks"][0].update(changes)
+    content["plant"]["disks"][0].update(changes)
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda c: _disk(c, radius=2.0 * c["system"]["disks"][0]["radius"]),
+        lambda c: _disk(c, radius=2.0 * c["plant"]["disks"][0]["radius"]),
         lambda c: _disk(c, radius=-1.0),
         lambda c: _disk(c, radius=float("nan")),
         lambda c: _disk(c, name="k"),
         lambda c: _disk(c, name="g"),
         lambda c: _disk(c, outputs=2),
         lambda c: _disk(c, inputs=0),
-        lambda c: c["system"].pop("disks"),
-        lambda c: c["system"].update(disks=2 * c["system"]["disks"]),
+        lambda c: c["plant"].pop("disks"),
+        lambda c: c["plant"].update(disks=2 * c["plant"]["disks"]),
         lambda c: c["stable"]["weights"].pop("f"),
         lambda c: c["stable"]["weights"].update(f=[-1.0]),
         lambda c: [cell["D"].pop("f") for cell in c["cells"]],
         lambda c: [cell["D"].update(f=[[[0.0]], [[0.0]]]) for cell in c["cells"]],
         lambda c: [cell["D"].update(f=[[[-cell["D"]["f"][0][0][0]]], [[0.0]]]) for cell in c["cells"]],
-        lambda c: c["system"]["channels"].reverse(),
+        lambda c: c["plant"]["channels"].reverse(),
     ],
 )
 def test_a_forged_proof_is_refused(content: dict[str, Any], change: Callable[[dict[str, Any]], Any]) -> None:
@@ -190,7 +190,7 @@ def test_a_forged_proof_is_refused(content: dict[str, Any], change: Callable[[di
 
 def test_a_smaller_radius_follows(content: dict[str, Any]) -> None:
     other = copy.deepcopy(content)
-    _disk(other, radius=0.9 * other["system"]["disks"][0]["radius"])
+    _disk(other, radius=0.9 * other["plant"]["disks"][0]["radius"])
     other["sha256"] = digest(other)
     assert check_proof(other).stable
 

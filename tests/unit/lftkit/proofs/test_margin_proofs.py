@@ -16,8 +16,8 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs import ProofError
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, check_loop_proof, loop_model, prove_level
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof, noise_bound, require_parts
+from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof, write_loop_proof
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof, noise_bound, require_parts
 
 DT = 0.01
 NYQUIST = math.pi / DT
@@ -156,8 +156,8 @@ def test_the_noise_of_every_member_is_below_the_bound(noise: NoiseProof, tmp_pat
     for deviation in np.linspace(*BOX[0], 11):
         A, N, C = tick_matrices(float(deviation))
         largest = max(largest, math.sqrt(float((C @ solve_discrete_lyapunov(A, N @ N.T) @ C.T)[0, 0])))
-    noise.to_file(tmp_path / "noise.npz")
-    checked = check_noise_proof(NoiseProof.from_file(tmp_path / "noise.npz"), window=0.02)
+    write_loop_proof(noise, tmp_path / "noise.npz")
+    checked = check_noise_proof(read_noise_proof(tmp_path / "noise.npz"), window=0.02)
     assert largest < checked.absolute.rms < 1.3 * largest and math.isinf(checked.stable_below)
     assert checked.relative is not None and 0.0 < checked.relative.rms < checked.absolute.rms
     assert checked.absolute.along == checked.absolute.rms, "one row is one axis"

@@ -10,7 +10,8 @@ import pytest
 from scipy import linalg
 
 from lftkit.proofs import MuCertificate, ProofError, check_mu, complex_block, full_block, mu, real_block
-from lftkit.proofs.blocks.structure import REAL, UncertaintyBlock, parts
+from lftkit.proofs.trusted.proof import REAL
+from lftkit.proofs.trusted.structured import UncertaintyBlock, parts
 
 STRUCTURES = [
     [complex_block()] * 4,

@@ -22,9 +22,9 @@ from lftkit.arrays import ComplexArray
 from lftkit.proofs import BoundOptions, ProofError, check_mu, check_proof, mu, real_block, worst_case_gain
 from lftkit.proofs.axis.proof import AxisProof
 from lftkit.proofs.sampled_loop import LoopProof, box_of, check_loop_proof, loop_model, prove_level
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof, check_noise_proof, window_power
-from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest
-from lftkit.proofs.trusted.definite import positive
+from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, positive
+from lftkit.proofs.trusted.cells import digest
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, check_noise_proof, window_power
 from lftkit.proofs.trusted.polynomials import Polynomial, constant, inverse, reciprocal, span, weighted_share
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.stability import nominal_windows, windows_above
@@ -224,12 +224,12 @@ def test_scaled_cells_prove_no_lower_level(cells: dict[str, Any], power: int) ->
                     place = place[key]
                 place[path[-1]] *= float(f"1e{power}")
     with pytest.raises(ProofError):
-        check_proof(changed(content, {("level",): 0.01 * content["level"]}))
+        check_proof(changed(content, {("claim", "level"): 0.01 * content["claim"]["level"]}))
 
 
 @pytest.mark.parametrize("value", VALUES)
 def test_any_number_of_cells_out_of_range_proves_no_lower_level(cells: dict[str, Any], value: float) -> None:
-    low = changed(cells, {("level",): 0.01 * cells["level"]})
+    low = changed(cells, {("claim", "level"): 0.01 * cells["claim"]["level"]})
     numbers = [path for path in leaves(low) if path[0] in ("cells", "stable")]
     for path in numbers[:: max(len(numbers) // 60, 1)]:
         with pytest.raises(ProofError):

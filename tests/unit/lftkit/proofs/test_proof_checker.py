@@ -14,7 +14,8 @@ from scipy import linalg
 from support.uncertain_examples import aligned_modes, de_gaston_safonov
 
 from lftkit.proofs import BoundOptions, ProofError, check_proof, robust_stability, worst_case_gain
-from lftkit.proofs.state_space.checker import Ball, definite_ratio, digest, exact_product
+from lftkit.proofs.trusted.arithmetic import Ball, definite_ratio, exact_product
+from lftkit.proofs.trusted.cells import digest
 from lftkit.proofs.trusted.proof import uncovered
 
 Content = dict[str, Any]
@@ -80,18 +81,20 @@ def test_a_wide_cell_cannot_replace_the_others(proof: Content) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda c: c.update(level=0.94 * c["level"]),  # the gain reaches 50
+        lambda c: c["claim"].update(level=0.94 * c["claim"]["level"]),  # the gain reaches 50
         lambda c: c["cells"][0].update(performance=-1.0),
         lambda c: c["cells"][0]["P"][0][0].__setitem__(0, -1.0),
         lambda c: c["cells"][1]["D"]["k0"][0][0].__setitem__(0, 0.0),
         lambda c: c["cells"][1].update(D={**c["cells"][1]["D"], "k0": [[[1e6]], [[0.0]]]}),
-        lambda c: c["system"]["A"][1].__setitem__(1, -0.03),  # less damping
-        lambda c: c["box"].update(k0=[0.8, 2.7]),
+        lambda c: c["plant"]["A"][1].__setitem__(1, -0.03),  # less damping
+        lambda c: c["claim"]["box"].update(k0=[0.8, 2.7]),
         lambda c: c["stable"]["point"].__setitem__(0, 9.0),
         lambda c: c["stable"]["L"][0].__setitem__(0, float("inf")),
         lambda c: c["cells"][0].pop("Q"),
         lambda c: c["cells"][0]["Q"][0][0].__setitem__(0, float("nan")),
-        lambda c: c.update(kind="stability", stable=None),
+        lambda c: c.update(claim={**c["claim"], "property": "stability", "level": None}, stable=None),
+        lambda c: c["claim"].update(property="stability"),
+        lambda c: c["claim"].update(level=None),
         lambda c: c["cells"].clear(),
     ],
 )
@@ -105,7 +108,8 @@ def test_a_proof_of_stability_does_not_hold_for_an_unstable_box() -> None:
     assert proof is not None
 
     def larger(content: Content) -> None:
-        for owner in [content["box"], *(dict(zip(content["box"], c["intervals"])) for c in content["cells"])]:
+        box = content["claim"]["box"]
+        for owner in [box, *(dict(zip(box, c["intervals"])) for c in content["cells"])]:
             for ends in owner.values():
                 ends[:] = [3.42 / 3.27 * end for end in ends]
 

@@ -15,7 +15,9 @@ import pytest
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import BoundOptions, ProofError, check_proof, worst_case_gain
-from lftkit.proofs.entries import (
+from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_level, write_loop_proof
+from lftkit.proofs.trusted.cells import digest
+from lftkit.proofs.trusted.entries import (
     array,
     each,
     file_content,
@@ -30,9 +32,7 @@ from lftkit.proofs.entries import (
     text,
     truth,
 )
-from lftkit.proofs.sampled_loop import LoopProof, box_of, loop_model, prove_level, write_loop_proof
-from lftkit.proofs.sampled_loop.noise import NoisePart, NoiseProof
-from lftkit.proofs.state_space.checker import digest
+from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
 
 OTHERS: tuple[Any, ...] = (True, False, None, "1", 1, 0, -1, 1.5, [], {}, [0], [[0]], math.nan, math.inf, 2**70)
 FORMS = {"number": number, "index": index, "text": text, "truth": truth, "rows": each(index), "table": table}
@@ -155,7 +155,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_loop_proof(
         LoopProof(model, names, box, band, 11.0, strips, {"what": "modes", "limit": 1.0}), found / "loop.npz"
     )
-    NoiseProof(model, names, box, (NoisePart(model.rows, band, 11.0, strips),)).to_file(found / "noise.npz")
+    noise = NoiseProof(model, names, box, (NoisePart(model.rows, band, 11.0, strips),))
+    write_loop_proof(noise, found / "noise.npz")
     for method, name in (("axis", "axis.npz"), ("cells", "cells.json")):
         proof: Any = worst_case_gain(system, options=BoundOptions(method=method)).proof
         proof.to_file(found / name)
@@ -215,9 +216,14 @@ def test_a_truth_value_is_no_entry_of_a_header(folder: Path, name: str, tmp_path
 def test_an_entry_more_and_one_less_are_refused(folder: Path, name: str, tmp_path: Path) -> None:
     header, arrays = read(folder / name)
     for changed in ({**header, "more": 1}, *({k: v for k, v in header.items() if k != gone} for gone in header)):
-        if changed.keys() ^ header.keys() != {"kinds"} and changed.keys() ^ header.keys() != {"sha256"}:
+        if changed.keys() ^ header.keys() != {"sha256"}:
             with pytest.raises(ProofError):
                 check_proof(write(tmp_path / name, changed, arrays))
+    for part in ("claim", "plant"):
+        own = header[part]
+        for changed in ({**own, "more": 1}, *({k: v for k, v in own.items() if k != gone} for gone in own)):
+            with pytest.raises(ProofError):
+                check_proof(write(tmp_path / name, {**header, part: changed}, arrays))
     for gone in arrays:
         with pytest.raises(ProofError):
             check_proof(write(tmp_path / name, header, {k: v for k, v in arrays.items() if k != gone}))
@@ -229,11 +235,62 @@ def test_an_entry_more_and_one_less_are_refused(folder: Path, name: str, tmp_pat
             check_proof(write(tmp_path / name, header, {**arrays, "more": np.zeros(1)}))
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_a_proof_is_of_no_other_kind(folder: Path, name: str, tmp_path: Path) -> None:
+    """Its header with another kind, or that of another kind with its arrays; other formats and properties."""
+    header, arrays = read(folder / name)
+    headers = {other: read(folder / other) for other in FILES if other != name}
+    for its_header, its_arrays in headers.values():
+        forged = [{**header, "kind": its_header["kind"]}, {**its_header, "kind": header["kind"]}]
+        forged += [its_header] if its_arrays.keys() != arrays.keys() else []  # one of noise has those of a gain
+        for content in forged:
+            with pytest.raises(ProofError):
+                check_proof(write(tmp_path / name, content, arrays))
+    for changes in ({"format": "lftkit proof 3"}, {"format": None}, {"kind": "part of a proof"}, {"kind": ["axis"]}):
+        with pytest.raises(ProofError):
+            check_proof(write(tmp_path / name, {**header, **changes}, arrays))
+    for what in {"gain", "stability", "noise", ""} - {header["claim"]["property"]}:
+        with pytest.raises(ProofError):
+            check_proof(write(tmp_path / name, {**header, "claim": {**header["claim"], "property": what}}, arrays))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_box_is_one_of_the_parameters(folder: Path, name: str, tmp_path: Path) -> None:
+    header, arrays = read(folder / name)
+    ((own, ends),) = header["claim"]["box"].items()
+    for box in (
+        {},
+        {"other": ends},
+        {own: ends, "other": ends},
+        {own: [ends[1], ends[0]]},
+        [ends],
+        {own: [*ends, 0.0]},
+    ):
+        with pytest.raises(ProofError):
+            check_proof(write(tmp_path / name, {**header, "claim": {**header["claim"], "box": box}}, arrays))
+
+
+def test_keys_and_members_that_come_twice_are_refused(folder: Path, tmp_path: Path) -> None:
+    text = (folder / "cells.json").read_text("utf-8")
+    for key in ("level", "claim", "kind"):
+        twice = text.replace(f'"{key}": ', f'"{key}": 1, "{key}": ', 1)
+        (tmp_path / "cells.json").write_text(twice, "utf-8")
+        with pytest.raises(ProofError, match="no key twice"):
+            check_proof(tmp_path / "cells.json")
+    header, arrays = read(folder / "loop.npz")
+    data = npy(np.frombuffer(json.dumps(header).encode(), np.uint8))
+    members = [("header.npy", data), *((f"{name}.npy", npy(values)) for name, values in arrays.items())]
+    check_proof(npz(tmp_path / "once.npz", members))
+    for name, member in members[:3]:
+        with pytest.warns(UserWarning, match="Duplicate name"), pytest.raises(ProofError, match="no member twice"):
+            check_proof(npz(tmp_path / "twice.npz", [*members, (name, member)]))
+
+
 def test_rows_that_are_truth_values_are_no_rows(folder: Path, tmp_path: Path) -> None:
     """``[false, true]`` equals ``(0, 1)`` and would act as a mask: one row alone would be bounded."""
     header, arrays = read(folder / "noise.npz")
-    header["rows"] = [False]
-    header["parts"][0][0] = [False]
+    header["plant"]["rows"] = [False]
+    header["claim"]["parts"][0][0] = [False]
     with pytest.raises(ProofError, match=r"header\.\w+.* must be a whole number from zero on, got False"):
         check_proof(write(tmp_path / "noise.npz", header, arrays))
 

@@ -20,7 +20,7 @@ from lftkit.proofs.sampled_loop import (
     prove_level,
 )
 from lftkit.proofs.sampled_loop.bounds import member_gains
-from lftkit.proofs.trusted import checker, premises, stability, strips
+from lftkit.proofs.trusted import sampled_loop, stability, strips
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.stability import (
     beyond,
@@ -114,7 +114,7 @@ def test_what_lacks_one_premise_is_refused_by_its_function_alone(
     forged = change(proof)
     with pytest.raises(ProofError):
         check_loop_proof(forged)
-    monkeypatch.setattr(premises, function, lambda *_: None)
+    monkeypatch.setattr(strips if function == "require_strip" else sampled_loop, function, lambda *_: None)
     check_loop_proof(forged)
 
 
@@ -177,7 +177,7 @@ def refused_without(
 
 
 def test_a_hole_is_refused_by_its_function_alone(proof: LoopProof, monkeypatch: pytest.MonkeyPatch) -> None:
-    refused_without(dataclasses.replace(proof, band=(0.4, 2.0)), checker, "covered", None, monkeypatch)
+    refused_without(dataclasses.replace(proof, band=(0.4, 2.0)), strips, "require_cover", None, monkeypatch)
 
 
 def test_negative_scalings_are_refused_by_their_function_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
-The check has its own short code (`lftkit/proofs/state_space/checker.py`; for the `.npz` of `design certify`
-`lftkit/proofs/trusted` and nothing else): it optimises nothing. Exit code 1 if the
+The check has its own short code, `lftkit/proofs/trusted` and nothing else: it optimises nothing. Exit code 1 if the
 proof is refused, 2 if its texts have control characters or line breaks, which could look like lines of this command.
 
 A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
@@ -60,9 +59,8 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    from lftkit.proofs.checking import proof_format
-    from lftkit.proofs.sampled_loop.files import FORMAT as LOOP
-    from lftkit.proofs.sampled_loop.noise import FORMAT as NOISE_FORMAT
+    from lftkit.proofs.checking import proof_kind
+    from lftkit.proofs.sampled_loop.files import LOOP, NOISE
     from lftkit.proofs.trusted.proof import ProofError
     from los_design.verification.check_proof_texts import TextError
 
@@ -73,9 +71,9 @@ def check_proof(
     try:
         if file.suffix == ".zip":
             _check_bundle(file, cluster, json_)
-        elif proof_format(file) == LOOP:
+        elif (kind := proof_kind(file)) == LOOP:
             _check_loop(file, cluster, of, json_)
-        elif proof_format(file) == NOISE_FORMAT:
+        elif kind == NOISE:
             raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
             _check_system(file, json_)

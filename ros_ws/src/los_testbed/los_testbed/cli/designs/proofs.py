@@ -311,8 +311,7 @@ def _keep(path: Path, found: list[FigureBounds]) -> None:
 
 def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
     """Put all proofs of the folder that are of these loops into one file, with controllers and telescope."""
-    from lftkit.proofs.sampled_loop import read_loop_proof
-    from lftkit.proofs.sampled_loop.noise import NoiseProof
+    from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof
     from los_design.verification.bundle import write_bundle
     from los_design.verification.noise_certificate import NOISE
     from los_design.verification.proof_comparison import compare_proof, same_noise
@@ -324,7 +323,7 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
         if stage not in loops or not file.is_file():
             continue
         if figure == NOISE:
-            same = same_noise(NoiseProof.from_file(file), loops[stage])
+            same = same_noise(read_noise_proof(file), loops[stage])
         else:
             same = compare_proof(read_loop_proof(file), loops[stage], figure).same
         if same:

@@ -6,7 +6,7 @@ output at the ticks is ::
     dt / pi  integral of |T(w)|^2  from 0 to pi / dt        (H2 norm)
 
 with the row T of its responses. The band is cut into parts; in each the norm of T is below a level for all members of
-the box, by strips as for any gain (:mod:`lftkit.proofs.trusted.checker`). The sum over parts of the squared levels
+the box, by strips as for any gain (:mod:`lftkit.proofs.trusted.sampled_loop`). The sum over parts of the squared levels
 bounds the integral. The weight of the relative error grows with frequency: in each of some pieces of a part it counts
 with its value at the upper end.
 
@@ -17,24 +17,18 @@ bounds of their own in a part, the smaller ones count. The sum over rows bounds 
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
-from lftkit.proofs.entries import each, fixed, index, number, record
-from lftkit.proofs.proof_files import packed, read_archive, unpacked, write_archive
-from lftkit.proofs.sampled_loop.files import ADDED, ARRAYS, CLAIM, HEADER, model_entries, model_of
-from lftkit.proofs.sampled_loop.model import LoopModel
-from lftkit.proofs.trusted.checker import FAULTS, check_loop_proof
-from lftkit.proofs.trusted.given import LoopProof
-from lftkit.proofs.trusted.polynomials import INFLATE, UNIT
-from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
+from lftkit.proofs.trusted.arithmetic import UNIT
+from lftkit.proofs.trusted.loop import Loop
+from lftkit.proofs.trusted.proof import Box, Each, Interval, Strip, refusing, require
+from lftkit.proofs.trusted.sampled_loop import LoopProof, check_loop_proof
 from lftkit.proofs.trusted.stability import stable_below
 
-FORMAT = "lftkit noise proof 2"
+ROUNDING = 1.0 + 1e-9  # covers that of a sum of powers
 PIECES = 64
 """Of a part, in each of which the weight of the relative error counts with its value at the upper end."""
 
@@ -66,17 +60,17 @@ class NoiseProof:
 
     Parameters
     ----------
-    model : LoopModel
+    model : Loop
         Without the weight of the relative error; its rows are those that count.
     names, box, about
-        As of :class:`lftkit.proofs.sampled_loop.LoopProof`.
+        As of :class:`lftkit.proofs.trusted.sampled_loop.LoopProof`.
     parts : tuple of NoisePart
         Of all rows together from zero to half of the sampling rate without gaps; of single rows in any of these bands.
     """
 
-    model: LoopModel
+    model: Loop
     names: tuple[str, ...]
-    box: tuple[Interval, ...]
+    box: Box
     parts: tuple[NoisePart, ...]
     about: Mapping[str, Any] = field(default_factory=dict)
 
@@ -84,36 +78,6 @@ class NoiseProof:
         """A part as a proof of a gain."""
         model = replace(self.model, rows=part.rows)
         return LoopProof(model, self.names, self.box, part.band, part.level, part.strips, self.about)
-
-    def to_file(self, path: Path) -> None:
-        """Write the proof as a compressed ``.npz``."""
-        header, arrays = model_entries(self.model)
-        parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in self.parts]
-        header |= {"format": FORMAT, "names": self.names, "box": self.box, "parts": parts, "about": dict(self.about)}
-        strips = [strip for part in self.parts for strip in part.strips]
-        write_archive(path, header, arrays | packed(strips, len(self.names)))
-
-    @classmethod
-    def from_file(cls, path: Path) -> NoiseProof:
-        """Read a proof.
-
-        Raises
-        ------
-        ProofError
-            No such file, or not a proof.
-        """
-        part = fixed(each(index), number, number, number, index)
-        form = record({**CLAIM, **HEADER, "parts": each(part)}, ADDED)
-        header, arrays = read_archive(path, FORMAT, form, ARRAYS)
-        found = unpacked(arrays, len(header["names"]))
-        if sum(count for *_, count in header["parts"]) != len(found):
-            raise ProofError(f"parts must have {len(found)} strips in all, got another number")
-        strips = iter(found)
-        parts = tuple(
-            NoisePart(rows, (low, high), level, tuple(itertools.islice(strips, count)))
-            for rows, low, high, level, count in header["parts"]
-        )
-        return cls(model_of(header, arrays), header["names"], header["box"], parts, header["about"])
 
 
 @dataclass(frozen=True)
@@ -148,7 +112,7 @@ class CheckedNoise:
         The same as relative error over `window`; None without a window.
     strips, windows : int
     stable_below : float
-        As of :class:`lftkit.proofs.sampled_loop.CheckedLoop`; zero where stability was not looked at.
+        As of :class:`lftkit.proofs.trusted.sampled_loop.CheckedLoop`; zero where stability was not looked at.
     """
 
     absolute: NoiseBound
@@ -158,12 +122,7 @@ class CheckedNoise:
     stable_below: float
 
 
-def check_noise_proof(
-    proof: NoiseProof,
-    each: Callable[..., Iterable[int | str]] = map,
-    stability: bool = True,
-    window: float = 0.0,
-) -> CheckedNoise:
+def check_noise_proof(proof: NoiseProof, each: Each = map, stability: bool = True, window: float = 0.0) -> CheckedNoise:
     """Verify a proof of noise; a ProofError says why it is refused.
 
     Parameters
@@ -176,36 +135,32 @@ def check_noise_proof(
     window : float
         Length of the relative error's window [s].
     """
-    try:
+    with refusing("a proof of noise"):
         require_parts(proof)
         windows = sum(check_loop_proof(proof.of_part(part), each, stability=False).windows for part in proof.parts)
-        model = proof.model
+        model, parts = proof.model, proof.parts
         below = stable_below(model, (0.0, math.pi / model.dt), proof.box) if stability else 0.0
-        absolute = noise_bound(model, proof.parts, 0.0)
-        relative = noise_bound(model, proof.parts, window) if window else None
-    except FAULTS as error:
-        known = isinstance(error, ProofError)
-        raise ProofError(str(error) if known else f"the file must be a proof of noise, got {error!r}") from None
-    count = sum(len(part.strips) for part in proof.parts)
-    return CheckedNoise(absolute, relative, count, windows, below)
+        relative = noise_bound(model, parts, window) if window else None
+        strips = sum(len(part.strips) for part in parts)
+        return CheckedNoise(noise_bound(model, parts, 0.0), relative, strips, windows, below)
 
 
 def require_parts(proof: NoiseProof) -> None:
     """Parts of all rows from zero to half of the sampling rate, those of single rows in their bands; no weight."""
-    nyquist, model = math.pi / proof.model.dt, proof.model
-    if model.window or model.added or model.commands or len(set(model.rows)) != len(model.rows):
-        raise ProofError("noise must be bounded at errors without a weight, got another model")
-    bands = sorted(part.band for part in proof.parts if part.rows == model.rows)
+    nyquist, model, parts = math.pi / proof.model.dt, proof.model, proof.parts
+    plain = not (model.window or model.added or model.commands) and len(set(model.rows)) == len(model.rows)
+    require(plain, "noise must be bounded at errors without a weight, got another model")
+    bands = sorted(part.band for part in parts if part.rows == model.rows)
     ends = [0.0, *(high for _, high in bands)]
-    if [low for low, _ in bands] != ends[:-1] or not ends[-1] >= nyquist:
-        raise ProofError(f"parts of all rows must reach from 0 to {nyquist:.6g} rad/s without gaps, got others")
-    single = [(part.rows, part.band) for part in proof.parts if part.rows != model.rows]
+    whole = [low for low, _ in bands] == ends[:-1] and ends[-1] >= nyquist
+    require(whole, f"parts of all rows must reach from 0 to {nyquist:.6g} rad/s without gaps, got others")
+    single = [(part.rows, part.band) for part in parts if part.rows != model.rows]
     allowed = {((row,), band) for row in model.rows for band in bands}
-    if len(set(single)) != len(single) or not set(single) <= allowed:
-        raise ProofError("parts of single rows must be in the bands of those of all rows, once each, got others")
+    own = len(set(single)) == len(single) and set(single) <= allowed
+    require(own, "parts of single rows must be in the bands of those of all rows, once each, got others")
 
 
-def noise_bound(model: LoopModel, parts: Sequence[NoisePart], window: float) -> NoiseBound:
+def noise_bound(model: Loop, parts: Sequence[NoisePart], window: float) -> NoiseBound:
     """Bounds by the levels of parts that were proven, as relative error where `window` is not zero."""
     known = {(part.rows, part.band): part.level for part in parts}
     whole = {part.band: part.level for part in parts if part.rows == model.rows}
@@ -213,13 +168,13 @@ def noise_bound(model: LoopModel, parts: Sequence[NoisePart], window: float) -> 
         band: math.sqrt(sum(min(level, known.get(((row,), band), level)) ** 2 for row in model.rows))
         for band, level in whole.items()
     }
-    rms, along = (math.sqrt(mean_square(model, levels, window)) * INFLATE for levels in (trace, whole))
+    rms, along = (math.sqrt(mean_square(model, levels, window)) * ROUNDING for levels in (trace, whole))
     if not 0.0 < along < math.inf or not 0.0 < rms < math.inf:
         raise ArithmeticError(f"bounds of noise must be positive and finite, got {rms} and {along}")
     return NoiseBound(rms, min(along, rms))
 
 
-def mean_square(model: LoopModel, levels: Mapping[Interval, float], window: float) -> float:
+def mean_square(model: Loop, levels: Mapping[Interval, float], window: float) -> float:
     """Bound of the mean square by the levels of bands, as relative error where `window` is not zero."""
     total = math.fsum(
         level**2 * (power_area(*band, window) if window else band[1] - band[0]) for band, level in levels.items()

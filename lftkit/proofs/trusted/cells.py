@@ -1,4 +1,4 @@
-"""Check of a proof file: the code to trust. It optimises nothing and shares no code with what finds proofs.
+"""Check of a proof by cells of the parameters and the frequency, with constant scalings in each.
 
 A proof says: for all parameters in the box and all frequencies of the band the gain from the inputs d to the outputs
 e is below `level` (kind ``gain``), or there is no pole on the imaginary axis (kind ``stability``); together with one
@@ -26,9 +26,8 @@ both and ``v`` for their difference, the second less the first: on the unit circ
 continuous time, a member that is not well posed, is no point of the circle. So a list of cells of its own, `posed`,
 shows that ``w = delta D11 w`` has no solution but zero anywhere in the box.
 
-Rounding: every matrix is kept with a bound of its error (products: gamma_k |A| |B|), and is positive definite if the
-Cholesky factorisation of it, lowered by the bound of everything that can be wrong, runs to the end (Demmel 1989; Rump
-2006). Complex numbers are real matrices of twice the size.
+Every matrix is kept with a bound of its error (:mod:`lftkit.proofs.trusted.arithmetic`); complex ones are real
+matrices of twice the size.
 """
 
 from __future__ import annotations
@@ -37,22 +36,46 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
-from lftkit.arrays import ComplexArray, FloatArray
-from lftkit.proofs.checked_proof import CheckedProof
-from lftkit.proofs.entries import each, file_content, fixed, index, mapping, maybe, number, pair, record, table, text
-from lftkit.proofs.trusted.definite import positive
-from lftkit.proofs.trusted.polynomials import TINY
-from lftkit.proofs.trusted.proof import ProofError, uncovered
-from lftkit.support.format_names import current_name
+from lftkit.proofs.trusted.arithmetic import (
+    UNIT,
+    Ball,
+    definite_ratio,
+    embedded,
+    exact_product,
+    hermitian,
+    scalar,
+    turned,
+)
+from lftkit.proofs.trusted.entries import (
+    each,
+    fixed,
+    header_of,
+    index,
+    mapping,
+    maybe,
+    number,
+    pair,
+    record,
+    table,
+    text,
+)
+from lftkit.proofs.trusted.proof import (
+    CheckedProof,
+    ComplexArray,
+    FloatArray,
+    Interval,
+    ProofError,
+    refusing,
+    require,
+    uncovered,
+)
 
-FORMAT = "lftkit proof 1"
-DISCRETE = "lftkit proof in discrete time 1"
+KIND = "cells"
 SCALING = fixed(table, table)
 CELL = record(
     {
@@ -77,110 +100,37 @@ SYSTEM = record(
     },
     {"dt": number, "disks": each(record({"name": text, "radius": number, "outputs": index, "inputs": index}))},
 )
-CONTENT = record(
-    {
-        "format": text,
-        "kind": text,
-        "level": maybe(number),
-        "band": fixed(number, maybe(number)),
-        "box": mapping(pair),
-        "system": SYSTEM,
-        "cells": each(CELL),
-        "stable": maybe(record({"point": each(number), "L": table, "T": table, "weights": mapping(each(number))})),
-        "sha256": text,
-    },
-    {"posed": each(CELL)},
-)
-"""What a file holds, as :mod:`lftkit.proofs.entries` reads it."""
-UNIT = 2.0**-53
-INFLATE = 1.0 + 1e-6  # covers the rounding of the error bounds themselves
-
-
-class Ball:
-    """Real matrix with an elementwise bound of its error; an ArithmeticError where a number is not finite."""
-
-    def __init__(self, mid: FloatArray, rad: FloatArray | None = None) -> None:
-        self.mid = mid
-        self.rad = np.zeros_like(mid) if rad is None else rad
-        if not (np.isfinite(self.mid).all() and np.isfinite(self.rad).all()):
-            raise ArithmeticError("numbers must be finite")
-
-    def __matmul__(self, other: Ball) -> Ball:
-        a, b = np.abs(self.mid), np.abs(other.mid)
-        k = self.mid.shape[1] + 2
-        rad = (k * UNIT / (1.0 - k * UNIT)) * (a @ b) + self.rad @ (b + other.rad) + a @ other.rad
-        return Ball(self.mid @ other.mid, INFLATE * rad + 1e-290)
-
-    def __add__(self, other: Ball) -> Ball:
-        mid = self.mid + other.mid
-        return Ball(mid, INFLATE * (self.rad + other.rad + UNIT * np.abs(mid)))
-
-    def __sub__(self, other: Ball) -> Ball:
-        return self + Ball(-other.mid, other.rad)
-
-    def transposed(self) -> Ball:
-        """Transpose."""
-        return Ball(self.mid.T, self.rad.T)
-
-    def times(self, factor: Ball) -> Ball:
-        """Product with a scalar, given as a 1 x 1 ball."""
-        f, r = float(factor.mid[0, 0]), float(factor.rad[0, 0])
-        mid = f * self.mid
-        rad = UNIT * np.abs(mid) + abs(f) * self.rad + r * (np.abs(self.mid) + self.rad)
-        return Ball(mid, INFLATE * rad + 1e-290)
-
-
-def exact_product(*factors: FloatArray) -> Ball:
-    """Product of matrices, every entry the exact one rounded once (integers of any length inside)."""
-    product: Any = None
-    for factor in factors:
-        whole = [int(math.ldexp(m, 53)) << (e + 1100) for m, e in map(math.frexp, factor.ravel().tolist())]
-        integers = np.array(whole, dtype=object).reshape(factor.shape)
-        product = integers if product is None else product @ integers
-    denominator = 1 << (1153 * len(factors))
-    mid = np.array([value / denominator for value in product.ravel()], dtype=float).reshape(product.shape)
-    return Ball(mid, UNIT * np.abs(mid) * INFLATE + 1e-300)
-
-
-def scalar(value: float) -> Ball:
-    """Exact scalar."""
-    return Ball(np.array([[float(value)]]))
-
-
-def embedded(real: FloatArray, imaginary: FloatArray | None = None) -> FloatArray:
-    """Complex matrix as a real one of twice the size."""
-    imag = np.zeros_like(real) if imaginary is None else imaginary
-    return np.block([[real, -imag], [imag, real]])
+CONTENT = {
+    "claim": record(
+        {"property": text, "level": maybe(number), "band": fixed(number, maybe(number)), "box": mapping(pair)}
+    ),
+    "plant": SYSTEM,
+    "cells": each(CELL),
+    "stable": maybe(record({"point": each(number), "L": table, "T": table, "weights": mapping(each(number))})),
+    "sha256": text,
+}
+"""What a proof holds; in discrete time it has `posed`, too."""
 
 
 def sized(values: Any, shape: tuple[int, int], what: str) -> FloatArray:
     """A matrix that must have a shape and finite numbers; rows without columns are lost in a file."""
     found = np.array(values, dtype=float)
-    if (found.shape != shape and found.size + math.prod(shape) > 0) or not np.isfinite(found).all():
-        raise ProofError(f"{what} must be finite and have shape {shape}, got {found.shape}")
+    own = (found.shape == shape or found.size + math.prod(shape) == 0) and np.isfinite(found).all()
+    require(own, f"{what} must be finite and have shape {shape}, got {found.shape}")
     return found.reshape(shape)
 
 
-def hermitian(parts: Any, size: int, what: str) -> FloatArray:
+def scaling(parts: Any, size: int, what: str) -> FloatArray:
     """Embedded Hermitian matrix of the lower triangles that a proof stores."""
     real, imag = (sized(part, (size, size), what) for part in parts)
-    lower, strict = np.tril(real), np.tril(imag, -1)
-    return embedded(lower + np.tril(real, -1).T, strict - strict.T)
+    return hermitian(real, imag)
 
 
-def definite_ratio(matrix: Ball) -> float:
-    """Margin of positive definiteness over the bound of all rounding, as a power of two; 0 if it is not certain."""
-    n, diagonal = len(matrix.mid), np.diag(matrix.mid)
-    if n == 0:
-        return math.inf
-    if not np.all(diagonal > 0.0):
-        return 0.0
-    scale = np.exp2(-np.round(0.5 * np.log2(diagonal)))  # powers of two: exact, but for what gets too small
-    mid, rad = (part * scale[:, None] * scale for part in (matrix.mid, matrix.rad))
-    rad, factor = rad + UNIT * np.abs(mid) + TINY, 1.0
-    while factor < 2.0**60 and positive(mid, rad, factor):
-        factor *= 4.0
-    return factor / 4.0 if factor > 1.0 else 0.0
+def weight_of(weights: Any, count: int) -> Ball:
+    """Diagonal matrix of weights that are not negative."""
+    found = np.array(weights, dtype=float).reshape(count)
+    require(np.all(found >= 0.0), "weights must not be negative")
+    return Ball(np.diag(found))
 
 
 @dataclass(frozen=True)
@@ -198,8 +148,8 @@ class Disk:
         name, radius = str(content["name"]), float(content["radius"])
         outputs, inputs = int(content["outputs"]), int(content["inputs"])
         width, own = max(outputs, inputs), [i for i, channel in enumerate(channels) if channel == name]
-        if min(outputs, inputs) < 1 or not own or len(own) % width or not 0.0 < radius < math.inf:
-            raise ProofError(f"disk {name!r} must have a positive radius, sizes and channels for each occurrence")
+        some = min(outputs, inputs) >= 1 and own and len(own) % width == 0 and 0.0 < radius < math.inf
+        require(some, f"disk {name!r} must have a positive radius, sizes and channels for each occurrence")
         places = [own[at : at + width] for at in range(0, len(own), width)]
         return cls(name, radius, [place[:inputs] for place in places], places)
 
@@ -208,19 +158,17 @@ class Inequality:
     """The inequality of a cell of one system; `static`: of its channels without states, inputs and outputs."""
 
     def __init__(self, proof: dict[str, Any], static: bool = False) -> None:
-        system = proof["system"]
+        system = proof["plant"]
         self.dt = float(system.get("dt", 0.0))
-        if not 0.0 <= self.dt < math.inf or (proof["format"] == DISCRETE) != (self.dt > 0.0):
-            raise ProofError(f"format must be {DISCRETE!r} with dt > 0, {FORMAT!r} without dt, got dt {self.dt}")
+        require("dt" not in system or 0.0 < self.dt < math.inf, f"dt must be positive, got {self.dt}")
         self.names = [str(p["name"]) for p in system["parameters"]]
         self.nominal = {p["name"]: float(p["nominal"]) for p in system["parameters"]}
         channels = list(enumerate(system["channels"]))
         self.disks = [Disk.of(content, system["channels"]) for content in system.get("disks", [])]
         elements = [*self.names, *(disk.name for disk in self.disks)]
-        if len(set(elements)) != len(elements):
-            raise ProofError(f"each element must have a name of its own, got {elements}")
+        require(len(set(elements)) == len(elements), f"each element must have a name of its own, got {elements}")
         self.rows = {name: [i for i, channel in channels if channel == name] for name in self.names}
-        self.gain = proof["kind"] == "gain"
+        self.gain = proof["claim"]["property"] == "gain"
         n, q = int(system["order"]), len(channels)
         m, p = (int(system["inputs"]), int(system["outputs"])) if self.gain else (0, 0)
         rows, columns = q + int(system["outputs"]), q + int(system["inputs"])
@@ -249,26 +197,25 @@ class Inequality:
     def ratio(self, cell: dict[str, Any], level: float | None) -> float:
         """Smallest :func:`definite_ratio` of the cell's matrices."""
         low, high = cell["band"]
-        coordinates = embedded(*self.coordinates(cell))
+        coordinates = embedded(self.coordinates(cell))
         ahead = (0.0, 1j) if high is None else (-1.0, 1j * high)
         x, v, below, above = (
-            exact_product(*(embedded(factor.real, factor.imag) for factor in self.signal(*parts)), coordinates)
+            exact_product(*(embedded(factor) for factor in self.signal(*parts)), coordinates)
             for parts in ((0.0, 1.0), (1.0, 0.0), (1.0, -1j * low), ahead)
         )
-        P, Q = (hermitian(cell[key], self.n, key) for key in "PQ")
+        P, Q = (scaling(cell[key], self.n, key) for key in "PQ")
         total = below.transposed() @ (Ball(P) @ above) + x.transposed() @ (Ball(Q) @ v)
         ratios = [definite_ratio(Ball(P))]
         for name, (lower, upper) in zip(self.names, cell["intervals"]):
             rows = self.rows[name]
             w, z = (exact_product(embedded(part[rows]), coordinates) for part in (self.w, self.z))
-            D, G = (hermitian(cell[key][name], len(rows), f"{key} of {name}") for key in "DG")
-            turned = Ball(np.vstack([-G[len(rows) :], G[: len(rows)]]))  # j G
+            D, G = (scaling(cell[key][name], len(rows), f"{key} of {name}") for key in "DG")
             off = w - z.times(self.delta(name, lower))
             rest = z.times(self.delta(name, upper)) - w
-            total = total + off.transposed() @ (Ball(D) @ rest) + z.transposed() @ (turned @ w)
+            total = total + off.transposed() @ (Ball(D) @ rest) + z.transposed() @ (Ball(turned(G)) @ w)
             ratios.append(definite_ratio(Ball(D)))
         for disk in self.disks:
-            D = hermitian(cell["D"][disk.name], len(disk.into), f"D of {disk.name}")
+            D = scaling(cell["D"][disk.name], len(disk.into), f"D of {disk.name}")
             ratios.append(definite_ratio(Ball(D)))
             total = total + self.disk_form(disk, D, coordinates)
         total = total + total.transposed()
@@ -279,7 +226,7 @@ class Inequality:
             e, d = (exact_product(embedded(part), coordinates) for part in (self.e, self.d))
             allowed = (d.transposed() @ d).times(scalar(level)).times(scalar(level))
             total = total + (e.transposed() @ e - allowed).times(scalar(factor))
-        return min(*ratios, definite_ratio(Ball(0.0 * total.mid) - total))
+        return min(*ratios, definite_ratio(-total))
 
     def disk_form(self, disk: Disk, D: FloatArray, coordinates: FloatArray) -> Ball:
         """``sum of D_ij (radius^2 z_i* z_j - w_i* w_j)``; what a disk's channels have beyond its sizes is zero in w."""
@@ -291,7 +238,7 @@ class Inequality:
         radius = scalar(disk.radius)
         return forms[0].times(radius).times(radius) - forms[1]
 
-    def coordinates(self, cell: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    def coordinates(self, cell: dict[str, Any]) -> ComplexArray:
         """Any basis of (x, w, d); this one makes the terms of the inequality small where they cancel."""
         middle = np.repeat(0.0, self.q)
         for name, (lower, upper) in zip(self.names, cell["intervals"]):
@@ -299,8 +246,7 @@ class Inequality:
         states = self.signal(1.0, -1j * float(cell["centre"]))
         offsets = [states[0] @ states[1] if self.dt else states[0], self.w - middle[:, None] * self.z, self.d]
         factors, pivots, _ = linalg.lapack.zgetrf(np.vstack(offsets))
-        basis = linalg.lapack.zgetri(factors, pivots)[0]
-        return basis.real, basis.imag
+        return np.asarray(linalg.lapack.zgetri(factors, pivots)[0])
 
     def stable_ratio(self, stable: dict[str, Any]) -> float:
         """Lyapunov inequality of one member: ``(L x)* (L v) + (L v)* (L x) < 0`` where ``w = delta z``.
@@ -319,19 +265,13 @@ class Inequality:
             rows = self.rows[name]
             w, z = (exact_product(signal[rows][:, part], basis) for signal in (self.w, self.z))
             off = w - z.times(self.delta(name, value))
-            weights = np.array(stable["weights"][name], dtype=float).reshape(len(rows))
-            if not np.all(weights >= 0.0):
-                raise ProofError("weights must not be negative")
-            total = total - off.transposed() @ (Ball(np.diag(weights)) @ off)
+            total = total - off.transposed() @ (weight_of(stable["weights"][name], len(rows)) @ off)
         for disk in self.disks:
             rows = [row for place in disk.out for row in place]
             w = exact_product(self.w[rows][:, part], basis)
-            weights = np.array(stable["weights"][disk.name], dtype=float).reshape(len(rows))
-            if not np.all(weights >= 0.0):
-                raise ProofError("weights must not be negative")
-            total = total - w.transposed() @ (Ball(np.diag(weights)) @ w)
+            total = total - w.transposed() @ (weight_of(stable["weights"][disk.name], len(rows)) @ w)
         states = exact_product(L, T)
-        return min(definite_ratio(states.transposed() @ states), definite_ratio(Ball(0.0 * total.mid) - total))
+        return min(definite_ratio(states.transposed() @ states), definite_ratio(-total))
 
 
 def digest(proof: dict[str, Any]) -> str:
@@ -340,98 +280,84 @@ def digest(proof: dict[str, Any]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def check_proof(proof: Any) -> CheckedProof:
-    """Verify a proof; a ProofError says why it is refused.
+def check_cells(header: dict[str, Any]) -> CheckedProof:
+    """Verify a proof by cells; a ProofError says why it is refused.
 
     Parameters
     ----------
-    proof : Path, dict or Proof
-        File, its content, or an object that has the content as attribute ``content``.
+    header : dict
+        Content of the file.
     """
-    content = file_content(proof)[0] if isinstance(proof, Path) else getattr(proof, "content", proof)
-    try:
-        with np.errstate(all="ignore"):  # what is not finite is an ArithmeticError
-            return _checked(content)
-    except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
-        known = isinstance(error, ProofError)
-        raise ProofError(str(error) if known else f"the file must be a proof, got {error!r}") from None
-
-
-def _band(ends: Any) -> tuple[float, float]:
-    band = float(ends[0]), math.inf if ends[1] is None else float(ends[1])
-    if not 0.0 <= band[0] < band[1]:
-        raise ProofError(f"a band must be two frequencies with 0 <= lower < upper, got {ends}")
-    return band
+    with refusing("a proof by cells"):
+        own, proof = digest(header), header_of(header, KIND, CONTENT, {"posed": each(CELL)})
+        require(proof["sha256"] == own, "the content must match its SHA-256, got another: the file was altered")
+        return _checked(proof)
 
 
 def _checked(proof: dict[str, Any]) -> CheckedProof:
-    own = digest(proof)
-    proof = CONTENT(proof, "proof")
-    proof = {**proof, "format": current_name(proof["format"])}
-    if proof["format"] not in (FORMAT, DISCRETE) or proof["kind"] not in ("gain", "stability"):
-        raise ProofError(f"format must be {FORMAT!r} of a gain or of stability, got {proof['format']!r}")
-    if proof["sha256"] != own:
-        raise ProofError("the content must match its SHA-256, got another: the file was altered")
-    inequality, band = Inequality(proof), _band(proof["band"])
+    claim, stable = proof["claim"], proof["stable"]
+    what, level, box = claim["property"], claim["level"], claim["box"]
+    require(what in ("gain", "stability"), f"a proof must be of a gain or of stability, got {what!r}")
+    require((level is None) == (what == "stability"), f"a gain must have a level and stability none, got {level}")
+    inequality, band = Inequality(proof), _band(claim["band"])
     require_names(proof, inequality)
-    box = [proof["box"][name] for name in inequality.names]
-    level = float(proof["level"]) if proof["kind"] == "gain" else None
-    worst = _smallest_ratio(inequality, proof["cells"], [*box, band], level)
+    whole = [box[name] for name in inequality.names]
+    worst = smallest_ratio(inequality, proof["cells"], [*whole, band], level)
     if inequality.dt:
-        worst = min(
-            worst, _smallest_ratio(Inequality(proof, static=True), proof["posed"], [*box, (0.0, math.inf)], None)
-        )
-    stable = False
-    if proof.get("stable") is not None:
-        point = proof["stable"]["point"]
-        if not all(low <= value <= high for value, (low, high) in zip(point, box)) or len(point) != len(box):
-            raise ProofError(f"the stable member must be inside the box, got {point}")
-        worst, stable = min(worst, inequality.stable_ratio(proof["stable"])), band == (0.0, math.inf)
-        if not worst >= 1.0:
-            raise ProofError("the Lyapunov inequality of the stable member must hold beyond rounding, got no margin")
-    if proof["kind"] == "stability" and not stable:
-        raise ProofError("a proof of stability must have a stable member and a band from zero to infinity")
-    named, omega = dict(zip(inequality.names, box)), frequencies(band, inequality.dt)
+        static = Inequality(proof, static=True)
+        worst = min(worst, smallest_ratio(static, proof["posed"], [*whole, (0.0, math.inf)], None))
+    if stable is not None:
+        point = stable["point"]
+        inside = len(point) == len(whole) and all(low <= at <= high for at, (low, high) in zip(point, whole))
+        require(inside, f"the stable member must be inside the box, got {point}")
+        worst = min(worst, inequality.stable_ratio(stable))
+        require(worst >= 1.0, "the Lyapunov inequality of the stable member must hold beyond rounding, got no margin")
+    proven = stable is not None and band == (0.0, math.inf)
+    require(proven or what == "gain", "a proof of stability must have a stable member and a band from zero to infinity")
+    named, omega = dict(zip(inequality.names, whole)), frequencies(band, inequality.dt)
     disks = {disk.name: disk.radius for disk in inequality.disks}
-    return CheckedProof(proof["kind"], level, named, omega, len(proof["cells"]), worst, stable, disks)
+    return CheckedProof(what, level, named, omega, len(proof["cells"]), worst, proven, disks)
+
+
+def _band(ends: Any) -> Interval:
+    band = float(ends[0]), math.inf if ends[1] is None else float(ends[1])
+    require(0.0 <= band[0] < band[1], f"a band must be two frequencies with 0 <= lower < upper, got {ends}")
+    return band
 
 
 def require_names(proof: dict[str, Any], inequality: Inequality) -> None:
     """Whether all that is by name is of the elements of the system, nothing missing and nothing more."""
     real, every = {*inequality.names}, {*inequality.names, *(disk.name for disk in inequality.disks)}
     cells, stable = (*proof["cells"], *proof.get("posed", ())), proof["stable"]
-    own = [("box", proof["box"], real)]
+    own = [("box", proof["claim"]["box"], real)]
     own += [(key, cell[key], names) for cell in cells for key, names in (("D", every), ("G", real))]
     own += [("weights", stable["weights"], every)] if stable is not None else []
     for what, values, names in own:
-        if set(values) != names:
-            raise ProofError(f"{what} must have the names {sorted(names)}, got {sorted(values)}"[:300])
-    if (proof["format"] == DISCRETE) != ("posed" in proof):
-        raise ProofError("cells that show members well posed must be in a proof in discrete time, and in no other")
+        require(set(values) == names, f"{what} must have the names {sorted(names)}, got {sorted(values)}"[:300])
+    discrete = (inequality.dt > 0.0) == ("posed" in proof)
+    require(discrete, "cells that show members well posed must be in a proof in discrete time, and in no other")
 
 
-def _smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:
+def smallest_ratio(inequality: Inequality, contents: Any, whole: Any, level: float | None) -> float:
     """Smallest ratio of the cells, which must cover the box and the band without overlap."""
     cells = [[*((float(a), float(b)) for a, b in c["intervals"]), _band(c["band"])] for c in contents]
     for i, cell in enumerate(cells):
-        if len(cell) != len(whole) or not all(lo <= a <= b <= hi for (a, b), (lo, hi) in zip(cell, whole)):
-            raise ProofError(f"cell {i} must be inside the box, got {cell}")
+        inside = len(cell) == len(whole) and all(lo <= a <= b <= hi for (a, b), (lo, hi) in zip(cell, whole))
+        require(inside, f"cell {i} must be inside the box, got {cell}")
     ends = np.array(cells).reshape(len(cells), -1, 2)
-    for i, cell_ends in enumerate(ends):
-        if np.sum(np.all((ends[:, :, 0] < cell_ends[:, 1]) & (ends[:, :, 1] > cell_ends[:, 0]), axis=1)) > 1:
-            raise ProofError(f"cells must not overlap, got another one that overlaps cell {i}")
+    for i, own in enumerate(ends):
+        overlapping = np.sum(np.all((ends[:, :, 0] < own[:, 1]) & (ends[:, :, 1] > own[:, 0]), axis=1))
+        require(overlapping <= 1, f"cells must not overlap, got another one that overlaps cell {i}")
     hole = uncovered(whole, cells)
-    if hole is not None:
-        raise ProofError(f"the cells must cover the box and the band, got a hole at {hole}")
+    require(hole is None, f"the cells must cover the box and the band, got a hole at {hole}")
     worst = math.inf
     for i, content in enumerate(contents):
         worst = min(worst, inequality.ratio(content, level))
-        if not worst >= 1.0:
-            raise ProofError(f"the inequality of cell {i} must hold beyond rounding, got no margin at {cells[i]}")
+        require(worst >= 1.0, f"the inequality of cell {i} must hold beyond rounding, got no margin at {cells[i]}")
     return worst
 
 
-def frequencies(band: tuple[float, float], dt: float) -> tuple[float, float]:
+def frequencies(band: Interval, dt: float) -> Interval:
     """Frequencies [rad/s] inside a band; in discrete time `band` has the tangents of half their angles."""
     if not dt:
         return band

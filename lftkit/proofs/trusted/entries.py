@@ -1,4 +1,4 @@
-"""The one reader of what files of proofs hold: exact types and shapes, nothing unknown, nothing twice.
+"""The one reader of proofs: a header and arrays, exact types and shapes, nothing unknown, nothing twice.
 
 A *form* is a function of a value and its name; it returns the value that the program uses, or refuses with a
 :class:`ProofError`. A truth value is no number, a number no truth value, a whole number with a point no index; of all
@@ -27,8 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from lftkit.proofs.trusted.proof import ProofError
+from lftkit.proofs.trusted.proof import ProofError, require
 
+FORMAT = "lftkit proof 2"
+"""First entry of every header."""
 Form = Callable[[Any, str], Any]
 MOST_BYTES = 2**31
 """Of a file, and of all its members unpacked."""
@@ -43,37 +45,26 @@ def refuse(where: str, wanted: str, got: Any) -> ProofError:
     return ProofError(f"{where} must be {wanted}, got {repr(got)[:60]}")
 
 
-def number(value: Any, where: str) -> float:
-    """A finite number."""
-    if type(value) not in (int, float) or not abs(value) < 1.8e308:
-        raise refuse(where, "a finite number", value)
-    return float(value)
+def entry(wanted: str, met: Callable[[Any], bool], made: Callable[[Any], Any]) -> Form:
+    """A value of a type and with limits."""
+
+    def read(value: Any, where: str) -> Any:
+        if not met(value):
+            raise refuse(where, wanted, value)
+        return made(value)
+
+    return read
 
 
-def index(value: Any, where: str) -> int:
-    """A whole number from zero on."""
-    if type(value) is not int or not 0 <= value < LARGEST_INDEX:
-        raise refuse(where, "a whole number from zero on", value)
-    return int(value)
+number = entry("a finite number", lambda v: type(v) in (int, float) and abs(v) < 1.8e308, float)
+index = entry("a whole number from zero on", lambda v: type(v) is int and 0 <= v < LARGEST_INDEX, int)
+text = entry("a text", lambda v: type(v) is str and len(v) <= LONGEST_TEXT, str)
+truth = entry("true or false", lambda v: type(v) is bool, bool)
 
 
-def text(value: Any, where: str) -> str:
-    """A text."""
-    if type(value) is not str or len(value) > LONGEST_TEXT:
-        raise refuse(where, "a text", value)
-    return str(value)
-
-
-def truth(value: Any, where: str) -> bool:
-    """True or false."""
-    if type(value) is not bool:
-        raise refuse(where, "true or false", value)
-    return bool(value)
-
-
-def word(value: Any, where: str) -> str | float:
+def word(value: Any, where: str) -> Any:
     """A text or a number for people."""
-    return text(value, where) if type(value) is str else number(value, where)
+    return (text if type(value) is str else number)(value, where)
 
 
 def maybe(form: Form) -> Form:
@@ -132,6 +123,16 @@ def record(forms: Mapping[str, Form], optional: Mapping[str, Form] | None = None
     return read
 
 
+def header_of(
+    given: Any, kind: str, forms: Mapping[str, Form], optional: Mapping[str, Form] | None = None
+) -> dict[str, Any]:
+    """Header of a proof of a kind: the format, the kind, and entries of these forms."""
+    kind_of = given.get("kind") if isinstance(given, dict) and given.get("format") == FORMAT else None
+    if kind_of != kind:
+        raise refuse("header", f"one of {FORMAT!r}, kind {kind!r}", kind_of)
+    return dict(record({"format": text, "kind": text, **forms}, optional)(given, "header"))
+
+
 def table(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Rows of finite numbers, all of the same length."""
     rows: Any = value if type(value) in (list, tuple) else (None,)
@@ -166,15 +167,14 @@ def parsed(content: bytes, where: str) -> Any:
 
     def entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
-        if len(found) != len(pairs):
-            raise ProofError(f"{where} must have no key twice, got {[key[:60] for key, _ in pairs]}"[:300])
+        require(len(found) == len(pairs), f"{where} must have no key twice, got {[k[:60] for k, _ in pairs]}"[:300])
         return found
 
     def refused(name: str) -> Any:
         raise refuse(where, "JSON with finite numbers", name)
 
     def finite(digits: str) -> float:
-        return number(float(digits), where)
+        return float(number(float(digits), where))
 
     try:
         given = content.decode("utf-8")
@@ -195,11 +195,10 @@ def zip_members(path: Path) -> dict[str, bytes]:
     """
     with zipfile.ZipFile(path) as archive:
         infos = archive.infolist()
-        if len(infos) > MOST_MEMBERS or sum(info.file_size for info in infos) > MOST_BYTES:
-            raise ProofError(f"the file must have at most {MOST_MEMBERS} members and {MOST_BYTES} bytes, got more")
+        few = len(infos) <= MOST_MEMBERS and sum(info.file_size for info in infos) <= MOST_BYTES
+        require(few, f"the file must have at most {MOST_MEMBERS} members and {MOST_BYTES} bytes, got more")
         found = {info.filename: archive.read(info) for info in infos}
-        if len(found) != len(infos):
-            raise ProofError(f"the file must have no member twice, got {sorted(found)}"[:300])
+        require(len(found) == len(infos), f"the file must have no member twice, got {sorted(found)}"[:300])
         return found
 
 
@@ -211,10 +210,9 @@ def file_content(path: Path) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
     ProofError
         No ordinary file of a limited size, a member twice, of another type or larger than it says, or no JSON.
     """
-    if not path.is_file():
-        raise ProofError(f"the proof must be an ordinary file, got {path}")
-    if path.stat().st_size > MOST_BYTES:
-        raise ProofError(f"the file must have at most {MOST_BYTES} bytes, got {path.stat().st_size}")
+    require(path.is_file(), f"the proof must be an ordinary file, got {path}")
+    size = path.stat().st_size
+    require(size <= MOST_BYTES, f"the file must have at most {MOST_BYTES} bytes, got {size}")
     try:
         if not zipfile.is_zipfile(path):
             return parsed(path.read_bytes(), "the file"), {}
@@ -236,7 +234,7 @@ def member(data: bytes, name: str) -> np.ndarray[Any, Any]:
     count, start = math.prod(shape), stream.tell()
     known = name.endswith(".npy") and version in ((1, 0), (2, 0)) and kind.str in TYPES
     sizes = all(type(size) is int and size >= 0 for size in shape)
-    if not (known and sizes and len(data) - start == count * kind.itemsize):
-        raise ProofError(f"{name} must be an array of {', '.join(TYPES)} and of its size, got {kind.str} {shape}")
+    own = known and sizes and len(data) - start == count * kind.itemsize
+    require(own, f"{name} must be an array of {', '.join(TYPES)} and of its size, got {kind.str} {shape}")
     values = np.frombuffer(data[start:], kind) if count else np.zeros(0, kind)
     return values.reshape(shape, order="F" if by_columns else "C").copy()

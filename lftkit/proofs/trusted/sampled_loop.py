@@ -1,26 +1,97 @@
-"""Premises of the statement of a proof that need no inequality: numbers, sizes, box and band.
+"""Check of a proof of a sampled loop: its gain over a box of parameters and a band of frequencies.
 
-The bounds of rounding hold for double precision and frequencies that are not negative, and sums pair parameters with
-their channels, intervals and scalings one by one: a missing entry would leave one of them out.
+Premises that need no inequality are numbers, sizes, box and band. The bounds of rounding hold for double precision and
+frequencies that are not negative, and sums pair parameters with their channels, intervals and scalings one by one: a
+missing entry would leave one of them out. Each premise is asked for by a function of its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from lftkit.proofs.trusted.loop import Loop
-from lftkit.proofs.trusted.proof import Interval, ProofError, Strip
+from lftkit.proofs.trusted.proof import Box, Each, Interval, Strip, indices, refusing, require
+from lftkit.proofs.trusted.stability import stable_below
+from lftkit.proofs.trusted.strips import check_strips
 
-if TYPE_CHECKING:
-    from lftkit.proofs.trusted.given import LoopProof, Responses
-
-REAL = ("D", "K_D", "weights")
+OF_REAL = ("D", "K_D", "weights")
 MOST_TICKS = 10_000
 """For which a measurement is held: the hold is a sum of as many terms."""
+
+
+@dataclass(frozen=True)
+class LoopProof:
+    """What is claimed of a loop and the strips that prove it.
+
+    Parameters
+    ----------
+    model : Loop
+    names : tuple of str
+        Of the parameters.
+    box : tuple of (low, high)
+        As in :class:`~lftkit.proofs.trusted.proof.Strip`.
+    band : (low, high)
+        Frequencies [rad/s].
+    level : float
+        The gain is below this part of the limit.
+    strips : tuple of Strip
+    about : mapping
+        What the loop is, for people: figure, stage, designs.
+    """
+
+    model: Loop
+    names: tuple[str, ...]
+    box: Box
+    band: Interval
+    level: float
+    strips: tuple[Strip, ...]
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CheckedLoop:
+    """What a proof that passed guarantees."""
+
+    level: float
+    names: tuple[str, ...]
+    box: Box
+    band: Interval
+    strips: int
+    windows: int
+    about: dict[str, Any]
+    stable_below: float
+    """No pole crosses the axis up to this frequency [rad/s] and the nominal loop was proven stable: infinite if
+    `stable`, zero if nothing was proven of stability.
+    """
+
+    @property
+    def stable(self) -> bool:
+        """Every member: the nominal loop was proven stable, and no pole crosses the axis."""
+        return math.isinf(self.stable_below)
+
+
+def check_loop_proof(proof: LoopProof, each: Each = map, stability: bool = True) -> CheckedLoop:
+    """Verify a proof of a loop; a ProofError says why it is refused.
+
+    Parameters
+    ----------
+    proof : LoopProof
+    each : callable
+        Maps a function over the strips; they may be checked in several processes.
+    stability : bool
+        Whether stability is looked at, too; without it the result says that nothing was proven of it.
+    """
+    with refusing("a proof of a loop"):
+        require_premises(proof)
+        model, strips, box, band = proof.model, proof.strips, proof.box, proof.band
+        windows = check_strips(model, strips, box, band, proof.level, each, "rad/s")
+        below = stable_below(model, band, box) if stability else 0.0
+        return CheckedLoop(proof.level, proof.names, box, band, len(strips), windows, dict(proof.about), below)
 
 
 def require_premises(proof: LoopProof) -> None:
@@ -30,19 +101,6 @@ def require_premises(proof: LoopProof) -> None:
     require_groups(proof)
     require_box(proof.box)
     require_band(proof)
-    for number, strip in enumerate(proof.strips):
-        require_strip(number, strip, proof.model)
-
-
-def require(met: object, message: str) -> None:
-    """Refuse a proof where a premise is not met."""
-    if not met:
-        raise ProofError(message)
-
-
-def indices(values: Sequence[object], below: int) -> bool:
-    """Whether all are integers from zero to `below`; truth values, which numpy takes for a mask, are none."""
-    return all(type(value) is int and 0 <= value < below for value in values)
 
 
 def shapes_of(model: Loop) -> dict[str, tuple[int, ...]]:
@@ -55,8 +113,8 @@ def shapes_of(model: Loop) -> dict[str, tuple[int, ...]]:
 
 def require_numbers(model: Loop) -> None:
     """Finite numbers in double precision; real where the system has to be real; dt, limit and amplitudes positive."""
-    for name in ("poles", "C", "B", "K_poles", "K_C", "K_B", *REAL):
-        kind, array = (np.float64 if name in REAL else np.complex128), getattr(model, name)
+    for name in ("poles", "C", "B", "K_poles", "K_C", "K_B", *OF_REAL):
+        kind, array = (np.float64 if name in OF_REAL else np.complex128), getattr(model, name)
         finite = array.dtype == kind and np.all(np.isfinite(array))
         require(finite, f"{name} must have finite numbers of type {kind.__name__}, got others or {array.dtype}")
     dt, scale, window = model.dt, model.scale, model.window
@@ -105,18 +163,3 @@ def require_band(proof: LoopProof) -> None:
     band, level = proof.band, proof.level
     within = 0.0 <= band[0] < band[1] <= math.pi / proof.model.dt * (1.0 + 1e-12) and 0.0 < level < math.inf
     require(within, f"a proof needs 0 <= low < high <= pi / dt and a level, got {band} and {level}")
-
-
-def require_strip(number: int, strip: Strip, model: Responses) -> None:
-    """Ordered intervals; frequencies that ascend from zero or above; scalings of every parameter at every one."""
-    nodes, shapes = strip.nodes, [(len(strip.nodes), len(group), len(group)) for group in model.groups]
-    finite = len(strip.box) == len(shapes) and all(-math.inf < low <= high < math.inf for low, high in strip.box)
-    require(finite, f"strip {number} must have a finite interval of each parameter, got {strip.box}")
-    numbers = nodes.dtype == np.float64 and nodes.ndim == 1 and len(nodes) >= 2
-    ascending = numbers and nodes[0] >= 0.0 and nodes[-1] < math.inf and np.all(np.diff(nodes) > 0.0)
-    require(ascending, f"strip {number} must have two frequencies from zero or above that ascend, got {nodes}")
-    for name, scalings in (("D", strip.D), ("G", strip.G)):
-        own = [array.shape for array in scalings] == shapes and all(m.dtype == np.complex128 for m in scalings)
-        require(own, f"strip {number} must have {name} of shapes {shapes}, got others")
-    factors = strip.factor.shape == nodes.shape and strip.factor.dtype == np.float64
-    require(factors, f"strip {number} must have a factor at each node, got shape {strip.factor.shape}")
