@@ -45,9 +45,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lftkit.proofs.earlier_files import present_header
 from lftkit.proofs.sampled_loop import LoopModel
-from lftkit.proofs.trusted import checker
+from lftkit.proofs.trusted import sampled_loop
 from lftkit.proofs.trusted.proof import ProofError, Strip
+from lftkit.proofs.trusted.strips import check_strip
 from los_design.search.worst_points import load_worst_points
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import MANIFEST, CheckedBundle, as_mapping, check_bundle, member_of, open_bundle
@@ -94,9 +96,9 @@ def stability_key(model: LoopModel, band: Any, box: Any) -> bytes:
 
 def remember() -> Callable[..., Iterable[int | str]]:
     """Let checks of stability and loops be remembered; returns the map over strips that does so, too."""
-    strip = Remembered(checker.check_strip, strip_key)
-    stability: Any = Remembered(checker.stable_below, stability_key)
-    checker.stable_below = stability
+    strip = Remembered(check_strip, strip_key)
+    stability: Any = Remembered(sampled_loop.stable_below, stability_key)
+    sampled_loop.stable_below = stability
     patched: Any = bundles
     loop, plant = patched.OpenLoop, patched.control_loop_plant
 
@@ -190,14 +192,16 @@ def wider_box(data: bytes, chance: random.Random) -> bytes:
     """
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
-    header = json.loads(bytes(arrays["header"]))
-    boxes, k, factor = arrays["boxes"].copy(), chance.randrange(len(header["box"])), 1.0 + chance.choice((*SMALL, 0.1))
+    header = present_header(json.loads(bytes(arrays["header"])))
+    claim, names = header["claim"], header["plant"]["parameters"]
+    boxes, k, factor = arrays["boxes"].copy(), chance.randrange(len(names)), 1.0 + chance.choice((*SMALL, 0.1))
+    ends = claim["box"][names[k]]
     for end in (0, 1):
         face = boxes[:, k, end]
-        boxes[:, k, end] = np.where(face == header["box"][k][end], factor * face, face)
-        header["box"][k][end] *= factor
-    if "level" in header:
-        header["level"] *= chance.choice((1.0, 1.5, 1e3))
+        boxes[:, k, end] = np.where(face == ends[end], factor * face, face)
+        ends[end] *= factor
+    if "level" in claim:
+        claim["level"] *= chance.choice((1.0, 1.5, 1e3))
     arrays |= {"boxes": boxes, "header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     target = io.BytesIO()
     np.savez(target, **arrays)

@@ -144,15 +144,11 @@ def noise_exceeds(path: Path, checked: Any) -> bool:
 def system_exceeds(path: Path, checked: Any) -> bool:
     """Whether a member of a system has a larger gain than stated, or is unstable where stability is."""
     header, arrays = read(path)
-    own = header["system"] if path.suffix == ".json" else {**header, **arrays}
+    own, names = {**header["plant"], **arrays}, list(checked.box)
     A, B, C, D = (np.array(own[key], dtype=float) for key in "ABCD")
-    nominal = [p["nominal"] for p in own["parameters"]] if path.suffix == ".json" else header["nominal"]
-    names = list(checked.box)
-    groups = (
-        [[i for i, c in enumerate(own["channels"]) if c == n] for n in names]
-        if path.suffix == ".json"
-        else header["groups"]
-    )
+    cells = path.suffix == ".json"
+    nominal = [p["nominal"] for p in own["parameters"]] if cells else own["nominal"]
+    groups = [[i for i, c in enumerate(own["channels"]) if c == n] for n in names] if cells else own["groups"]
     q = sum(map(len, groups))
     for point in members([checked.box[name] for name in names]):
         delta = np.zeros(q)
@@ -197,12 +193,13 @@ def changed(value: Any, path: tuple[Any, ...], change: Callable[[Any], Any]) -> 
 def claim(content: Content, chance: random.Random) -> None:
     """Claim less than a member has: 5 at least, 7.07 of two rows."""
     header, part = content[0], chance.choice(LESS)
-    if header.get("level") is not None:
-        header["level"] = 4.99 * part
-    for entry in header.get("parts", ()):
+    own = header["claim"]
+    if own.get("level") is not None:
+        own["level"] = 4.99 * part
+    for entry in own.get("parts", ()):
         entry[3] *= 0.9 * part
-    if header.get("kind") == "stability" and "system" in header:
-        header["system"]["A"][-1][-1] = abs(header["system"]["A"][-1][-1])  # damping that is negative
+    if own["property"] == "stability" and "A" in header["plant"]:
+        header["plant"]["A"][-1][-1] = abs(header["plant"]["A"][-1][-1])  # damping that is negative
 
 
 def scaling(content: Content, chance: random.Random) -> None:
@@ -245,7 +242,7 @@ def types(content: Content, chance: random.Random) -> None:
     """Entries of another type; rows, groups and parts most of all. Arrays of another type or shape."""
     header, arrays = content
     own = [p for p in places(header) if p[0] != "sha256"]
-    some = [p for p in own if p[0] in ("rows", "groups", "parts", "angle", "kinds", "added", "returned", "commands")]
+    some = [p for p in own if {*p} & {"rows", "groups", "parts", "angle", "kinds", "added", "returned", "commands"}]
     for _ in range(chance.choice((1, 2, 3))):
         path = chance.choice(some if some and chance.random() < 0.7 else own)
         with_bools = chance.random() < 0.4
@@ -274,9 +271,10 @@ def types(content: Content, chance: random.Random) -> None:
 def masks(content: Content, chance: random.Random) -> None:
     """Rows as truth values, in the model and in its parts, at the level of one row."""
     header, _ = content
-    if "rows" in header:
-        header["rows"] = [bool(row) for row in header["rows"]]
-        for part in header.get("parts", ()):
+    plant = header["plant"]
+    if "rows" in plant:
+        plant["rows"] = [bool(row) for row in plant["rows"]]
+        for part in header["claim"].get("parts", ()):
             part[0] = [bool(row) for row in part[0]]
             part[3] = TWO * chance.choice((0.72, 0.75, 0.8))
 
@@ -297,7 +295,7 @@ def uniform(content: Content, chance: random.Random) -> None:
 def entries(content: Content, chance: random.Random) -> None:
     """Entries left out, added, exchanged."""
     header, arrays = content
-    target = arrays if arrays and chance.random() < 0.5 else header
+    target = arrays if arrays and chance.random() < 0.5 else chance.choice((header, header["claim"], header["plant"]))
     name = chance.choice(sorted(target))
     if chance.random() < 0.5:
         del target[name]
@@ -315,8 +313,7 @@ def frequencies(content: Content, chance: random.Random) -> None:
         with np.errstate(all="ignore"):
             arrays[name] = (arrays[name] * factor).astype(arrays[name].dtype)
     else:
-        own = [p for p in places(header) if p[0] in ("band", "box", "border", "nominal", "cells")]
-        own = [p for p in own if p[0] != "cells" or (len(p) > 2 and p[2] in ("band", "intervals", "centre"))]
+        own = [p for p in places(header) if {*p} & {"band", "box", "border", "nominal", "intervals", "centre"}]
         changed(header, chance.choice(own), lambda old: old * factor if isinstance(old, (int, float)) else old)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from support.stored_proofs import FOLDER, SUFFIX, unpack
 
-from lftkit.proofs.trusted import checker
+from lftkit.proofs.trusted import sampled_loop
 from los_design.synthesis.store import load_designs
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import write_bundle
@@ -25,7 +25,7 @@ SPEC.loader.exec_module(script)
 
 STAGE, FIGURE = "fsm+pma", "fast, 126 to 128.5"
 NAME = bundles.member_of(STAGE, FIGURE)
-PATCHED = ((checker, ["stable_below"]), (bundles, ["OpenLoop", "control_loop_plant"]))
+PATCHED = ((sampled_loop, ["stable_below"]), (bundles, ["OpenLoop", "control_loop_plant"]))
 """What the script replaces."""
 
 

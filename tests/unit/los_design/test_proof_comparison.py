@@ -11,9 +11,9 @@ import pytest
 from los_testbed.cli.app import main
 from support.stored_proofs import FOLDER, SUFFIX, unpack
 
-from lftkit.proofs.checking import proof_format
+from lftkit.proofs.checking import proof_kind
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
-from lftkit.proofs.sampled_loop.files import FORMAT, read_loop_proof, write_loop_proof
+from lftkit.proofs.sampled_loop.files import LOOP, read_loop_proof, write_loop_proof
 from lftkit.proofs.trusted.strips import windows_of
 from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
@@ -130,7 +130,7 @@ def test_command_refuses_the_proof_of_another_pair(
 
 def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:
     path = unpack(FOLDER / f"fsm+pma-APE{SUFFIX}", tmp_path / "APE.npz")
-    assert proof_format(path) == FORMAT
+    assert proof_kind(path) == LOOP
     proof = read_loop_proof(path)
     strip = max(proof.strips, key=lambda s: s.nodes[-1] / s.nodes[0] if s.nodes[0] else 0.0)
     assert windows_of(proof.model, strip, 0, proof.level)

@@ -30,7 +30,7 @@ def test_the_command_checks_a_file(proof: Content, tmp_path: Path) -> None:
     code = "import sys; from los_testbed.cli.app import main; main(sys.argv[1:])"
     for content, expected, text in (
         (proof, 0, "proven: stable"),
-        ({**proof, "kind": "gain"}, 1, "refused: the content must match"),
+        ({**proof, "stable": None}, 1, "refused: the content must match"),
     ):
         path.write_text(json.dumps(content), "utf-8")
         done = subprocess.run(
