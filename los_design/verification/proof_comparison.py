@@ -10,12 +10,13 @@ differ from machine to machine: their poles and their responses are compared, at
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
+from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.noise import NoiseProof
 from lftkit.proofs.trusted.proof import Interval, ProofError
 from los_design.verification.loop_models import NYQUIST, box_of, provable, telescope_model
@@ -82,7 +83,7 @@ def same_noise(proof: NoiseProof, loop: ImplementedLoop) -> bool:
     return _compared(proof.model, anew.model, (0.0, NYQUIST), []).same
 
 
-def _compared(one: LoopModel, model: LoopModel, band: Interval, found: list[str]) -> ProofComparison:
+def _compared(one: Loop, model: Loop, band: Interval, found: list[str]) -> ProofComparison:
     """Compare the model of a file with that of a loop; `found` is what else is another one."""
     found = [name for name in EXACT if not _equal(getattr(model, name), getattr(one, name))] + found
     for name, where in POLES.items():
@@ -137,7 +138,7 @@ def _equal(one: Any, other: Any) -> bool:
     return np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
 
 
-def _shapes(model: LoopModel) -> tuple[tuple[int, ...], ...]:
+def _shapes(model: Loop) -> tuple[tuple[int, ...], ...]:
     return tuple(getattr(model, name).shape for name in ("C", "B", "D", "K_C", "K_B", "K_D"))
 
 
@@ -158,7 +159,7 @@ def _same_poles(one: ComplexArray, other: ComplexArray) -> bool:
     return True
 
 
-def _frequencies(model: LoopModel, band: Interval) -> FloatArray:
+def _frequencies(model: Loop, band: Interval) -> FloatArray:
     """Resonances of telescope and controllers in a band, and frequencies between them."""
     low, high = max(band[0], LOWEST), band[1]
     resonances = np.abs(model.poles.imag), np.abs(np.angle(model.K_poles)) / model.dt
@@ -166,7 +167,7 @@ def _frequencies(model: LoopModel, band: Interval) -> FloatArray:
     return found[(found >= low) & (found <= high)]
 
 
-def _difference(one: LoopModel, other: LoopModel, omega: float) -> float:
+def _difference(one: Loop, other: Loop, omega: float) -> float:
     """Largest difference of the responses at a frequency, of the largest entry of each."""
-    pairs = zip(one.at(omega), other.at(omega))
+    pairs = zip(*(cast("LoopModel", model).at(omega) for model in (one, other)))  # those of files and loops have it
     return max(float(np.abs(a - b).max() / max(np.abs(b).max(), np.finfo(float).tiny)) for a, b in pairs)

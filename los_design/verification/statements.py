@@ -1,6 +1,6 @@
 """What is proven of the controllers that fly: by the bundle of the shipped pair, or by one beside a user's controllers.
 
-``statements.json`` is what ``los-testbed design check-proof BUNDLE --json`` says of the bundle of the shipped pair. A
+``statements.json`` is what ``los-testbed design check-proof --json`` says of the bundle of the shipped pair. A
 bundle of a user is read and not checked here: that takes minutes.
 """
 

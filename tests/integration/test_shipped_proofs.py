@@ -10,18 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.stored_proofs import (
-    FOLDER,
-    SUFFIX,
-    halves,
-    planes,
-    rounded,
-    rounded_matrices,
-    unpack,
-    unplaned,
-    whole,
-    write_shipped_bundle,
-)
+from support.stored_proofs import halves, planes, rounded, rounded_matrices
 
 from lftkit.analysis.eigenvectors import modal
 from lftkit.proofs.sampled_loop import check_loop_proof
@@ -36,6 +25,7 @@ from los_design.verification.combined_bounds import error_sums
 from los_design.verification.error_sum import PART, ErrorSum
 from los_design.verification.loop_models import NYQUIST
 from los_design.verification.proof_comparison import compare_proof
+from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack, unplaned, whole, write_shipped_bundle
 from los_design.verification.statements import SHIPPED
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop

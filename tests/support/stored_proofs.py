@@ -1,4 +1,4 @@
-"""Proofs of the shipped pair as the tests keep them: Hermitian halves, rounded as far as the check allows, compressed.
+"""Store proofs of the shipped pair as ``los_design/verification/shipped_proofs.py`` reads them, rounded and compressed.
 
 Any scalings that pass the check prove the level. So each strip keeps the fewest bits of its scalings with which the
 checker still accepts it; loop, claim and nodes are kept as they are. The file of the fast tones with both stages holds
@@ -7,10 +7,9 @@ all bits of the proof that the command wrote: its 506 strips take an hour. To st
     los-testbed design certify --output FOLDER
     .venv/bin/python tests/support/stored_proofs.py FOLDER
 
-The bundle of the shipped pair, and what it proves (``los_design/verification/statements.json``)::
+What they prove (``los_design/verification/statements.json``)::
 
-    .venv/bin/python tests/support/stored_proofs.py bundle.zip
-    los-testbed design check-proof bundle.zip --json
+    los-testbed design check-proof --json
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from __future__ import annotations
 import io
 import lzma
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -32,18 +30,11 @@ from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, read_noise_proof, write_loop_proof
 from lftkit.proofs.trusted.proof import Strip
 from lftkit.proofs.trusted.strips import check_strip
-from los_design.synthesis.store import load_designs
-from los_design.verification.bundle import write_bundle
 from los_design.verification.noise_certificate import NOISE
-from titop_plant.telescope.load import load_telescope
+from los_design.verification.shipped_proofs import FOLDER, HALVES, SUFFIX, Scalings
 
-FOLDER = Path(__file__).parents[1] / "fixtures" / "proofs"
-SUFFIX = ".npz.xz"
 BITS = (7, 9, 11, 13, 16, 23)
 """Bits of the fraction that are tried, fewest first; single precision has 23."""
-
-Matrices = NDArray[np.complex64]
-Arrays = dict[str, Any]
 
 
 def rounded(values: NDArray[Any], bits: int) -> NDArray[np.float32]:
@@ -72,24 +63,11 @@ def rounded_strip(proof: LoopProof, strip: Strip) -> tuple[Strip, int]:
     raise ValueError("a strip must be accepted with all its bits, got one that is refused")
 
 
-def halves(matrices: Matrices) -> NDArray[np.float32]:
+def halves(matrices: Scalings) -> NDArray[np.float32]:
     """Upper triangles of Hermitian matrices, shape (k, m, m): real parts, then imaginary parts, shape (k, m^2)."""
     rows, columns = np.triu_indices(matrices.shape[1])
     above = rows < columns
     return np.hstack([matrices.real[:, rows, columns], matrices.imag[:, rows[above], columns[above]]])
-
-
-def whole(parts: NDArray[np.float32]) -> Matrices:
-    """Matrices of :func:`halves`."""
-    m = round(np.sqrt(parts.shape[1]))
-    rows, columns = np.triu_indices(m)
-    above = rows < columns
-    upper = parts[:, : len(rows)].astype(np.complex64)
-    upper[:, above] += np.complex64(1j) * parts[:, len(rows) :]
-    matrices = np.zeros((len(parts), m, m), np.complex64)
-    matrices[:, columns, rows] = upper.conj()
-    matrices[:, rows, columns] = upper
-    return matrices
 
 
 def planes(parts: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -97,12 +75,6 @@ def planes(parts: NDArray[np.float32]) -> NDArray[np.uint8]:
     words = np.ascontiguousarray(parts.T).view(np.uint32)
     words = np.hstack([words[:, :1], words[:, 1:] - words[:, :-1]])
     return np.ascontiguousarray(np.moveaxis(words.view(np.uint8).reshape(*words.shape, 4), -1, 0))
-
-
-def unplaned(stored: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Values of :func:`planes`."""
-    words = np.ascontiguousarray(np.moveaxis(stored, 0, -1)).view(np.uint32)[..., 0]
-    return np.ascontiguousarray(np.cumsum(words, axis=1, dtype=np.uint32).view(np.float32).T)
 
 
 def is_scaling(name: str, array: NDArray[Any]) -> bool:
@@ -134,7 +106,7 @@ def pack(source: Path, target: Path) -> Iterator[int]:
     np.savez(
         plain,
         **{
-            f"{name} halves" if is_scaling(name, array) else name: planes(halves(array))
+            f"{name}{HALVES}" if is_scaling(name, array) else name: planes(halves(array))
             if is_scaling(name, array)
             else array
             for name, array in arrays.items()
@@ -143,34 +115,8 @@ def pack(source: Path, target: Path) -> Iterator[int]:
     target.write_bytes(lzma.compress(plain.getvalue(), preset=9))
 
 
-def unpack(stored: Path, target: Path) -> Path:
-    """Write a stored proof as the file that ``los-testbed design certify`` writes; returns its path."""
-    with np.load(io.BytesIO(lzma.decompress(stored.read_bytes())), allow_pickle=False) as archive:
-        arrays: Arrays = {
-            name.removesuffix(" halves"): whole(unplaned(archive[name])) if name.endswith(" halves") else archive[name]
-            for name in archive.files
-        }
-    with target.open("wb") as file:
-        np.savez(file, **arrays)
-    return target
-
-
-def write_shipped_bundle(target: Path) -> None:
-    """Put all stored proofs into one bundle with the shipped controllers and the reference telescope."""
-    with tempfile.TemporaryDirectory() as folder:
-        proofs = {}
-        for stored in sorted(FOLDER.glob(f"*{SUFFIX}")):
-            stage, _, figure = stored.name.removesuffix(SUFFIX).rpartition("-")
-            proofs[stage, figure] = unpack(stored, Path(folder) / stored.name.removesuffix(".xz"))
-        write_bundle(target, load_telescope(), load_designs("implemented"), proofs)
-
-
-def main(path: Path) -> None:
-    """Store the proofs of a folder among the fixtures, or write the bundle of the shipped pair."""
-    if path.suffix == ".zip":
-        write_shipped_bundle(path)
-        return
-    folder = path
+def main(folder: Path) -> None:
+    """Store the proofs of a folder as those of the shipped pair."""
     for source in sorted(folder.glob("*.npz")):
         target = FOLDER / f"{source.stem}{SUFFIX}"
         bits = list(pack(source, target))

@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.trusted import sampled_loop
 from los_design.synthesis.store import load_designs
 from los_design.verification import bundle as bundles
 from los_design.verification.bundle import write_bundle
+from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 from titop_plant.telescope.load import load_telescope
 
 PATH = Path(__file__).parents[3] / "benchmarks" / "bundle_fuzz.py"

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.cli.designs.check_proof import _sentences
-from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.sampled_loop import LoopProof
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
@@ -43,6 +42,7 @@ from los_design.verification.bundle import (
 from los_design.verification.loop_models import box_of, figures_of, noise_model, provable, telescope_model
 from los_design.verification.noise_certificate import NOISE, noise_of_loop
 from los_design.verification.proof_comparison import proof_of_loop
+from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 from los_design.verification.statements import Statement, statement_of
 from los_design.verification.subject import BUNDLE, Subject
 from los_loop.implemented_loop import ImplementedLoop

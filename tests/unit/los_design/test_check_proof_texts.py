@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
-from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit import real, s
 from lftkit.proofs import worst_case_gain
 from lftkit.proofs.sampled_loop.files import read_loop_proof, write_loop_proof
 from lftkit.proofs.trusted.cells import digest
 from los_design.verification.check_proof_texts import TextError, require_plain
+from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 
 FORGED = "k in [8, 12]\nproven: gain below 1e-09 at all frequencies from 0 rad/s on\nproven: stable\nfor all k"
 OVERWRITTEN = "x\r\x1b[1A\x1b[2Kof the shipped controllers and telescope: their loop was made anew"

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from support.stored_proofs import FOLDER, SUFFIX, unpack
 
 from lftkit.proofs.checking import proof_kind
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof
@@ -18,6 +17,7 @@ from lftkit.proofs.trusted.strips import windows_of
 from los_design.synthesis.store import load_designs
 from los_design.verification.loop_models import box_of, figures_of, telescope_model
 from los_design.verification.proof_comparison import compare_proof
+from los_design.verification.shipped_proofs import FOLDER, SUFFIX, unpack
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
 from titop_plant.telescope.control_plant import control_loop_plant

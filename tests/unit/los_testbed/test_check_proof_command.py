@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +14,11 @@ from los_testbed.cli.app import main
 from support.uncertain_examples import aligned_modes
 
 from lftkit.proofs import BoundOptions, robust_stability
+from los_design.verification import shipped_proofs
 
 Content = dict[str, Any]
 PROOFS = Path(__file__).parents[2] / "fixtures" / "proofs"
+PLACE = shipped_proofs.FOLDER
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +63,28 @@ def test_what_a_proof_does_not_say_is_not_printed(
     assert main(["design", "check-proof", str(PROOFS / f"{name}.json")]) == 0
     shown = capsys.readouterr().out
     assert text in shown and not_text not in shown
+
+
+def test_without_a_file_the_shipped_proofs_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of them here; where they are not installed, or damaged, one line says so."""
+    (name,) = (file.name for file in shipped_proofs.FOLDER.glob("*fast, 126 to*"))
+    assert len(list(shipped_proofs.FOLDER.iterdir())) == 17
+    monkeypatch.setattr(shipped_proofs, "FOLDER", tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(["design", "check-proof"])
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"must be in {tmp_path}, got none" in line
+    stored = (PLACE / name).read_bytes()
+    (tmp_path / name).write_bytes(stored[:-1000])
+    with pytest.raises(SystemExit, match="1"):
+        main(["design", "check-proof"])
+    assert capsys.readouterr().err.startswith(f"refused: {name} must be a stored proof, got ")
+    (tmp_path / name).write_bytes(stored)
+    assert main(["design", "check-proof"]) == 0
+    assert re.search(
+        r"^proven: fsm\+pma, .* of the limit, from 126 to 128.5 rad/s$", capsys.readouterr().out, re.MULTILINE
+    )
+    with pytest.raises(SystemExit, match="2"):
+        main(["design", "check-proof", "--of", str(tmp_path)])

@@ -7,7 +7,9 @@ import json
 import math
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,6 +40,8 @@ words in the file prove nothing.
 
 **Examples**
 
+    los-testbed design check-proof                # the proofs of the shipped controllers: a quarter of an hour
+
     los-testbed design check-proof proofs/bundle.zip
 
     los-testbed design check-proof proof.json
@@ -50,7 +54,13 @@ words in the file prove nothing.
 
 @with_cluster
 def check_proof(
-    file: Annotated[Path, typer.Argument(help="Proof (.json), or bundle (.zip) or proof (.npz) of `design certify`.")],
+    file: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Proof (.json, .npz), or bundle (.zip) or proof (.npz) of `design certify`; "
+            "without one, the bundle of the shipped controllers."
+        ),
+    ] = None,
     of: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
     ] = None,
@@ -59,16 +69,28 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
+    if of is not None and (file is None or file.suffix != ".npz"):
+        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file or 'no file'}")
+    if file is not None:
+        _check(file, cluster, of, json_)
+        return
+    from los_design.verification.shipped_proofs import write_shipped_bundle
+    from los_design.verification.subject import BUNDLE
+
+    with tempfile.TemporaryDirectory() as folder, _refusals(Path(BUNDLE)):
+        write_shipped_bundle(Path(folder) / BUNDLE)
+        _check_bundle(Path(folder) / BUNDLE, cluster, json_)
+
+
+def _check(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
+    """Check a file."""
     from lftkit.proofs.checking import proof_kind
     from lftkit.proofs.sampled_loop.files import LOOP, NOISE
     from lftkit.proofs.trusted.proof import ProofError
-    from los_design.verification.check_proof_texts import TextError
 
     if not file.exists():
         raise ValueError(f"FILE must be a proof file, got {file}, which does not exist")
-    if of is not None and file.suffix != ".npz":
-        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file}")
-    try:
+    with _refusals(file):
         if file.suffix == ".zip":
             _check_bundle(file, cluster, json_)
         elif (kind := proof_kind(file)) == LOOP:
@@ -77,6 +99,16 @@ def check_proof(
             raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
             _check_system(file, json_)
+
+
+@contextmanager
+def _refusals(file: Path) -> Iterator[None]:
+    """Say why a proof is refused, with exit code 1."""
+    from lftkit.proofs.trusted.proof import ProofError
+    from los_design.verification.check_proof_texts import TextError
+
+    try:
+        yield
     except TextError as error:
         raise ValueError(f"{file}: {error}") from None
     except ProofError as error:
