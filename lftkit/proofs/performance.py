@@ -29,7 +29,7 @@ from lftkit.proofs.state_space.bounds import (
 )
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of
-from lftkit.proofs.state_space.search import Member, member_gain, scaled_box, worst_member
+from lftkit.proofs.state_space.search import Member, first_true, member_gain, scaled_box, worst_member
 from lftkit.systems.system import System
 from lftkit.uncertainty.elements import ComplexParameter
 from lftkit.uncertainty.parameters import RealParameter
@@ -157,8 +157,8 @@ class PerformanceProblem:
         if not self.disks and member.gain < self.level:
             return None
         at = self._way_of_disks(member) if self.disks else self._way(member)
-        part = _first(lambda share: at(share).gain >= self.level)
-        return None if part is None else (self._size(at(part)), at(part))
+        part = first_true(lambda share: at(share).gain >= self.level, np.linspace(0.0, 1.0, RAY + 1)[1:], PRECISION)
+        return None if np.isinf(part) else (self._size(at(part)), at(part))
 
     def _way(self, member: Member) -> Callable[[float], Member]:
         """Members by their part of the way to one, with their largest gain."""
@@ -197,19 +197,3 @@ def scaled_elements(system: System, factor: float) -> System:
         for e in system.elements
     )
     return replace(system, elements=elements)
-
-
-def _first(condition: Callable[[float], bool]) -> float | None:
-    """The least number in (0, 1] at which a condition holds, among :data:`RAY` and between two of them; or None."""
-    low = 0.0
-    for high in np.linspace(0.0, 1.0, RAY + 1)[1:]:
-        if condition(float(high)):
-            break
-        low = float(high)
-    else:
-        return None
-    up = float(high)
-    while up - low > PRECISION * up:
-        middle = 0.5 * (low + up)
-        low, up = (low, middle) if condition(middle) else (middle, up)
-    return up

@@ -24,13 +24,7 @@ from lftkit.proofs.state_space.bounds import SHARE, WHOLE, ProvenBounds, least_l
 from lftkit.proofs.state_space.cells import NARROW, Cell
 from lftkit.proofs.state_space.disk_search import DiskMember, DiskSearch
 from lftkit.proofs.state_space.disks import DiskChannels, disks_of, real_first, scaled_radii
-from lftkit.proofs.state_space.search import (
-    Member,
-    climbed,
-    member_gain,
-    scaled_box,
-    worst_member,
-)
+from lftkit.proofs.state_space.search import Member, climbed, member_gain, scaled_box, worst_member
 from lftkit.proofs.trusted.proof import COMPLEX, FULL, REAL, Interval, Strip
 from lftkit.systems.system import System
 

@@ -18,15 +18,7 @@ from scipy import linalg
 from lftkit.analysis.eigenvectors import EPS
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.proofs.blocks.balancing import balanced
-from lftkit.proofs.state_space.barrier import (
-    COMPLEX,
-    FULL,
-    REAL,
-    BarrierBlock,
-    BarrierProblem,
-    Scalings,
-    find_scalings,
-)
+from lftkit.proofs.state_space.barrier import COMPLEX, FULL, REAL, BarrierBlock, BarrierProblem, Scalings, find_scalings
 from lftkit.proofs.state_space.disks import disks_of
 from lftkit.systems.system import System
 

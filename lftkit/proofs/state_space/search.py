@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -322,16 +322,19 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
     def not_stable(A: FloatArray) -> bool:
         return bool(system.order and linalg.eigvals(A).real.max() >= 0.0)
 
-    return _first_true(unstable, largest)
+    return first_true(unstable, largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5, 1e-9)
 
 
-def _first_true(condition: Callable[[float], bool], largest: float) -> float:
-    grid = largest * np.linspace(0.0, 1.0, RAY_STEPS + 1)[1:] ** 1.5
+def first_true(condition: Callable[[float], bool], grid: Iterable[float], rtol: float) -> float:
+    """The least number at which a condition holds, among those of an ascending grid and below the first; or infinity.
+
+    Between two of the grid, of which it holds at the upper one, the number is bisected to `rtol`.
+    """
     before = 0.0
     for at in grid:
         if condition(float(at)):
             high = float(at)
-            while high - before > 1e-9 * high:
+            while high - before > rtol * high:
                 middle = 0.5 * (before + high)
                 if condition(middle):
                     high = middle
