@@ -45,7 +45,7 @@ def refuse(where: str, wanted: str, got: Any) -> ProofError:
     return ProofError(f"{where} must be {wanted}, got {repr(got)[:60]}")
 
 
-def entry(wanted: str, met: Callable[[Any], bool], made: Callable[[Any], Any]) -> Form:
+def single(wanted: str, met: Callable[[Any], bool], made: Callable[[Any], Any]) -> Form:
     """A value of a type and with limits."""
 
     def read(value: Any, where: str) -> Any:
@@ -56,10 +56,10 @@ def entry(wanted: str, met: Callable[[Any], bool], made: Callable[[Any], Any]) -
     return read
 
 
-number = entry("a finite number", lambda v: type(v) in (int, float) and abs(v) < 1.8e308, float)
-index = entry("a whole number from zero on", lambda v: type(v) is int and 0 <= v < LARGEST_INDEX, int)
-text = entry("a text", lambda v: type(v) is str and len(v) <= LONGEST_TEXT, str)
-truth = entry("true or false", lambda v: type(v) is bool, bool)
+number = single("a finite number", lambda v: type(v) in (int, float) and abs(v) < 1.8e308, float)
+index = single("a whole number from zero on", lambda v: type(v) is int and 0 <= v < LARGEST_INDEX, int)
+text = single("a text", lambda v: type(v) is str and len(v) <= LONGEST_TEXT, str)
+truth = single("true or false", lambda v: type(v) is bool, bool)
 
 
 def word(value: Any, where: str) -> Any:
