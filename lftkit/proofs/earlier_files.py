@@ -36,6 +36,7 @@ def present_header(header: Any) -> Any:
     name = current_name(header.get("format")) if isinstance(header, dict) else None
     if not isinstance(name, str) or name not in KINDS:
         return header
+    require(not {"claim", "plant"} & header.keys(), f"a header of {name!r} must have no claim and no plant, got one")
     kind = KINDS[name]
     found: dict[str, Any] = {"format": FORMAT, "kind": kind}
     if kind == "cells":

@@ -28,6 +28,7 @@ from lftkit.proofs.trusted.proof import (
     COMPLEX,
     FULL,
     REAL,
+    Box,
     CheckedProof,
     ComplexArray,
     Each,
@@ -203,7 +204,7 @@ class AxisClaim:
     level: float | None
     names: tuple[str, ...]
     nominal: tuple[float, ...]
-    box: tuple[Interval, ...]
+    box: Box
     band: Interval
     system: AxisSystem
     border: float
@@ -211,12 +212,12 @@ class AxisClaim:
     above: tuple[Strip, ...] = field(default=())
 
     @property
-    def deviations(self) -> tuple[Interval, ...]:
+    def deviations(self) -> Box:
         """Intervals of the deviations from the nominal values, rounded outwards."""
         return deviations_of(self.box, self.nominal)
 
 
-def deviations_of(box: tuple[Interval, ...], nominal: tuple[float, ...]) -> tuple[Interval, ...]:
+def deviations_of(box: Box, nominal: tuple[float, ...]) -> Box:
     """Intervals of ``value - nominal``, rounded outwards."""
 
     def away(value: float, middle: float, towards: float) -> float:
@@ -276,10 +277,8 @@ def require_claim(proof: AxisClaim) -> float:
     power = 2.0**-500 < border < 2.0**500 and math.frexp(border)[0] == 0.5
     above = low <= border or high < math.inf
     require(power and above, f"the border must be a power of two above the band's lower end, got {border}")
-    names, kinds = proof.names, proof.system.kinds
-    own = (
-        len(names) == len(set(names)) == len(proof.nominal) == len(proof.box) == len(kinds) == len(proof.system.groups)
-    )
+    names, kinds, count = proof.names, proof.system.kinds, len(proof.system.groups)
+    own = len(names) == len(set(names)) == len(proof.nominal) == len(proof.box) == len(kinds) == count
     require(own, "each element must have a name of its own, a kind, a nominal value and an interval")
     for kind, at, (lower, upper) in zip(kinds, proof.nominal, proof.box):
         disk = kind in (COMPLEX, FULL) and lower == -upper and at == 0.0
