@@ -24,7 +24,7 @@ from lftkit.tuning.goals import (
     Tracking,
 )
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-from lftkit.tuning.result import Round, TuningResult, WorstCase
+from lftkit.tuning.result import Level, Round, TuningResult, WorstCase
 from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.status import TuningStatus
@@ -51,6 +51,7 @@ __all__ = [
     "Goal",
     "H2Gain",
     "HinfGain",
+    "Level",
     "LoopShape",
     "Margins",
     "MaxLoopGain",

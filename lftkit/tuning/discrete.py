@@ -34,6 +34,7 @@ from lftkit.tuning.certificate import AGREEMENT, Certificate, weighted_loop
 from lftkit.tuning.descent.starts import start_checked
 from lftkit.tuning.goals import Goal
 from lftkit.tuning.goals.goal import resolved
+from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.problem import MIN_DECAY
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement, check_weights
 from lftkit.tuning.result import TuningResult
@@ -122,6 +123,15 @@ def tune_discrete(
     """
     ready, needs = resolved(models, requirements)
     dt = _common_period(ready)
+    if options is not None and options.lexicographic:
+
+        def run(
+            needs: Sequence[Requirement], structure: Structure, starts: Sequence[FloatArray], options: TuningOptions
+        ) -> TuningResult:
+            return tune_discrete(ready, needs, structure, initial=starts, min_decay=min_decay, options=options)
+
+        given = [start_checked(x, structure) for x in initial]
+        return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
     law = _law(structure, dt)
     images = [image_of_requirement(r, ready[0]) for r in needs]
     starts = [start_checked(x, structure) for x in initial]

@@ -7,8 +7,8 @@ largest soft value subject to every hard value being at most 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -17,6 +17,9 @@ from lftkit.analysis.norms import spectral_abscissa
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from lftkit.systems.exchange import as_system
 from lftkit.systems.system import System
+
+G = TypeVar("G", bound="_Gain")
+P = TypeVar("P", bound="_Poles")
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,10 @@ class _Gain:
         if not self.name:
             kind = type(self).__name__
             object.__setattr__(self, "name", f"{kind} {'+'.join(self.inputs)} -> {'+'.join(self.outputs)}")
+
+    def held(self: G, level: float) -> G:
+        """The hard requirement that is just met where this one has the value `level`, above 0."""
+        return replace(self, bound=level * self.bound, hard=True)
 
 
 @dataclass(frozen=True)
@@ -124,6 +131,20 @@ class _Poles:
             raise ValueError("a pole requirement needs min_decay, min_damping or max_frequency")
         if not self.name:
             object.__setattr__(self, "name", type(self).__name__)
+
+    def held(self: P, level: float) -> P:
+        """The hard requirement that is just met where this one has the value `level`, above 0.
+
+        Raises
+        ------
+        ValueError
+            A level of 2 or more, that of poles which do not decay.
+        """
+        if level >= 2.0 and (self.min_decay or self.min_damping):
+            raise ValueError(f"{self.name}: a level that is held must be below 2, got {level:g}")
+        decay, damping = (2.0 - level) * self.min_decay, (2.0 - level) * self.min_damping
+        largest = level * self.max_frequency
+        return replace(self, min_decay=decay, min_damping=damping, max_frequency=largest, hard=True)
 
     def pieces(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray, IntArray]:
         """Values, derivatives and pole numbers of all bounds.

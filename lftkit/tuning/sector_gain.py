@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -40,6 +40,11 @@ class SectorGain(HinfGain):
         super().__post_init__()
         if not (np.all(np.isfinite(self.fraction)) and self._determinant != 0.0):
             raise ValueError(f"fraction must be finite numbers (a, b, c, d) with a d - b c != 0, got {self.fraction}")
+
+    def held(self, level: float) -> SectorGain:
+        """As of :meth:`lftkit.tuning.HinfGain.held`."""
+        a, b, c, d = self.fraction
+        return replace(self, fraction=(a / level, b / level, c, d), hard=True)
 
     @property
     def _determinant(self) -> float:

@@ -37,6 +37,7 @@ from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.fixed_poles import slow_fixed_pole
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.goals import Goal, resolved
+from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.refinement import agree, refined_runs
@@ -79,6 +80,12 @@ class TuningOptions:
         Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
         whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
         the certificate's upper sides say so: no controller has less, and the stationarity is zero.
+    lexicographic : bool
+        After the most critical requirements the others are lowered, too: these are held at what they have reached,
+        and the largest soft value of the others is minimised, and so on (:mod:`lftkit.tuning.lexicographic`). The
+        first level takes half of the wall limit at most.
+    hold : float
+        Part by which a requirement that is held may rise above what it has reached.
     band : float
         Peaks above this fraction of the largest enter the quadratic programs.
     progress : bool
@@ -96,6 +103,8 @@ class TuningOptions:
     tolerance: float = 1e-4
     target: float = -np.inf
     met: float = -np.inf
+    lexicographic: bool = False
+    hold: float = 1e-3
     band: float = 0.3
     progress: bool = False
     parameter_limit: float = 1e8
@@ -110,6 +119,8 @@ class TuningOptions:
             raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if not self.parameter_limit > 0:
             raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
+        if not self.hold > 0:
+            raise ValueError(f"hold must be positive, got {self.hold}")
         if not 0 < self.band < 1:
             raise ValueError(f"band must be between 0 and 1, got {self.band}")
 
@@ -181,6 +192,15 @@ def tune(
     if structure.size and not (given or options.starts):
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
+    if options.lexicographic:
+        common: Any = {"loop_delay": loop_delay, "min_decay": min_decay}
+
+        def run(
+            needs: Sequence[Requirement], structure: Structure, starts: Sequence[FloatArray], options: TuningOptions
+        ) -> TuningResult:
+            return tune(ready, needs, structure, initial=starts, options=options, **common)
+
+        return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     if (fixed := slow_fixed_pole(problem)) is not None:

@@ -28,6 +28,7 @@ from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.goals import Goal, resolved_build
+from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import Requirement
 from lftkit.tuning.result import Round, TuningResult, WorstCase
@@ -138,6 +139,8 @@ def tune_robust(
     chosen = [dict(parameters) for parameters in active] or [middle]
     ready, needs = resolved_build(build, requirements, chosen[0])
     given = [start_checked(x, structure) for x in initial]
+    if options.tuning.lexicographic:
+        return _in_order(ready, box, needs, structure, loop_delay, options, chosen, given)
     with one_thread(), Progress("robust design", options.tuning.progress) as progress:
         design = _Design(ready, box, needs, structure, loop_delay, options, start_time, chosen, given, progress)
         found = in_rounds(design, options.max_rounds, deadline=design.deadline)
@@ -154,6 +157,32 @@ def tune_robust(
         active=tuple(chosen),
         rounds=tuple(design.rounds),
     )
+
+
+def _in_order(
+    build: Build,
+    box: Box,
+    requirements: Sequence[Requirement],
+    structure: Structure,
+    loop_delay: float,
+    options: RobustOptions,
+    active: Sequence[Mapping[str, float]],
+    given: Sequence[FloatArray],
+) -> TuningResult:
+    """Level by level; the models that one level has made active remain so."""
+    models = list(active)
+
+    def run(
+        needs: Sequence[Requirement], structure: Structure, starts: Sequence[FloatArray], tuning: TuningOptions
+    ) -> TuningResult:
+        rounds = options.max_rounds if structure.size else 1  # one controller is searched once
+        own = replace(options, tuning=tuning, max_rounds=rounds)
+        common: Any = {"active": models, "loop_delay": loop_delay, "options": own}
+        found = tune_robust(build, box, needs, structure, initial=starts, **common)
+        models[:] = found.active
+        return found
+
+    return tuned_in_order(run, requirements, structure, given, options.tuning, options.slack)
 
 
 @dataclass
