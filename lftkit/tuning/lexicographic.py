@@ -8,20 +8,18 @@ minimax, Ehrgott 2005, section 5.3). It works on any of the ways to tune, which 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
-from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.options import TuningOptions
+from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.result import Level, TuningResult
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import AffineStructure, Structure, gain_matrix_of
-
-if TYPE_CHECKING:
-    from lftkit.tuning.tuner import TuningOptions
 
 FIRST_SHARE = 0.5
 """Part of the wall limit for the first level, and of what is left then for each further tuning."""
@@ -40,13 +38,25 @@ GOES_ON = (
 )
 """Ends of a tuning after which its next level is tuned."""
 
-Run = Callable[[Sequence[Requirement], Structure, Sequence[FloatArray], "TuningOptions"], TuningResult]
-"""Tunes a structure against requirements from given starts."""
+
+class Tuner(Protocol):
+    """Tunes a structure against requirements from given starts."""
+
+    def __call__(
+        self,
+        requirements: Sequence[TuningRequirement],
+        structure: Structure,
+        *,
+        initial: Sequence[FloatArray],
+        options: TuningOptions,
+    ) -> TuningResult:
+        """As :func:`lftkit.tuning.tune`, with the models that are known."""
+        ...
 
 
 def tuned_in_order(
-    run: Run,
-    requirements: Sequence[Requirement],
+    run: Tuner,
+    requirements: Sequence[TuningRequirement],
     structure: Structure,
     initial: Sequence[FloatArray],
     options: TuningOptions,
@@ -72,7 +82,7 @@ def tuned_in_order(
     plain = replace(options, lexicographic=False)
     begin = time.monotonic()
     share = replace(plain, wall_limit=FIRST_SHARE * plain.wall_limit)
-    first = run(requirements, structure, initial, share)
+    first = run(requirements, structure, initial=initial, options=share)
     stops = first.status not in GOES_ON or not first.feasible or first.soft <= plain.target
     if stops or not structure.size:
         return first
@@ -80,7 +90,8 @@ def tuned_in_order(
     levels = _Levels(run, list(requirements), structure, plain, slack, begin + plain.wall_limit, first, [first])
     levels.to_the_end()
     best, left = levels.best, max(levels.left, LEAST_SHARE * plain.wall_limit)
-    judged = run(requirements, _constant(structure, best), (), replace(plain, starts=0, wall_limit=left))
+    effort = replace(plain, starts=0, wall_limit=left)
+    judged = run(requirements, _constant(structure, best), initial=(), options=effort)
     status = levels.status
     return replace(
         best,
@@ -106,8 +117,8 @@ def tuned_in_order(
 class _Levels:
     """The levels so far; `needs` are the requirements, those of past levels hard at what they have reached."""
 
-    run: Run
-    needs: list[Requirement]
+    run: Tuner
+    needs: list[TuningRequirement]
     structure: Structure
     options: TuningOptions
     slack: float
@@ -153,17 +164,17 @@ class _Levels:
                 critical = others
         return critical, len(critical) < len(near)
 
-    def _held(self, numbers: Sequence[int], top: float) -> list[Requirement]:
+    def _held(self, numbers: Sequence[int], top: float) -> list[TuningRequirement]:
         limit = top * (1.0 + self.options.hold)
         return [r.held(limit) if k in numbers else r for k, r in enumerate(self.needs)]
 
-    def _lowered(self, needs: Sequence[Requirement], below: float) -> bool:
+    def _lowered(self, needs: Sequence[TuningRequirement], below: float) -> bool:
         """Whether the soft ones of `needs` fall below a value, from the best point, which moves there."""
         if self.left < LEAST_SHARE * self.options.wall_limit:
             self.late = True
             return False
         options = replace(self.options, starts=0, wall_limit=FIRST_SHARE * self.left)
-        found = self.run(needs, self.structure, [self.best.x], options)
+        found = self.run(needs, self.structure, initial=[self.best.x], options=options)
         self.runs.append(found)
         if found.certificate is None or found.status not in (*GOES_ON, TuningStatus.INTERRUPTED):
             return False

@@ -19,7 +19,7 @@ from lftkit.tuning.gains.algebraic_loop import WellPosedness
 from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements.sector import SectorGain
 
 MAX_ORDER = 40  # of the closed loop: above it the grid of the smooth phase is cheaper
 RIVAL, MAX_RIVALS = 0.9, 3  # peaks of the frequencies tried above this fraction of the largest gain are refined

@@ -1,29 +1,36 @@
-"""What a design must do: gains between ports and locations of poles, each soft (minimised) or hard (at most 1).
-
-Every requirement has one normalised value per model: 1 is "just met", smaller is better. The tuner minimises the
-largest soft value subject to every hard value being at most 1.
-"""
+"""Gains between ports of the closed loop, with weights: H-infinity and H2."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import scipy.linalg
 
-from lftkit.analysis.norms import spectral_abscissa
-from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from lftkit.analysis.band_gain import band_gain
+from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, spectral_abscissa
+from lftkit.arrays import BoolArray, FloatArray
+from lftkit.systems.connection.feedback import cascade, close_loop
+from lftkit.systems.connection.filters import transfer
 from lftkit.systems.exchange import as_system
+from lftkit.systems.sampled.bilinear import unwarped_frequency
+from lftkit.systems.sampled.image import band_of_image, image_of, sampled_from_image
 from lftkit.systems.system import System
+from lftkit.tuning.requirements.requirement import CertifiedValue, TuningRequirement
 
-G = TypeVar("G", bound="_Gain")
-P = TypeVar("P", bound="_Poles")
+if TYPE_CHECKING:
+    from lftkit.tuning.requirements.assembled_loop import AssembledLoop
+
+G = TypeVar("G", bound="Gain")
+H = TypeVar("H", bound="HinfGain")
+ROUNDING = 1e-12
+"""Feedthrough of a weighted loop without one, relative to its output matrix."""
 
 
 @dataclass(frozen=True)
-class _Gain:
+class Gain(TuningRequirement):
     """Common fields of the two gain requirements."""
 
     inputs: tuple[str, ...]
@@ -49,13 +56,73 @@ class _Gain:
             kind = type(self).__name__
             object.__setattr__(self, "name", f"{kind} {'+'.join(self.inputs)} -> {'+'.join(self.outputs)}")
 
+    def check(self, model: System) -> None:
+        """Raise a ValueError where a port does not exist or the inner side of a weight does not fit the ports."""
+        for what, ports in (("weight_in", self.inputs), ("weight_out", self.outputs)):
+            weight: System | None = getattr(self, what)
+            inner = what == "weight_in"
+            needed = len(model.input_indices(ports) if inner else model.output_indices(ports))
+            if weight is None:
+                continue
+            found, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
+            if found != needed:
+                raise ValueError(
+                    f"{self.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {found}"
+                )
+
     def held(self: G, level: float) -> G:
         """The hard requirement that is just met where this one has the value `level`, above 0."""
         return replace(self, bound=level * self.bound, hard=True)
 
+    def softened(self: G) -> G:
+        """The same gain, minimised."""
+        return replace(self, hard=False)
+
+    def sampled(self: G, dt: float) -> G:
+        """The gain with weights in continuous time as discrete ones of period `dt` [s]; 0: as it is."""
+        weights = {name: getattr(self, name) for name in ("weight_in", "weight_out") if dt}
+        moved: dict[str, Any] = {
+            name: sampled_from_image(w, dt) for name, w in weights.items() if w is not None and w.order and not w.dt
+        }
+        return replace(self, **moved) if moved else self
+
+    def weighted(self, loop: AssembledLoop) -> System:
+        """Closed loop from ports to ports with the weights, not yet divided by the bound.
+
+        Raises
+        ------
+        ValueError
+            A weight whose inner side does not fit the ports.
+        """
+        self.check(loop.model)
+        own = self.sampled(loop.dt)
+        system = close_loop(loop.model, loop.controller, own.inputs, own.outputs)
+        if own.weight_in is not None:
+            system = cascade(own.weight_in, system)
+        if own.weight_out is not None:
+            system = cascade(system, own.weight_out)
+        return system
+
+    def _weights_on_image(self, model: System) -> dict[str, Any]:
+        """Weights in continuous time for the image of the discrete `model`."""
+        self.check(model)
+        weights: dict[str, Any] = {}
+        for name in ("weight_in", "weight_out"):
+            weight: System | None = getattr(self, name)
+            if weight is not None and weight.order and weight.dt:
+                if weight.dt != model.dt:
+                    raise ValueError(
+                        f"{self.name}: {name} must have the sampling period {model.dt} s, got {weight.dt} s"
+                    )
+                weight = image_of(weight)
+            elif weight is not None:
+                weight = System(*weight.matrices, weight.inputs, weight.outputs, weight.name)
+            weights[name] = weight
+        return weights
+
 
 @dataclass(frozen=True)
-class HinfGain(_Gain):
+class HinfGain(Gain):
     """H-infinity norm of ``weight_out T weight_in / bound`` from ports to ports of the closed loop.
 
     Parameters
@@ -90,6 +157,22 @@ class HinfGain(_Gain):
         """Not all frequencies count."""
         return self.band != (0.0, np.inf)
 
+    def on_image(self: H, model: System) -> H:
+        """The gain of the image of the discrete `model`, whose band ends at pi / T."""
+        dt, changes = float(model.dt), self._weights_on_image(model)
+        if self.banded:
+            if not self.band[0] < np.pi / dt:
+                raise ValueError(
+                    f"{self.name}: band must begin below pi / T = {np.pi / dt:.6g} rad/s, got {self.band[0]:g}"
+                )
+            changes["band"] = band_of_image(self.band, dt)
+        return replace(self, **changes)
+
+    def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
+        """Both sides of the norm of the weighted loop."""
+        norm = peak_gain(self.weighted(loop), self.band, rtol)
+        return CertifiedValue(norm.value / self.bound, norm.upper / self.bound, norm.omega)
+
 
 def band_edges(requirements: Sequence[object]) -> FloatArray:
     """Finite edges of the bands of gains [rad/s]."""
@@ -98,7 +181,7 @@ def band_edges(requirements: Sequence[object]) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class H2Gain(_Gain):
+class H2Gain(Gain):
     """H2 norm of ``weight_out T weight_in / bound``: rms of the outputs for white noise of unit two-sided density.
 
     Parameters
@@ -109,104 +192,52 @@ class H2Gain(_Gain):
         ``weight_in = System.static(sigma * sqrt(dt) * I)``.
     """
 
+    def on_image(self, model: System) -> H2Gain:
+        """The norm of the image behind ``1 / (1 + s T / 2)``, the root of the ratio of the frequencies' densities."""
+        changes = self._weights_on_image(model)
+        lag = transfer([1.0], [0.5 * model.dt, 1.0], len(model.input_indices(self.inputs)))
+        changes["weight_in"] = lag if changes["weight_in"] is None else cascade(changes["weight_in"], lag)
+        return replace(self, **changes)
 
-@dataclass(frozen=True)
-class _Poles:
-    """Common fields of the two pole requirements."""
-
-    min_decay: float = 0.0
-    min_damping: float = 0.0
-    max_frequency: float = float("inf")
-    hard: bool = True
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.min_decay >= 0:
-            raise ValueError(f"min_decay must be zero or positive [rad/s], got {self.min_decay}")
-        if not 0 <= self.min_damping < 1:
-            raise ValueError(f"min_damping must be in [0, 1), got {self.min_damping}")
-        if not self.max_frequency > 0:
-            raise ValueError(f"max_frequency must be positive [rad/s], got {self.max_frequency}")
-        if not (self.min_decay or self.min_damping or np.isfinite(self.max_frequency)):
-            raise ValueError("a pole requirement needs min_decay, min_damping or max_frequency")
-        if not self.name:
-            object.__setattr__(self, "name", type(self).__name__)
-
-    def held(self: P, level: float) -> P:
-        """The hard requirement that is just met where this one has the value `level`, above 0.
-
-        Raises
-        ------
-        ValueError
-            A level of 2 or more, that of poles which do not decay.
-        """
-        if level >= 2.0 and (self.min_decay or self.min_damping):
-            raise ValueError(f"{self.name}: a level that is held must be below 2, got {level:g}")
-        decay, damping = (2.0 - level) * self.min_decay, (2.0 - level) * self.min_damping
-        largest = level * self.max_frequency
-        return replace(self, min_decay=decay, min_damping=damping, max_frequency=largest, hard=True)
-
-    def pieces(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray, IntArray]:
-        """Values, derivatives and pole numbers of all bounds.
-
-        A value v of pole s changes by ``Re(conj(derivative) ds)``. Bounds: 2 + Re s / min_decay,
-        2 - damping / min_damping, |s| / max_frequency; each is 1 on its boundary.
-        """
-        values: list[FloatArray] = []
-        slopes: list[ComplexArray] = []
-        size = np.maximum(np.abs(poles), 1e-300)
-        if self.min_decay:
-            values.append(2.0 + poles.real / self.min_decay)
-            slopes.append(np.full(len(poles), 1.0 / self.min_decay, dtype=complex))
-        if self.min_damping:
-            values.append(2.0 + poles.real / size / self.min_damping)
-            # d(Re s / |s|) = (Im s)^2 / |s|^3 dRe - Re s Im s / |s|^3 dIm
-            slope = (poles.imag**2 - 1j * poles.real * poles.imag) / size**3
-            slopes.append(slope / self.min_damping)
-        if np.isfinite(self.max_frequency):
-            values.append(size / self.max_frequency)
-            slopes.append(poles / size / self.max_frequency)
-        number = np.tile(np.arange(len(poles)), len(values))
-        return np.concatenate(values), np.concatenate(slopes), number
+    def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
+        """Norm of the weighted loop; samples of white noise of unit density have the variance 1 / T."""
+        weighted = self.weighted(loop)
+        A, B, C, D = weighted.matrices
+        if weighted.dt:
+            value = h2_norm(A, B, C, D, dt=weighted.dt) / float(np.sqrt(weighted.dt)) / self.bound
+        else:  # feedthrough is zero by construction; what rounding leaves of it must not make the norm infinite
+            D = np.where(np.abs(D) <= ROUNDING * max(1.0, float(np.abs(C).max(initial=0.0))), 0.0, D)
+            value = h2_norm(A, B, C, D) / self.bound
+        return CertifiedValue(value, value)
 
 
-@dataclass(frozen=True)
-class ClosedLoopPoles(_Poles):
-    """Location of the closed-loop poles, weights not counted.
+def peak_gain(system: System, band: tuple[float, float], rtol: float, *, stable: bool = True) -> HInfNorm:
+    """Largest gain of a system over a band [rad/s]; without `stable` on the axis or circle also where it is unstable.
 
-    Parameters
-    ----------
-    min_decay : float
-        Every real part at most -min_decay [rad/s].
-    min_damping : float
-        Every damping ratio at least this.
-    max_frequency : float
-        Every pole within this circle [rad/s].
-    hard : bool
-    name : str
-
-    Notes
-    -----
-    Poles that the controller cannot move count too: a min_damping above the damping of an unreachable mode
-    is infeasible,
-    and the tuner says so.
+    In discrete time a gain in a band is that of the image, and its lower side that of the system itself.
     """
+    dt = float(system.dt)
+    if band == (0.0, np.inf) and (stable or is_stable(system)):
+        return hinf_norm(*system.matrices, dt=dt or None, rtol=rtol)
+    if not dt:
+        return band_gain(*system.matrices, band, rtol=rtol, stable=stable)
+    try:
+        image = image_of(system)
+    except ValueError:  # a pole at z = -1
+        return HInfNorm(np.inf, np.inf, np.inf, "unstable")
+    norm = band_gain(*image.matrices, band_of_image(band, dt), rtol=rtol, stable=stable)
+    omega = unwarped_frequency(norm.omega, dt)
+    if not np.isfinite(norm.value):
+        return replace(norm, omega=omega)
+    value = float(scipy.linalg.svdvals(system.response([omega])[0])[0])
+    return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
-@dataclass(frozen=True)
-class ControllerPoles(_Poles):
-    """Location of the controller's own poles; ``ControllerPoles(min_decay=1e-3)`` asks for a stable controller."""
-
-
-@dataclass(frozen=True)
-class ParameterBounds:
-    """Bounds of the structure's parameters, kept by the descents as a hard requirement: not one that users give."""
-
-    hard: bool = True
-    name: str = "bounds of the parameters"
-
-
-Requirement = HinfGain | H2Gain | ClosedLoopPoles | ControllerPoles
+def is_stable(system: System) -> bool:
+    """All poles in the open left half-plane, or in the open unit circle of discrete time."""
+    if system.dt:
+        return bool(np.all(np.abs(scipy.linalg.eigvals(system.A)) < 1.0)) if system.order else True
+    return spectral_abscissa(system.A) < 0.0
 
 
 def as_weight(value: Any, what: str) -> System | None:
@@ -224,44 +255,6 @@ def as_weight(value: Any, what: str) -> System | None:
         weight.require_certain()
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from None
-    if not _stable(weight):
+    if not is_stable(weight):
         raise ValueError(f"weight {weight.name} must be stable: a weight is never stabilised by the loop")
     return weight
-
-
-def check_weights(requirement: HinfGain | H2Gain, model: System) -> None:
-    """Raise a ValueError where the inner side of a weight does not fit the ports of `model`, whose names it says."""
-    for what, ports in (("weight_in", requirement.inputs), ("weight_out", requirement.outputs)):
-        weight: System | None = getattr(requirement, what)
-        if weight is None:
-            continue
-        inner = what == "weight_in"
-        needed = len(model.input_indices(ports) if inner else model.output_indices(ports))
-        found, side = weight.D.shape[0 if inner else 1], "outputs" if inner else "inputs"
-        if found != needed:
-            raise ValueError(
-                f"{requirement.name}: {what} must have {needed} {side}, as many as {'+'.join(ports)}, got {found}"
-            )
-
-
-def _stable(weight: System) -> bool:
-    """All poles in the open left half-plane, or in the open unit circle of discrete time."""
-    if weight.dt:
-        return bool(np.all(np.abs(scipy.linalg.eigvals(weight.A)) < 1.0)) if weight.order else True
-    return spectral_abscissa(weight.A) < 0.0
-
-
-def check_names(requirements: Sequence[Requirement]) -> None:
-    """Refuse an empty list and names used twice.
-
-    Raises
-    ------
-    ValueError
-        Naming what is wrong.
-    """
-    if not requirements:
-        raise ValueError("a design needs at least one requirement, got none")
-    names = [r.name for r in requirements]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise ValueError(f"requirement names must be unique, got {twice} twice")

@@ -16,9 +16,9 @@ from lftkit.tuning import (
     H2Gain,
     HinfGain,
     Passivity,
-    Requirement,
     RobustOptions,
     TuningOptions,
+    TuningRequirement,
     TuningResult,
     WorstCaseOptions,
     gain,
@@ -42,7 +42,7 @@ def lags(count: int = 2, pole: float = -1.0, dt: float = 0.0) -> System:
     return System(pole * one, np.hstack([one, one]), np.vstack([one, nothing, one]), D, inputs, outputs, "lags", dt=dt)
 
 
-def errors_and_efforts(efforts: Sequence[float] = EFFORTS) -> list[Requirement]:
+def errors_and_efforts(efforts: Sequence[float] = EFFORTS) -> list[TuningRequirement]:
     return [
         *(HinfGain(f"w{k}", f"z{k}", name=f"z{k}") for k in range(len(efforts))),
         *(HinfGain(f"w{k}", f"e{k}", bound=b, hard=True, name=f"e{k}") for k, b in enumerate(efforts)),
@@ -56,7 +56,7 @@ def law(count: int = 2) -> AffineStructure:
 
 
 def tuned(
-    requirements: Sequence[Requirement], options: TuningOptions = IN_ORDER, count: int = 2, start: float = -0.5
+    requirements: Sequence[TuningRequirement], options: TuningOptions = IN_ORDER, count: int = 2, start: float = -0.5
 ) -> TuningResult:
     return tune([lags(count)], requirements, law(count), initial=[[start] * count], options=options)
 
@@ -131,7 +131,7 @@ def test_a_run_without_time_says_so() -> None:
     ],
     ids=["poles", "h2", "passivity"],
 )
-def test_requirements_of_all_kinds_are_held(second: Requirement) -> None:
+def test_requirements_of_all_kinds_are_held(second: TuningRequirement) -> None:
     """The second one is critical, and stays at its level while the first falls to its own."""
     needs = [HinfGain("w0", "z0", bound=10.0, name="first"), *errors_and_efforts()[2:], second]
     found = tuned(needs)
