@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.peak_search import climb
+from lftkit.analysis.hinf.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.algebraic_loop import WellPosedness
 from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant

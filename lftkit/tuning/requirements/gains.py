@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import scipy.linalg
 
-from lftkit.analysis.band_gain import band_gain
-from lftkit.analysis.norms import HInfNorm, h2_norm, hinf_norm, spectral_abscissa
+from lftkit.analysis.norms import HInfNorm, band_gain, h2_norm, hinf_norm, spectral_abscissa
 from lftkit.arrays import BoolArray, FloatArray
 from lftkit.systems.connection.feedback import cascade, close_loop
 from lftkit.systems.connection.filters import transfer
