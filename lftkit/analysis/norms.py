@@ -25,7 +25,7 @@ from lftkit.analysis.frequency_response import FrequencyResponse
 from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
-from lftkit.analysis.hinf.level_iteration import Bracket, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
 from lftkit.analysis.hinf.small_norm import COMPILED_STATES, MAX_STATES, Origin, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.scalars import is_number
@@ -329,7 +329,7 @@ def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
     return None
 
 
-def _small(system: Matrices, rtol: float, origin: Origin | None = None) -> Bracket | None:
+def _small(system: Matrices, rtol: float, origin: Origin | None = None) -> NormBracket | None:
     """Both sides for few states, or None where rounding could decide."""
     try:
         return bracketed_norm(SmallModel.of(system, rtol, origin))

@@ -44,7 +44,7 @@ class Peak(NamedTuple):
     possible: float = 0.0
 
 
-class Bracket(NamedTuple):
+class NormBracket(NamedTuple):
     """Gain that is reached at `omega`, level that is exceeded nowhere, and that frequency or angle."""
 
     value: float
@@ -68,7 +68,7 @@ class GainModel(Protocol):
         """
 
 
-def bracketed_norm(model: GainModel) -> Bracket:
+def bracketed_norm(model: GainModel) -> NormBracket:
     """Both sides of the largest gain of a model.
 
     Raises
@@ -81,7 +81,7 @@ def bracketed_norm(model: GainModel) -> Bracket:
     for _ in range(MAX_LEVELS):
         higher = model.higher_peak(level, peak)
         if higher is None:
-            return Bracket(value, level, peak.omega)
+            return NormBracket(value, level, peak.omega)
         better, next_level = model.bracket(higher)
         if better > value:
             value, peak = better, higher

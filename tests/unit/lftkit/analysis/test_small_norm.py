@@ -9,7 +9,7 @@ from support.resonant_systems import mixed, oscillator, structure, sum_of
 
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.hinf.level_iteration import Bracket, Peak, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.level_iteration import NormBracket, Peak, UndecidedError, bracketed_norm
 from lftkit.analysis.hinf.peak_search import climb, squared_gain
 from lftkit.analysis.hinf.small_norm import MAX_STATES, SmallModel
 from lftkit.analysis.norms import hinf_norm
@@ -26,7 +26,7 @@ def random_system(seed: int, shape: tuple[int, int], feedthrough: float = 0.5) -
     return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), feedthrough * rng.normal(size=(p, m))
 
 
-def small(system: tuple[np.ndarray, ...], rtol: float) -> Bracket:
+def small(system: tuple[np.ndarray, ...], rtol: float) -> NormBracket:
     A, B, C, D = system
     return bracketed_norm(SmallModel.of((*balanced(A, B, C), D), rtol))
 
