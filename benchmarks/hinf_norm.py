@@ -44,7 +44,7 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     """(A, B, C, D) of the closed and weighted loop, nominal and random parameters."""
     from fsm_pma_controller.problem import MEASUREMENTS, actuator_plant
     from lftkit import System
-    from lftkit.tuning.certificate import delayed_controller, weighted_loop
+    from lftkit.tuning.requirements.assembled_loop import AssembledLoop
     from los_design.synthesis.options import DesignOptions
     from los_design.synthesis.state_space_requirements import implemented_requirements
     from los_design.synthesis.store import continuous, load_designs
@@ -56,10 +56,10 @@ def telescope_loops(samples: int) -> list[tuple[np.ndarray, ...]]:
     plant = actuator_plant(telescope, continuous(k_fsm), loop_delay=options.delay, **options.hold_delays)
     data = continuous(k_pma).at({})
     ports = tuple(plant.system.output_port(name) for name in MEASUREMENTS)
-    law = delayed_controller(System(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA"), options.delay)
+    law = System(data.A, data.B, data.C, data.D, ports, data.outputs, "K_PMA")
     requirement = next(r for r in implemented_requirements(telescope, "fsm+pma") if r.name == "fast")
     points = [{}, *plant.system.sample_values(np.random.default_rng(0), samples - 1)]
-    return [weighted_loop(plant(values), law, requirement).matrices for values in points]
+    return [requirement.weighted(AssembledLoop(plant(values), law, options.delay)).matrices for values in points]
 
 
 def random_system(rng: np.random.Generator, states: int, discrete: bool) -> tuple[np.ndarray, ...]:

@@ -36,12 +36,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "lftkit/analysis/norms.py": (
         "tests/unit/lftkit/analysis/test_hinf_norm.py",
-        "tests/unit/lftkit/analysis/test_hinf_level_test.py",
+        "tests/unit/lftkit/analysis/test_norm_laws.py",
         "tests/unit/lftkit/analysis/test_norms_unit.py",
         "tests/published/test_norms.py",
     ),
-    "lftkit/analysis/small_norm.py": ("tests/unit/lftkit/analysis/test_small_norm.py",),
-    "lftkit/analysis/peak_search.py": (
+    "lftkit/analysis/hinf/interval_norm.py": ("tests/unit/lftkit/analysis/test_interval_norm.py",),
+    "lftkit/analysis/hinf/small_norm.py": ("tests/unit/lftkit/analysis/test_small_norm.py",),
+    "lftkit/analysis/hinf/peak_search.py": (
         "tests/unit/lftkit/analysis/test_small_norm.py",
         "tests/unit/lftkit/analysis/test_hinf_norm.py",
     ),

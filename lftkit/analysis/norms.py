@@ -8,7 +8,7 @@ matrices on the unit circle; a map to continuous time tests the level of few sta
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import isfinite
 from types import ModuleType
@@ -20,21 +20,19 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.circle.circle_h2 import discrete_h2
 from lftkit.analysis.circle.circle_norm import discrete_norm
-from lftkit.analysis.circle.half_plane import HalfPlane
 from lftkit.analysis.eigenvectors import EPS, balanced
-from lftkit.analysis.frequency_response import FrequencyResponse, refined_response, resonances
-from lftkit.analysis.hinf_level_test import LevelTest, hamiltonian_test, interval_test
-from lftkit.analysis.peak_search import climb
-from lftkit.analysis.small_norm import COMPILED_STATES, MAX_STATES, Origin, small_hinf_norm
+from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.hinf.half_plane import HalfPlane
+from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
+from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
+from lftkit.analysis.hinf.level_iteration import NormBracket, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.small_norm import COMPILED_STATES, MAX_STATES, Origin, SmallModel
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.scalars import is_number
 from lftkit.systems.matrices import checked_matrices
 
-MAX_ROUNDS = 40
-CANCELLATION = 100.0  # roundings of the largest modal term that a gain may be off by
 SCHUR_ROUNDING = 1e-6  # relative error of the slowest decay in a Schur form, from which on modes give the H2 norm
-CLIMBED = 3  # seeds from which a peak is searched
-RIVAL = 0.7  # of the largest gain: seeds below are not tried
+ON_AXIS = 1e-14  # distance of a pole from the imaginary axis over the largest magnitude of a pole
 
 
 @dataclass(frozen=True)
@@ -99,6 +97,8 @@ def hinf_norm(
     ------
     ValueError
         Shapes that do not fit, numbers that are not finite, an unknown certificate.
+    ArithmeticError
+        Continuous time, and the iteration did not settle or eigenvalues did not converge.
 
     Notes
     -----
@@ -133,6 +133,57 @@ def hinf_norms(
 ) -> list[HInfNorm]:
     """H-infinity norms of many continuous-time systems (A, B, C, D), for instance of parameter samples."""
     return [hinf_norm(*system, rtol=rtol) for system in systems]
+
+
+def band_gain(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike,
+    band: tuple[float, float],
+    *,
+    rtol: float = 1e-6,
+    stable: bool = True,
+) -> HInfNorm:
+    """Largest singular value of ``C (jw I - A)^-1 B + D`` for w in a band.
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        Shapes (n, n), (n, m), (p, n), (p, m).
+    band : tuple of float
+        Lowest and highest frequency [rad/s], the latter may be infinite.
+    rtol : float
+        Relative distance of the two sides.
+    stable : bool
+        Infinite for an unstable system; without, for poles on the imaginary axis only.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, numbers that are not finite.
+    ArithmeticError
+        The iteration did not settle, or eigenvalues did not converge.
+
+    Examples
+    --------
+    A resonance at 1 rad/s, of which the band sees the flank:
+
+    >>> found = band_gain([[0, 1], [-1, -0.1]], [[0], [1]], [[1, 0]], [[0]], (2.0, 10.0))
+    >>> round(found.value, 6), found.omega
+    (0.332595, 2.0)
+    """
+    a, b, c, d = checked_matrices(A, B, C, D)
+    if not len(a):
+        return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
+    system = *balanced(a, b, c), d
+    response = FrequencyResponse.of(*system, rounding=0.1 * rtol)
+    poles = response.poles
+    worst = int(np.argmax(poles.real))
+    on_axis = float(np.abs(poles.real).min()) <= ON_AXIS * float(np.abs(poles).max())
+    if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
+        return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
+    return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol, band)), "hamiltonian")
 
 
 def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None) -> float:
@@ -213,9 +264,9 @@ def spectral_abscissa(A: ArrayLike) -> float:
 
 @cache
 def compiled() -> ModuleType | None:
-    """The compiled steps, :mod:`lftkit.analysis.compiled_norm`; None without numba (extra ``fast``)."""
+    """The compiled steps, :mod:`lftkit.analysis.hinf.compiled_norm`; None without numba (extra ``fast``)."""
     try:
-        from lftkit.analysis import compiled_norm
+        from lftkit.analysis.hinf import compiled_norm
     except ImportError:
         return None
     return compiled_norm
@@ -273,59 +324,40 @@ def _mapped(system: Matrices, dt: float, rtol: float) -> HInfNorm | None:
     """By a map to continuous time, or None where it could lose what decides."""
     A, B, C, D = system
     for plane in HalfPlane.of((*balanced(A, B, C), D)):
-        if peak := small_hinf_norm(plane.matrices, rtol, Origin(plane.response, plane.condition)):
-            return HInfNorm(peak.value, peak.upper, plane.angle(peak.omega) / dt, "hamiltonian")
+        if found := _small(plane.matrices, rtol, Origin(plane.response, plane.condition)):
+            return HInfNorm(found.value, found.upper, plane.angle(found.omega) / dt, "hamiltonian")
     return None
+
+
+def _small(system: Matrices, rtol: float, origin: Origin | None = None) -> NormBracket | None:
+    """Both sides for few states, or None where rounding could decide."""
+    try:
+        return bracketed_norm(SmallModel.of(system, rtol, origin))
+    except UndecidedError:
+        return None
 
 
 def _continuous(system: Matrices, rtol: float, certificate: str) -> HInfNorm:
     A, B, C, D = system
     if len(A) == 0 or not (B.any() and C.any()):
         return _norm_of_feedthrough(A, D)
-    A, B, C = balanced(A, B, C)
-    if certificate == "auto" and len(A) <= MAX_STATES and (peak := small_hinf_norm((A, B, C, D), rtol)):
-        return HInfNorm(peak.value, peak.upper, peak.omega, "hamiltonian")
-    response = FrequencyResponse.of(A, B, C, D, rounding=0.1 * rtol, check=False)
+    system = *balanced(A, B, C), D
+    if certificate == "auto" and len(A) <= MAX_STATES and (found := _small(system, rtol)):
+        return HInfNorm(*found, "hamiltonian")
+    response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False)
     worst = int(np.argmax(response.poles.real))
     if response.poles[worst].real >= 0.0 or response.on_axis.size:
         return HInfNorm(np.inf, np.inf, float(abs(response.poles[worst].imag)), "unstable")
-    return _certified((A, B, C, D), response, rtol, certificate)
-
-
-def _certified(system: Matrices, response: FrequencyResponse, rtol: float, certificate: str) -> HInfNorm:
-    test = "interval" if response.modal and certificate != "hamiltonian" else "hamiltonian"
-    seeds, terms = _seeds(response)
-    value, omega = _best_peak(response, seeds, rtol)
-    if test == "hamiltonian" and value == terms == 0.0:  # this test needs a level above zero
-        terms = float(linalg.norm(system[1]) * linalg.norm(system[2]) / np.abs(response.poles.real).min())
-    noise = CANCELLATION * EPS * terms
-    fine = False
-    for _ in range(MAX_ROUNDS):
-        modal_value, value = value, _direct_gain(system, omega)
-        if abs(value - modal_value) > max(0.1 * rtol * value, noise):
-            if response.modal and not fine:  # the slowest decays may be below the rounding of the poles
-                fine, response = True, FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False, fine=True)
-                seeds, terms = _seeds(response)
-                value, omega = _best_peak(response, seeds, rtol)
-                continue
-            test = "hamiltonian"
-        upper = value * (1.0 + rtol)
-        if value <= noise:  # the terms cancel to rounding
-            upper = value + noise
-        outcome = _level_test(test, response, system, upper, seeds, omega)
-        if outcome.below:
-            return HInfNorm(value, upper, omega, test)
-        if not outcome.decided:
-            if test == "hamiltonian":
-                break
-            test = "hamiltonian"
+    for fine in (False, True) if response.modal and certificate != "hamiltonian" else ():
+        if fine:  # the slowest decays may be below the rounding of the poles
+            response = FrequencyResponse.of(*system, rounding=0.1 * rtol, check=False, fine=True)
+        try:
+            return HInfNorm(*bracketed_norm(IntervalModel(system, response, rtol)), "interval")
+        except InexactModesError:
             continue
-        better, frequency = _best_peak(response, outcome.frequencies, rtol)
-        exact = _direct_gain(system, frequency)
-        if exact <= upper:  # what the test found above the level is rounding of the modal form: the bound includes it
-            return HInfNorm(value, max(upper, better * (1.0 + rtol)), omega, test)
-        value, omega = better, frequency
-    raise ArithmeticError(f"the H-infinity norm did not settle in {MAX_ROUNDS} rounds (order {len(system[0])})")
+        except UndecidedError:
+            break
+    return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol)), "hamiltonian")
 
 
 def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
@@ -337,42 +369,3 @@ def _norm_of_feedthrough(A: FloatArray, D: FloatArray) -> HInfNorm:
             return HInfNorm(np.inf, np.inf, float(abs(worst.imag)), "unstable")
     value = float(largest_gains(D[None].astype(complex))[0])
     return HInfNorm(value, value, 0.0, "static")
-
-
-def _level_test(
-    test: str, response: FrequencyResponse, system: Matrices, level: float, seeds: FloatArray, peak: float
-) -> LevelTest:
-    if test == "interval":
-        return interval_test(response, level, seeds[np.isfinite(seeds)], peak)
-    return hamiltonian_test(*system, level)
-
-
-def _direct_gain(system: Matrices, omega: float) -> float:
-    """Gain at the peak by a direct solution: the modal form never has the last word."""
-    return float(largest_gains(refined_response(*system, omega)[None])[0])
-
-
-def _seeds(response: FrequencyResponse) -> tuple[FloatArray, float]:
-    """Frequencies of possible peaks, and the largest sum of the magnitudes of the modal terms (0 in Schur form)."""
-    poles = response.poles
-    size = np.abs(poles)
-    seeds = np.unique(np.concatenate([[0.0, np.inf], resonances(poles), size]))
-    if not response.modal:
-        return seeds, 0.0
-    distance = np.maximum(np.abs(size - poles.imag), np.abs(poles.real))
-    return seeds, float(np.sum(response.residue_norms / np.maximum(distance, 1e-300)))
-
-
-def _best_peak(response: FrequencyResponse, seeds: FloatArray, rtol: float) -> tuple[float, float]:
-    """Largest gain near the best `CLIMBED` seeds: (gain, frequency)."""
-    gains = largest_gains(response.at(seeds))
-    chosen = np.argsort(gains)[::-1][:CLIMBED]
-    best, omega = float(gains[chosen[0]]), float(seeds[chosen[0]])
-    for k in chosen[gains[chosen] >= RIVAL * best]:
-        if 0.0 < seeds[k] < np.inf:
-            start = float(seeds[k])
-            limit = float(np.abs(1j * start - response.poles).min())
-            frequency, gain = climb(response.with_derivatives, start, float(gains[k]), limit, rtol)
-            if gain > best:
-                best, omega = gain, frequency
-    return best, omega

@@ -75,3 +75,8 @@ def delayed_port(port: Port, delay: float, order: int) -> System:
     if not len(A):
         return static_gain(D, [port], [port])
     return state_space(A, B, C, D, [port], [port])
+
+
+def delay_radius(delay: float, order: int) -> float:
+    """Circle [rad/s] outside which poles of a loop are taken for those of the Padé approximation."""
+    return 0.7 * float(np.abs(linalg.eigvals(pade_matrices(delay, order)[0])).min())

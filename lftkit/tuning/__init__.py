@@ -23,8 +23,9 @@ from lftkit.tuning.goals import (
     StepTracking,
     Tracking,
 )
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-from lftkit.tuning.result import Round, TuningResult, WorstCase
+from lftkit.tuning.options import TuningOptions
+from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, TuningRequirement
+from lftkit.tuning.result import Level, Round, TuningResult, WorstCase
 from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.status import TuningStatus
@@ -32,7 +33,7 @@ from lftkit.tuning.structures.bounds import Bounds
 from lftkit.tuning.structures.decentralised import Decentralised
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import AffineStructure, Structure, controller, gain, pid, state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 if TYPE_CHECKING:
     from lftkit.tuning.pictures.plots import plot_goals
@@ -51,13 +52,13 @@ __all__ = [
     "Goal",
     "H2Gain",
     "HinfGain",
+    "Level",
     "LoopShape",
     "Margins",
     "MaxLoopGain",
     "MinLoopGain",
     "Overshoot",
     "Passivity",
-    "Requirement",
     "RobustOptions",
     "Round",
     "Sensitivity",
@@ -66,6 +67,7 @@ __all__ = [
     "Structure",
     "Tracking",
     "TuningOptions",
+    "TuningRequirement",
     "TuningResult",
     "TuningStatus",
     "WorstCase",

@@ -28,7 +28,7 @@ def feasibility_runs(
     best = min(runs, key=lambda run: run.rank)
     if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED or not problem.structure.size:
         return []
-    alone = [replace(r, hard=False) for r in problem.given if r.hard]
+    alone = [r.softened() for r in problem.given if r.hard]
     if not alone:
         return []
     only_hard = Problem(

@@ -22,7 +22,7 @@ from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements.sector import SectorGain
 from lftkit.tuning.structures.structures import AffineStructure
 
 MAX_ORDER = 40  # of the weighted plant

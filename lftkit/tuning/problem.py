@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from lftkit.systems.delay import pade_delay
+from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
 from lftkit.tuning.gains.algebraic_loop import WellPosedness, algebraic_values
 from lftkit.tuning.gains.gains import LoopGains
@@ -23,12 +23,10 @@ from lftkit.tuning.requirements import (
     ControllerPoles,
     H2Gain,
     HinfGain,
-    ParameterBounds,
-    Requirement,
-    check_names,
-    check_weights,
+    TuningRequirement,
 )
-from lftkit.tuning.structures.bounds import bounds_of
+from lftkit.tuning.requirements.requirement import check_names
+from lftkit.tuning.structures.bounds import ParameterBounds, bounds_of
 from lftkit.tuning.structures.structures import Structure
 
 MIN_DECAY = 1e-6
@@ -94,7 +92,7 @@ class Problem:
     def __init__(
         self,
         models: Sequence[System],
-        requirements: Sequence[Requirement],
+        requirements: Sequence[TuningRequirement],
         structure: Structure,
         *,
         loop_delay: float = 0.0,
@@ -107,7 +105,7 @@ class Problem:
         if not models:
             raise ValueError("a design needs at least one model, got none")
         self.given, self.bounds = tuple(requirements), bounds_of(structure)
-        self.requirements: tuple[Requirement | ParameterBounds | WellPosedness, ...] = self.given
+        self.requirements: tuple[TuningRequirement | ParameterBounds | WellPosedness, ...] = self.given
         if self.bounds is not None:
             self.requirements = (*self.given, ParameterBounds())
         self.structure = structure
@@ -172,8 +170,7 @@ class Problem:
         model.require_continuous()
         _check_sizes(model, self.structure)
         for asked in self.given:
-            if isinstance(asked, HinfGain | H2Gain):
-                check_weights(asked, model)
+            asked.check(model)
         common: dict[str, Any] = {"loop_delay": self.loop_delay, "pade_order": self.pade_order}
         order = self.structure.order
         bare = extended_plant(model, self._measurements, self._commands, order, **common)
@@ -379,7 +376,7 @@ class Problem:
                 pieces.append(Piece(float(values[c]), g, r.hard, i, k, float(abs(poles_of.poles[number[c]]))))
         return pieces
 
-    def _counted(self, r: Requirement, poles: ComplexArray) -> BoolArray:
+    def _counted(self, r: TuningRequirement, poles: ComplexArray) -> BoolArray:
         """Poles that a requirement speaks of: those of the delay's approximation do not count."""
         if isinstance(r, ControllerPoles) or self.loop_delay == 0.0:
             return np.ones(len(poles), dtype=bool)
@@ -388,7 +385,7 @@ class Problem:
 
 def _rebuilt(
     models: tuple[System, ...],
-    requirements: tuple[Requirement, ...],
+    requirements: tuple[TuningRequirement, ...],
     structure: Structure,
     loop_delay: float,
     pade_order: int,
@@ -404,11 +401,6 @@ def worst_values(problem: Problem, evaluation: Evaluation) -> tuple[float, float
     hard = np.array([r.hard for r in problem.requirements])
     soft_value = float(evaluation.values[~hard].max(initial=-np.inf))
     return soft_value, float(evaluation.values[hard].max(initial=-np.inf))
-
-
-def delay_radius(delay: float, order: int) -> float:
-    """Circle [rad/s] outside which poles are taken for those of the Padé approximation."""
-    return 0.7 * float(np.abs(scipy.linalg.eigvals(pade_delay(delay, order).A)).min())
 
 
 def _alone(K: FloatArray, n: int) -> ClosedLoopMatrices:

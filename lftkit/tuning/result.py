@@ -55,6 +55,14 @@ class Round:
 
 
 @dataclass(frozen=True)
+class Level:
+    """Requirements of a lexicographic tuning that were held together, and the normalised value that they reached."""
+
+    requirements: tuple[str, ...]
+    value: float
+
+
+@dataclass(frozen=True)
 class TuningResult:
     """A tuned controller with its certificate; of a robust design also with what it was searched for.
 
@@ -97,6 +105,8 @@ class TuningResult:
         Of a robust design: parameter values of the models that were tuned, of which the values and the certificate are.
     rounds : tuple of Round
         Of a robust design.
+    levels : tuple of Level
+        Of a lexicographic tuning, from the most critical requirements on.
     """
 
     status: TuningStatus
@@ -119,6 +129,7 @@ class TuningResult:
     worst: tuple[WorstCase, ...] = field(default=())
     active: tuple[Mapping[str, float], ...] = field(default=())
     rounds: tuple[Round, ...] = field(default=())
+    levels: tuple[Level, ...] = field(default=())
 
     @property
     def feasible(self) -> bool:

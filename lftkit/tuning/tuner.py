@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,12 @@ from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.fixed_poles import slow_fixed_pole
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.goals import Goal, resolved
+from lftkit.tuning.lexicographic import tuned_in_order
 from lftkit.tuning.nested_orders import embedded, lower_order
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import MIN_DECAY, Problem
 from lftkit.tuning.refinement import agree, refined_runs
-from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.status import TuningStatus, inaccurate
 from lftkit.tuning.structures.on_image import required_period
@@ -53,70 +56,9 @@ NOTHING_FREE = "the structure has no free parameter: the values are those of the
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
 
-@dataclass(frozen=True)
-class TuningOptions:
-    """Limits of a tuning run.
-
-    Parameters
-    ----------
-    starts : int
-        Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
-        more than six, batches follow until one finds nothing better. Up to six run to their ends one after another,
-        each with an equal part of the time that is left.
-    seed : int
-        Same seed, same result bit for bit (as long as the wall limit, or a part of it, is not what ends a start).
-    wall_limit : float
-        Seconds for the whole run: a cap, after which the status is ``out_of_time``.
-    workers : int
-        Processes; with more than one, guard the calling script by ``if __name__ == "__main__":``.
-    iterations : int
-        Most quadratic programs of a start.
-    tolerance : float
-        See :class:`lftkit.tuning.descent.minimax.minimax.DescentOptions`.
-    target : float
-        Stop as soon as the worst soft value is below, hard ones kept.
-    met : float
-        Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
-        whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
-        the certificate's upper sides say so: no controller has less, and the stationarity is zero.
-    band : float
-        Peaks above this fraction of the largest enter the quadratic programs.
-    progress : bool
-        Show a progress line.
-    parameter_limit : float
-        Magnitude of a parameter beyond which no controller is looked at, for want of a bound of its own; at least a
-        thousand times that of the starts. A run that ends there is ``unbounded``.
-    """
-
-    starts: int = 24
-    seed: int = 0
-    wall_limit: float = 600.0
-    workers: int = 1
-    iterations: int = 300
-    tolerance: float = 1e-4
-    target: float = -np.inf
-    met: float = -np.inf
-    band: float = 0.3
-    progress: bool = False
-    parameter_limit: float = 1e8
-
-    def __post_init__(self) -> None:
-        if self.starts < 0 or self.workers < 1 or self.iterations < 1:
-            raise ValueError(
-                "expected starts >= 0, workers >= 1 and iterations >= 1, got "
-                f"{self.starts}, {self.workers} and {self.iterations}"
-            )
-        if not self.wall_limit > 0:
-            raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
-        if not self.parameter_limit > 0:
-            raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
-        if not 0 < self.band < 1:
-            raise ValueError(f"band must be between 0 and 1, got {self.band}")
-
-
 def tune(
     models: Sequence[System],
-    requirements: Sequence[Requirement | Goal],
+    requirements: Sequence[TuningRequirement | Goal],
     structure: Structure,
     *,
     initial: Sequence[ArrayLike] = (),
@@ -181,6 +123,9 @@ def tune(
     if structure.size and not (given or options.starts):
         raise ValueError("nothing to start from: give initial parameters or starts >= 1")
     ready, needs = resolved(models, requirements)
+    if options.lexicographic:
+        run = partial(tune, ready, loop_delay=loop_delay, min_decay=min_decay)
+        return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
     if (fixed := slow_fixed_pole(problem)) is not None:
@@ -336,7 +281,7 @@ def _failures(runs: Sequence[StartResult]) -> str:
     return f"; {len(texts)} of {len(runs)} starts failed ({texts[0]})" if texts else ""
 
 
-def all_met(requirements: Sequence[Requirement], certificate: Certificate | None, met: float) -> bool:
+def all_met(requirements: Sequence[TuningRequirement], certificate: Certificate | None, met: float) -> bool:
     """Whether the certificate's upper sides are at most `met`, those of hard requirements 1."""
     if certificate is None or not met > -np.inf:
         return False

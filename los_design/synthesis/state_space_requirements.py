@@ -13,7 +13,7 @@ import numpy as np
 import fsm_pma_controller.problem
 import los_estimator.problem
 from lftkit import Port, System, static_gain
-from lftkit.tuning import H2Gain, HinfGain, Requirement
+from lftkit.tuning import H2Gain, HinfGain, TuningRequirement
 from los_loop.figures_of_merit import FigureOfMerit, figure, figures, paper_figures
 from titop_plant.interface import FORCE_STAGES, K_PMA_INPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import ACCELEROMETER_NOISE
@@ -23,12 +23,12 @@ from titop_plant.telescope.weights import band_error_weight, disturbance_weight,
 BANDS = {figure(name).band: name for name in ("slow", "fast")}
 
 
-def paper_requirements(telescope: Telescope, stage: str) -> tuple[Requirement, ...]:
+def paper_requirements(telescope: Telescope, stage: str) -> tuple[TuningRequirement, ...]:
     """What the paper's problem asks of K_FSM (stage ``fsm``) or of K_PMA (``fsm+pma``), in the order of its gammas."""
     return tuple(requirement(row, telescope, stage, float(row.limit(telescope, stage))) for row in paper_figures(stage))
 
 
-def observer_requirements(telescope: Telescope) -> tuple[Requirement, ...]:
+def observer_requirements(telescope: Telescope) -> tuple[TuningRequirement, ...]:
     """What the paper's problem asks of K_FSM, with the platform's noise that it asks of both controllers.
 
     K_PMA cannot change what the observer makes of that noise: without the goal, designs of K_FSM with the same APE and
@@ -42,7 +42,7 @@ def observer_requirements(telescope: Telescope) -> tuple[Requirement, ...]:
     return (*paper_requirements(telescope, stage), noise)
 
 
-def implemented_requirements(telescope: Telescope, stage: str) -> tuple[Requirement, ...]:
+def implemented_requirements(telescope: Telescope, stage: str) -> tuple[TuningRequirement, ...]:
     """The figures of a stage of the implemented loop, with what is tuned for as bounds.
 
     Designs of that loop are tuned on its responses (:mod:`los_design.synthesis.pair_problem`) with the same rows.
@@ -50,7 +50,7 @@ def implemented_requirements(telescope: Telescope, stage: str) -> tuple[Requirem
     return tuple(requirement(row, telescope, stage, row.tuned_for(telescope, stage)) for row in figures(stage))
 
 
-def requirement(row: FigureOfMerit, telescope: Telescope, stage: str, bound: float) -> Requirement:
+def requirement(row: FigureOfMerit, telescope: Telescope, stage: str, bound: float) -> TuningRequirement:
     """A row as a requirement of the controller of a stage; the band of a relative error by filters of order 4.
 
     Raises

@@ -9,9 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lftkit.systems.system import System
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.structures.structures import state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 BLOCKS = {
     "undamped mode": lambda w: np.array([[0.0, w], [-w, 0.0]]),

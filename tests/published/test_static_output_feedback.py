@@ -17,11 +17,12 @@ from lftkit.analysis.batched_linalg import eigenvalues, largest_gains, solve
 from lftkit.analysis.norms import hinf_norm
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.result import TuningResult
 from lftkit.tuning.structures.structures import gain, state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 STARTS = {"AC2": 3, "AC4": 3, "AC6": 3, "AC16": 6, "AC17": 3, "HE1": 6, "REA2": 6}
 SLOW_STARTS = {"AC15": 24, "REA1": 24, "DIS2": 24, "HE2": 24, "NN4": 24, "NN8": 24}

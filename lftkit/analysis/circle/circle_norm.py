@@ -14,16 +14,15 @@ import numpy as np
 
 from lftkit.analysis.batched_linalg import largest_eigenvalues, largest_gains
 from lftkit.analysis.circle.circle_response import ORDER, CircleResolvents, Expansion, circle_modes
-from lftkit.analysis.circle.exact_circle_norm import Quotient, exact_circle_norm
+from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
 from lftkit.analysis.eigenvectors import EPS, balanced
-from lftkit.analysis.peak_search import climb
+from lftkit.analysis.hinf.interval_cover import PEAK_CUTS, above_level
+from lftkit.analysis.hinf.level_iteration import Peak, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.peak_search import highest_peak
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
-MAX_INTERVALS = 40_000
-MAX_ROUNDS = 40
-PEAK_CUTS = 13  # halvings of the distance of the nearest pole
 GROWTH = 2.0  # of the intervals away from a pole
-CLIMBED, RIVAL = 3, 0.7  # seeds from which a peak is searched; of the largest gain: seeds below are not tried
+MARGIN = 0.9  # part of `rtol` between a gain and the level above it: the rest is for its rounding
 
 
 class Expandable(Protocol):
@@ -98,8 +97,10 @@ def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
     if (quotient := Quotient.of(given)) is not None:
         if stable is None and not quotient.stable(limit):
             return None
-        if (exact := exact_circle_norm(quotient, rtol)) is not None:
-            return CirclePeak(*exact, certificate="polynomial")
+        try:
+            return CirclePeak(*bracketed_norm(ExactCircleModel(quotient, MARGIN * rtol)), "polynomial")
+        except UndecidedError:
+            pass
     if best is not None:
         return best
     direct = float(largest_gains(given[3][None].astype(complex))[0])  # the norm is that of D at least
@@ -107,47 +108,69 @@ def _norm_in_units(given: Matrices, rtol: float) -> CirclePeak | None:
 
 
 def circle_norm(response: Expandable, rtol: float) -> CirclePeak | None:
-    """H-infinity norm of a stable response; None where `MAX_INTERVALS` do not show it.
+    """H-infinity norm of a stable response; None where intervals do not show it.
 
     The two sides are `rtol` apart unless rounding forbids it; then they are as far apart as rounding makes them.
     """
-    seeds = np.unique(np.concatenate([[0.0, np.pi], np.abs(response.angle)]))
-    gain, theta = _best_peak(response, seeds, rtol)
-    rounding = _rounding(response, theta)
-    level = (gain + rounding) * (1.0 + 0.9 * rtol) + 2.0 * rounding
-    for _ in range(MAX_ROUNDS):
-        cuts = _cuts(response, seeds, theta)
-        outcome = _cover(response, level, np.column_stack([cuts[:-1], cuts[1:]]))
-        if outcome is True:
-            return CirclePeak(max(gain - rounding, 0.0), level, theta)
-        if outcome is False:
+    try:
+        return CirclePeak(*bracketed_norm(CircleModel(response, rtol)), "interval")
+    except UndecidedError:
+        return None
+
+
+@dataclass(frozen=True)
+class CircleModel:
+    """Gain on the unit circle, covered by intervals: a :class:`~lftkit.analysis.hinf.level_iteration.GainModel`.
+
+    Its frequencies are angles [rad].
+    """
+
+    response: Expandable
+    rtol: float
+
+    def first_peak(self) -> Peak:
+        """The highest peak near the ends of half the circle and the angles of the poles."""
+        return self._highest(self._seeds())
+
+    def bracket(self, peak: Peak) -> tuple[float, float]:
+        """Gain less its rounding, and the level above the gain and what rounding does not exclude."""
+        rounding = float(self.response.expansion(np.array([peak.omega]), np.zeros(1)).rounding[0])
+        margin = 1.0 + MARGIN * self.rtol
+        level = max((peak.gain + rounding) * margin + 2.0 * rounding, peak.possible * margin)
+        return max(peak.gain - rounding, 0.0), level
+
+    def higher_peak(self, level: float, peak: Peak) -> Peak | None:
+        """The peak near the angle at which rounding does not exclude the largest gain above the level."""
+        cuts = _cuts(self.response, self._seeds(), peak.omega)
+        found = above_level(self._bounds, level, np.column_stack([cuts[:-1], cuts[1:]]))
+        if found is None:
             return None
-        found, doubt = outcome
-        better, place = _best_peak(response, np.array([found]), rtol)
-        if better > gain:
-            gain, theta = better, place
-            rounding = _rounding(response, theta)
-        level = max((gain + rounding) * (1.0 + 0.9 * rtol) + 2.0 * rounding, doubt * (1.0 + 0.9 * rtol))
-    return None
+        angles, gains = found
+        worst = int(np.argmax(gains))
+        return self._highest(angles[[worst]])._replace(possible=float(gains[worst]))
 
+    def _seeds(self) -> FloatArray:
+        return np.asarray(np.unique(np.concatenate([[0.0, np.pi], np.abs(self.response.angle)])))
 
-def _rounding(response: Expandable, theta: float) -> float:
-    return float(response.expansion(np.array([theta]), np.zeros(1)).rounding[0])
+    def _highest(self, angles: FloatArray) -> Peak:
+        centres = self.response.expansion(angles, np.zeros(len(angles))).coefficients[:, 0]
+        gains = np.sqrt(largest_eigenvalues(_square(centres[:, None])[:, 0]))
 
+        def distance(theta: float) -> float:
+            return _distance(self.response, theta)
 
-def _best_peak(response: Expandable, seeds: FloatArray, rtol: float) -> tuple[float, float]:
-    """Largest gain near the best `CLIMBED` seeds: (gain, angle)."""
-    centres = response.expansion(seeds, np.zeros(len(seeds))).coefficients[:, 0]
-    gains = np.sqrt(largest_eigenvalues(_square(centres[:, None])[:, 0]))
-    chosen = np.argsort(gains)[::-1][:CLIMBED]
-    best, theta = float(gains[chosen[0]]), float(seeds[chosen[0]])
-    for k in chosen[gains[chosen] >= RIVAL * best]:
-        start = float(seeds[k])
-        if 0.0 < start < np.pi:
-            angle, gain = climb(response.derivatives, start, float(gains[k]), _distance(response, start), rtol)
-            if gain > best and 0.0 <= angle <= np.pi:
-                best, theta = gain, angle
-    return best, theta
+        return highest_peak(self.response.derivatives, distance, (angles, gains), self.rtol, (0.0, np.pi))
+
+    def _bounds(self, centre: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gain at the centres that rounding does not exclude, and a bound of it on the intervals, both (N,)."""
+        found = self.response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
+        square = _square(found.coefficients)
+        bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
+        k = square.shape[-1]
+        highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
+        gains = np.sqrt(largest_eigenvalues(square[:, 0]))
+        slack = found.rounding * 2.0 + found.rest
+        return gains + 2.0 * found.rounding, np.sqrt(highest * (1.0 + 1e-14)) + slack
 
 
 def _distance(response: Expandable, theta: float) -> float:
@@ -170,34 +193,6 @@ def _cuts(response: Expandable, seeds: FloatArray, peak: float) -> FloatArray:
     every = np.concatenate([np.linspace(0.0, np.pi, 9), seeds, around, [peak], peak - steps, peak + steps])
     every = np.unique(every[(every >= 0.0) & (every <= np.pi)])
     return np.asarray(every)
-
-
-def _cover(response: Expandable, level: float, intervals: FloatArray) -> tuple[float, float] | bool:
-    """True where the gain stays below; else an angle at which it may not, with the gain there; False: given up."""
-    done = 0
-    while len(intervals):
-        done += len(intervals)
-        if done > MAX_INTERVALS:
-            return False
-        centre, half = 0.5 * (intervals[:, 0] + intervals[:, 1]), 0.5 * (intervals[:, 1] - intervals[:, 0])
-        found = response.expansion(centre, half * (1.0 + 1e-9) + 1e-15)
-        square = _square(found.coefficients)
-        bernstein = np.einsum("ab,kbij->kaij", _TO_BERNSTEIN, square)
-        k = square.shape[-1]
-        highest = largest_eigenvalues(bernstein.reshape(-1, k, k)).reshape(len(centre), -1).max(axis=1)
-        gains = np.sqrt(largest_eigenvalues(square[:, 0]))
-        slack = found.rounding * 2.0 + found.rest
-        bound = np.sqrt(highest * (1.0 + 1e-14)) + slack
-        sure = gains + 2.0 * found.rounding
-        if np.any(over := sure > level):
-            worst = int(np.argmax(np.where(over, sure, 0.0)))
-            return float(centre[worst]), float(sure[worst])
-        left = intervals[~(bound <= level)]
-        middle = 0.5 * (left[:, 0] + left[:, 1])
-        if np.any((middle <= left[:, 0]) | (middle >= left[:, 1])):
-            return False
-        intervals = np.concatenate([np.column_stack([left[:, 0], middle]), np.column_stack([middle, left[:, 1]])])
-    return True
 
 
 def _square(coefficients: ComplexArray) -> ComplexArray:

@@ -26,10 +26,10 @@ from lftkit.analysis.eigenvectors import (
     eigenvector_residual,
     modes,
 )
+from lftkit.analysis.hinf.interval_cover import INSIDE
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 
 ORDER = 4  # of the expansions
-INSIDE = 0.75  # |t q| of a pole, at most
 ANGLE = 1e-15  # rounding of the angle of a pole or of a point of the circle [rad]
 SETTLED = 0.25  # sum of a row of the residual over the distance of its pole from the circle, at most
 SEPARATE = 1e-11  # the same, above which the eigenvectors are corrected

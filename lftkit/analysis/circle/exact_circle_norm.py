@@ -8,7 +8,6 @@ coefficients show. Nothing is rounded but the gains that are reported.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from lftkit.analysis.hinf.level_iteration import Peak, UndecidedError
 from lftkit.arrays import FloatArray, Matrices
 
 Integers = NDArray[np.object_]
 
 MAX_STATES = 24
 LARGEST_EXPONENT = 400  # bits between the largest and the smallest digit of the matrices, at most
-MAX_DEPTH, MAX_PARTS, MAX_ROUNDS = 120, 20_000, 60
+MAX_DEPTH, MAX_PARTS = 120, 20_000  # halvings of an interval, intervals
+STARTS = 16  # points of each half of the circle from which a peak is searched
 SEARCH = 40  # steps of the search for a peak
 MARGIN = 2.0**-44  # relative size of an eigenvalue whose sign counts
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
@@ -156,29 +157,40 @@ class _Half:
         return above**2 * own[:, None, None] * identity - below**2 * real, -(below**2) * imaginary
 
 
-def exact_circle_norm(quotient: Quotient, rtol: float) -> tuple[float, float, float] | None:
-    """Gain reached, level not exceeded and angle [rad] of the gain of a stable quotient; None where it gave up."""
-    starts = [(half, k / 16.0) for half in quotient.halves for k in range(17)]
-    half, t = max(starts, key=lambda start: start[0].gain(start[1]))
-    gain, t = _peak(half, t, 1.0 / 16.0)
-    for _ in range(MAX_ROUNDS):
-        level = gain * (1.0 + 0.9 * rtol)
-        if level == 0.0:
-            level = 1e-300
-        above = next((found for other in quotient.halves for found in _above(other, level)), None)
-        if above is None:
-            return gain, level, half.angle(t)
-        if above[1] != above[1]:
-            return None
-        better, place = _peak(above[0], above[1], above[2])
-        if better <= gain:
-            return None
-        gain, half, t = better, above[0], place
-    return None
+@dataclass(frozen=True)
+class ExactCircleModel:
+    """Gain of a stable quotient: a :class:`~lftkit.analysis.hinf.level_iteration.GainModel` of angles [rad].
+
+    Parameters
+    ----------
+    quotient : Quotient
+    rtol : float
+        Relative distance of the two sides.
+    """
+
+    quotient: Quotient
+    rtol: float
+
+    def first_peak(self) -> Peak:
+        """The peak near the best of some points of the circle."""
+        starts = [(half, k / STARTS) for half in self.quotient.halves for k in range(STARTS + 1)]
+        half, t = max(starts, key=lambda start: start[0].gain(start[1]))
+        return _peak(half, t, 1.0 / STARTS)
+
+    def bracket(self, peak: Peak) -> tuple[float, float]:
+        """Gain at `peak` and the level above it, which is above zero."""
+        return peak.gain, peak.gain * (1.0 + self.rtol) or 1e-300
+
+    def higher_peak(self, level: float, peak: Peak) -> Peak | None:
+        """The peak near a point that exceeds the level."""
+        for half in self.quotient.halves:
+            if (found := _above(half, level)) is not None:
+                return _peak(half, *found)
+        return None
 
 
-def _above(half: _Half, level: float) -> Iterator[tuple[_Half, float, float]]:
-    """A point above the level and the width of its interval; none: the gain stays below; NaN: given up."""
+def _above(half: _Half, level: float) -> tuple[float, float] | None:
+    """A point above the level and the width of its interval; None: the gain stays below."""
     parts = [(0.0, 1.0, *half.excess(level), 0)]
     done = 0
     while parts:
@@ -187,20 +199,19 @@ def _above(half: _Half, level: float) -> Iterator[tuple[_Half, float, float]]:
         signs = _signs(real, imaginary)
         for t, sign in ((low, signs[0]), (high, signs[-1])):
             if sign < 0:
-                yield half, t, high - low
-                return
+                return t, high - low
         if min(signs) > 0:
             continue
         middle = 0.5 * (low + high)
         if depth >= MAX_DEPTH or done >= MAX_PARTS or not low < middle < high:
-            yield half, float("nan"), 0.0
-            return
+            raise UndecidedError("an interval of the circle is too small")
         (first, second), (one, two) = _split(real), _split(imaginary)
         parts += [(low, middle, first, one, depth + 1), (middle, high, second, two, depth + 1)]
+    return None
 
 
-def _peak(half: _Half, t: float, width: float) -> tuple[float, float]:
-    """Largest gain near t: (gain, t), by golden section."""
+def _peak(half: _Half, t: float, width: float) -> Peak:
+    """Peak near t, by golden section."""
     low, high = max(t - width, 0.0), min(t + width, 1.0)
     best, place = half.gain(t), t
     a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
@@ -217,7 +228,7 @@ def _peak(half: _Half, t: float, width: float) -> tuple[float, float]:
         for x, gain in ((a, ga), (b, gb)):
             if gain > best:
                 best, place = gain, x
-    return best, place
+    return Peak(half.angle(place), best)
 
 
 def _signs(real: Integers, imaginary: Integers) -> list[int]:

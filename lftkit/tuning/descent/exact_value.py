@@ -13,13 +13,13 @@ from scipy.linalg import lapack
 from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.eigenvectors import EPS, complex_columns, complex_rows
 from lftkit.analysis.frequency_response import FrequencyResponse
-from lftkit.analysis.peak_search import climb
+from lftkit.analysis.hinf.peak_search import climb
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.tuning.gains.algebraic_loop import WellPosedness
 from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import HinfGain
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements.sector import SectorGain
 
 MAX_ORDER = 40  # of the closed loop: above it the grid of the smooth phase is cheaper
 RIVAL, MAX_RIVALS = 0.9, 3  # peaks of the frequencies tried above this fraction of the largest gain are refined

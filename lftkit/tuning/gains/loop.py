@@ -19,6 +19,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import cascade
 from lftkit.systems.delay import pade_delay
 from lftkit.systems.system import System
+from lftkit.tuning.gains.algebraic_loop import loop_inverse
 from lftkit.tuning.requirements import H2Gain, HinfGain
 
 
@@ -61,7 +62,7 @@ class ExtendedPlant:
                 self.C2,
                 self.D21,
             )
-        inner = linalg.inv(np.eye(K.shape[1]) - self.D22 @ K)
+        inner = loop_inverse(np.eye(K.shape[1]) - self.D22 @ K)
         KS = K @ inner
         left = self.B2 + self.B2 @ KS @ self.D22  # B2 (I - K D22)^-1
         left_z = self.D12 + self.D12 @ KS @ self.D22

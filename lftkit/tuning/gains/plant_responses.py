@@ -20,8 +20,9 @@ from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import ControllerFactors, controller_at
 from lftkit.tuning.gains.prefeedback import applied, prefeedback
-from lftkit.tuning.requirements import H2Gain, HinfGain, band_edges
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements import H2Gain, HinfGain
+from lftkit.tuning.requirements.gains import band_edges
+from lftkit.tuning.requirements.sector import SectorGain
 
 MIN_DISTANCE = 1e-4  # relative distance of every frequency from a pole that stays on the imaginary axis
 PER_DECADE = 50

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrices
+from lftkit.tuning.gains.algebraic_loop import loop_inverse
 
 UNDAMPED = 1e-4  # damping ratio below which a pole counts as undamped
 SUFFICIENT = 2e-3  # damping ratio that is enough for every pole
@@ -83,7 +84,7 @@ def applied(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, nz: int,
     if not F.any():
         return A, B, C, D
     B2, C2, D12, D21, D22 = B[:, nw:], C[nz:], D[:nz, nw:], D[nz:, :nw], D[nz:, nw:]
-    inner = linalg.inv(np.eye(len(F)) - F @ D22)
+    inner = loop_inverse(np.eye(len(F)) - F @ D22)
     FC, FD, through = inner @ F @ C2, inner @ F @ D21, inner
     into: FloatArray = np.vstack([D12, D22])
     return (

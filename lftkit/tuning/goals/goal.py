@@ -11,7 +11,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
-from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.requirements import TuningRequirement
 
 
 @runtime_checkable
@@ -22,21 +22,21 @@ class Goal(Protocol):
         """The model with the ports that the requirements name."""
         ...
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """Requirements on the prepared model."""
         ...
 
 
 def resolved(
-    models: Sequence[System], goals: Sequence[Requirement | Goal]
-) -> tuple[tuple[System, ...], tuple[Requirement, ...]]:
+    models: Sequence[System], goals: Sequence[TuningRequirement | Goal]
+) -> tuple[tuple[System, ...], tuple[TuningRequirement, ...]]:
     """Models with the ports of all goals, and the requirements that the goals are."""
     if not models:
         raise ValueError("a design needs at least one model, got none")
     for model in models:
         model.require_certain()
     ready = tuple(_prepared(model, goals) for model in models)
-    requirements: list[Requirement] = []
+    requirements: list[TuningRequirement] = []
     for goal in goals:
         requirements += goal.requirements_on(ready[0]) if isinstance(goal, Goal) else (goal,)
     return ready, tuple(requirements)
@@ -44,9 +44,9 @@ def resolved(
 
 def resolved_build(
     build: Callable[[Mapping[str, float]], System],
-    goals: Sequence[Requirement | Goal],
+    goals: Sequence[TuningRequirement | Goal],
     example: Mapping[str, float],
-) -> tuple[Callable[[Mapping[str, float]], System], tuple[Requirement, ...]]:
+) -> tuple[Callable[[Mapping[str, float]], System], tuple[TuningRequirement, ...]]:
     """As :func:`resolved` for models that are built from parameter values, `example` being some."""
     own = tuple(goal for goal in goals if isinstance(goal, Goal))
     if not own:
@@ -66,7 +66,7 @@ class PreparedBuild:
         return _prepared(self.build(values), self.goals)
 
 
-def _prepared(model: System, goals: Sequence[Requirement | Goal]) -> System:
+def _prepared(model: System, goals: Sequence[TuningRequirement | Goal]) -> System:
     for goal in goals:
         model = goal.prepared(model) if isinstance(goal, Goal) else model
     return model

@@ -19,7 +19,8 @@ from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
-from lftkit.tuning.requirements import HinfGain, Requirement, as_weight
+from lftkit.tuning.requirements import HinfGain, TuningRequirement
+from lftkit.tuning.requirements.gains import as_weight
 
 SLOWEST, FASTEST = 1e-4, 1e4  # of an integrator and of a differentiator in a weight, relative to its crossover
 
@@ -85,7 +86,7 @@ class Sensitivity(_AtLoop):
         super().__post_init__()
         object.__setattr__(self, "weight", as_weight(self.weight, "weight"))
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
         weight = None if self.weight is None else _repeated(self.weight, self._size(model))
         out = self._ports("returned" if self.complementary else "applied")
@@ -142,7 +143,7 @@ class Margins(_AtLoop):
         gain = 2.0 * (self.gain_margin - 1.0) / (self.gain_margin + 1.0)
         return max(gain, 2.0 * float(np.tan(0.5 * np.deg2rad(self.phase_margin))))
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
         middle = self._ports("middle")
         common = {"hard": self.hard, "name": self._name(self.name)}
@@ -167,7 +168,7 @@ class _LoopGain(_AtLoop):
         if not (np.isfinite(self.crossover) and self.crossover > 0.0):
             raise ValueError(f"crossover must be positive [rad/s], got {self.crossover}")
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain, of all bounds."""
         weights = {"applied": _integrator, "returned": _differentiator}
         parts = (_repeated(weights[kind](self.crossover), self._size(model)) for kind in self.bounds)

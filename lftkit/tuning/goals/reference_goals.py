@@ -10,7 +10,7 @@ from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.goals.goal import with_output
-from lftkit.tuning.requirements import H2Gain, HinfGain, Requirement
+from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 
 GAP_LEAK = 1e-3  # of the integrator in the weight of a step, relative to the speed of the reference model
 
@@ -76,7 +76,7 @@ class Tracking(_FromReference):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
         w, size = 2.0 / self.response_time, len(model.input_indices([self.reference]))
         weight = transfer([1.0, w], [self.peak_error, w * self.dc_error], size)
@@ -129,7 +129,7 @@ class StepTracking(_FromReference):
         """Difference of the output and the reference model's, and the latter."""
         return f"{self._error}.mismatch", f"{self._error}.modelled"
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One H2 norm, of the step through the plant and through the reference model."""
         size, dt, tau = len(model.input_indices([self.reference])), model.dt, self.time_constant
         one, leak = np.eye(size), GAP_LEAK / tau
@@ -192,7 +192,7 @@ class Overshoot(_FromReference):
         """The model as it is."""
         return model
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One gain."""
         common = {"hard": self.hard, "name": self._name(self.name)}
         return (HinfGain((self.reference,), (self.output,), self.peak_gain, **common),)  # type: ignore[arg-type]

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import linalg
 
 from lftkit.systems.system import System
-from lftkit.tuning.requirements import Requirement
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements import TuningRequirement
+from lftkit.tuning.requirements.sector import SectorGain
 
 Fraction = tuple[float, float, float, float]
 LEAST_MARGIN = 1e-3
@@ -46,7 +46,7 @@ class _OfChannel:
 
     def _requirement(
         self, model: System, fraction: Fraction, unit: float, hard: bool, name: str, band: tuple[float, float]
-    ) -> tuple[Requirement, ...]:
+    ) -> tuple[TuningRequirement, ...]:
         called = name or f"{type(self).__name__} {'+'.join(self.inputs)} -> {'+'.join(self.outputs)}"
         common = {"hard": hard, "name": called, "band": band, "fraction": fraction}
         index = SectorGain(self.inputs, self.outputs, unit, **common)  # type: ignore[arg-type]
@@ -127,7 +127,7 @@ class Passivity(_OfChannel):
                 f"input_index times output_index must be below 1/4, got {self.input_index} and {self.output_index}"
             )
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One index."""
         form = np.array([[2.0 * self.output_index * self.unit, -1.0], [-1.0, 2.0 * self.input_index / self.unit]])
         (low, high), vectors = linalg.eigh(form)
@@ -180,7 +180,7 @@ class ConicSector(_OfChannel):
 
     @property
     def fraction(self) -> Fraction:
-        """Coefficients of :class:`lftkit.tuning.sector_gain.SectorGain`."""
+        """Coefficients of :class:`lftkit.tuning.requirements.sector.SectorGain`."""
         low, high = self.low, self.high
         if np.isinf(high):
             return 1.0, -low - self.unit, 1.0, -low + self.unit
@@ -189,6 +189,6 @@ class ConicSector(_OfChannel):
         half = 0.5 * (high - low)
         return 1.0 / half, -0.5 * (low + high) / half, 0.0, 1.0
 
-    def requirements_on(self, model: System) -> tuple[Requirement, ...]:
+    def requirements_on(self, model: System) -> tuple[TuningRequirement, ...]:
         """One index."""
         return self._requirement(model, self.fraction, 1.0, self.hard, self.name, self.band)

@@ -19,13 +19,13 @@ from lftkit.analysis.batched_linalg import largest_gains
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.arrays import BoolArray, ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.sampled.image import rates
 from lftkit.systems.system import System
-from lftkit.tuning.certificate import certify, delayed_controller
-from lftkit.tuning.discrete import certified, rates, sampled_weights
+from lftkit.tuning.certificate import certify
 from lftkit.tuning.goals.goal import Goal, resolved
 from lftkit.tuning.goals.reference_goals import StepTracking
-from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain, Requirement
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements import ControllerPoles, H2Gain, HinfGain, Poles, SectorGain, TuningRequirement
+from lftkit.tuning.requirements.assembled_loop import delayed_controller
 
 RESULT, LIMIT, REFUSED, IDLE = "#0b5d8a", "#b3261e", "#f6d5d2", "#e6e6e6"
 MARGIN, POINTS, DECADES = 10.0, 300, 6.0  # of the frequency axis beyond the poles, and at most in all
@@ -37,7 +37,7 @@ SHOWN = 0.98  # of the value, that a picture has to show
 
 def plot_goals(
     models: System | Sequence[System],
-    goals: Sequence[Requirement | Goal],
+    goals: Sequence[TuningRequirement | Goal],
     controller: System,
     *,
     loop_delay: float = 0.0,
@@ -84,9 +84,8 @@ def plot_goals(
     if not goals:
         raise ValueError("expected at least one goal, got none")
     ready, needs = resolved(given, goals)
-    dt = ready[0].dt
     K = delayed_controller(controller, loop_delay)
-    certificate = certified(ready, K, needs, dt) if dt else certify(ready, controller, needs, loop_delay)
+    certificate = certify(ready, controller, needs, loop_delay)
     if not certificate.stable:
         raise ValueError(f"{controller.name}: controller must make every loop stable, got an unstable one")
     panels = [(goal, r) for goal in goals for r in resolved(given, [goal])[1]]
@@ -103,20 +102,20 @@ def plot_goals(
 
 def _panel(
     axes: Axes,
-    goal: Requirement | Goal,
-    r: Requirement,
+    goal: TuningRequirement | Goal,
+    r: TuningRequirement,
     models: Sequence[System],
     K: System,
     omega: ArrayLike | None,
     values: FloatArray,
 ) -> None:
-    if isinstance(r, ClosedLoopPoles | ControllerPoles):
+    if isinstance(r, Poles):
         _poles(axes, r, models, K)
     elif isinstance(goal, StepTracking):
         _steps(axes, goal, models, K)
     elif isinstance(r, HinfGain):
         _gains(axes, r, models, K, omega, float(values.max()))
-    else:
+    elif isinstance(r, H2Gain):
         _variances(axes, r, r.bound * values)
 
 
@@ -139,8 +138,7 @@ def _gains(axes: Axes, r: HinfGain, models: Sequence[System], K: System, omega: 
 
 def _curves(r: HinfGain, loops: Sequence[System], w: FloatArray) -> tuple[FloatArray, FloatArray, str]:
     """Gains (loops, N), their limit (N,), and what they are."""
-    dt = loops[0].dt
-    weighted = sampled_weights(r, dt) if dt else r
+    weighted = r.sampled(loops[0].dt)
     into, out = (None if x is None else x.response(w) for x in (weighted.weight_in, weighted.weight_out))
     responses = [loop.response(w) for loop in loops]
     if not isinstance(r, SectorGain) and _scalar(into) and _scalar(out):
@@ -173,7 +171,7 @@ def _variances(axes: Axes, r: H2Gain, rms: FloatArray) -> None:
     axes.set(ylim=(0.0, top), xlabel="model", ylabel="root mean square", xticks=np.arange(len(rms)))
 
 
-def _poles(axes: Axes, r: ClosedLoopPoles | ControllerPoles, models: Sequence[System], K: System) -> None:
+def _poles(axes: Axes, r: Poles, models: Sequence[System], K: System) -> None:
     dt = models[0].dt
     matrices = [K.A] if isinstance(r, ControllerPoles) else [close_loop(m, K, (), ()).A for m in models]
     found: ComplexArray = np.concatenate([linalg.eigvals(A) for A in matrices])

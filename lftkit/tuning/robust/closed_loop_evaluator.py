@@ -15,22 +15,13 @@ import numpy as np
 from lftkit.analysis.batched_linalg import largest_gains, solve
 from lftkit.analysis.frequency_grid import frequency_grid, pole_range
 from lftkit.analysis.frequency_response import FrequencyResponse, direct_response
-from lftkit.analysis.norms import h2_norm
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.delay import delay_radius
 from lftkit.systems.system import System
-from lftkit.tuning.certificate import delayed_controller, weighted_loop
-from lftkit.tuning.problem import delay_radius
-from lftkit.tuning.requirements import (
-    ClosedLoopPoles,
-    ControllerPoles,
-    H2Gain,
-    HinfGain,
-    Requirement,
-    band_edges,
-    check_weights,
-)
-from lftkit.tuning.sector_gain import SectorGain
+from lftkit.tuning.requirements import ControllerPoles, H2Gain, HinfGain, Poles, SectorGain, TuningRequirement
+from lftkit.tuning.requirements.assembled_loop import PADE_ORDER, AssembledLoop
+from lftkit.tuning.requirements.gains import band_edges
 
 
 class ClosedLoopEvaluator:
@@ -45,12 +36,12 @@ class ClosedLoopEvaluator:
 
     def __init__(self, model: System, controller: System, loop_delay: float = 0.0) -> None:
         self._model, self._plain, self._delay = model, controller, loop_delay
-        self._controller = delayed_controller(controller, loop_delay)
+        self._assembled = AssembledLoop(model, controller, loop_delay)
         measured = {p.name for p in controller.inputs}
         commanded = {p.name for p in controller.outputs}
         self._inputs = [p.name for p in model.inputs if p.name not in commanded]
         self._outputs = [p.name for p in model.outputs if p.name not in measured] + sorted(measured)
-        self._loop = close_loop(model, self._controller, self._inputs, self._outputs)
+        self._loop = close_loop(model, self._assembled.controller, self._inputs, self._outputs)
         self._weights: dict[int, FrequencyResponse] = {}
 
     @cached_property
@@ -62,7 +53,7 @@ class ClosedLoopEvaluator:
         """Largest real part of the closed-loop poles [rad/s]."""
         return float(self._response.poles.real.max(initial=-np.inf))
 
-    def values(self, requirements: Sequence[Requirement]) -> tuple[FloatArray, FloatArray]:
+    def values(self, requirements: Sequence[TuningRequirement]) -> tuple[FloatArray, FloatArray]:
         """Normalised values and peak frequencies [rad/s] of the requirements; infinite values where unstable."""
         count = len(requirements)
         values, frequencies = np.zeros(count), np.zeros(count)
@@ -75,12 +66,11 @@ class ClosedLoopEvaluator:
             T = self._response.at(grid)
         for i, r in enumerate(requirements):
             if isinstance(r, HinfGain):
-                check_weights(r, self._model)
+                r.check(self._model)
                 values[i], frequencies[i] = self._peak(r, grid, T)
             elif isinstance(r, H2Gain):
-                loop = weighted_loop(self._model, self._controller, r)
-                values[i] = h2_norm(loop.A, loop.B, loop.C, np.zeros_like(loop.D)) / r.bound
-            else:
+                values[i] = r.certified(self._assembled, 0.0).value
+            elif isinstance(r, Poles):
                 values[i] = self._poles(r)
         return values, frequencies
 
@@ -134,12 +124,12 @@ class ClosedLoopEvaluator:
             low, high = points[max(i - 1, 0)], points[min(i + 1, 8)]
         return best, peak
 
-    def _poles(self, r: ClosedLoopPoles | ControllerPoles) -> float:
+    def _poles(self, r: Poles) -> float:
         poles = self._response.poles
         if isinstance(r, ControllerPoles):
             poles = FrequencyResponse.of(*self._plain.matrices).poles
         elif self._delay:
-            poles = poles[np.abs(poles) < delay_radius(self._delay, 8)]
+            poles = poles[np.abs(poles) < delay_radius(self._delay, PADE_ORDER)]
         return float(r.pieces(poles)[0].max(initial=-np.inf))
 
 

@@ -28,22 +28,16 @@ from lftkit.tuning.descent.single_start import tune_from
 from lftkit.tuning.descent.starts import start_checked, start_sizes
 from lftkit.tuning.feasibility import feasibility_runs
 from lftkit.tuning.goals import Goal, resolved_build
+from lftkit.tuning.lexicographic import tuned_in_order
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.requirements import Requirement
+from lftkit.tuning.requirements import TuningRequirement
 from lftkit.tuning.result import Round, TuningResult, WorstCase
 from lftkit.tuning.robust.worst_case import Box, Build, WorstCaseOptions, worst_case
 from lftkit.tuning.rounds import CUT, Worse, in_rounds
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.structures import Structure
-from lftkit.tuning.tuner import (
-    ALL_MET,
-    TuningOptions,
-    all_met,
-    limits_from,
-    limits_of,
-    result_of,
-    tune,
-)
+from lftkit.tuning.tuner import ALL_MET, all_met, limits_from, limits_of, result_of, tune
 
 LEAST_SHARE = 1.0  # [s], of the wall limit, for any tuning
 SAME = 1e-4  # relative difference below which two ends of the first round are one
@@ -97,7 +91,7 @@ class RobustOptions:
 def tune_robust(
     build: Build,
     box: Box,
-    requirements: Sequence[Requirement | Goal],
+    requirements: Sequence[TuningRequirement | Goal],
     structure: Structure,
     *,
     active: Sequence[Mapping[str, float]] = (),
@@ -138,6 +132,8 @@ def tune_robust(
     chosen = [dict(parameters) for parameters in active] or [middle]
     ready, needs = resolved_build(build, requirements, chosen[0])
     given = [start_checked(x, structure) for x in initial]
+    if options.tuning.lexicographic:
+        return _in_order(ready, box, needs, structure, loop_delay, options, chosen, given)
     with one_thread(), Progress("robust design", options.tuning.progress) as progress:
         design = _Design(ready, box, needs, structure, loop_delay, options, start_time, chosen, given, progress)
         found = in_rounds(design, options.max_rounds, deadline=design.deadline)
@@ -156,13 +152,43 @@ def tune_robust(
     )
 
 
+def _in_order(
+    build: Build,
+    box: Box,
+    requirements: Sequence[TuningRequirement],
+    structure: Structure,
+    loop_delay: float,
+    whole: RobustOptions,
+    active: Sequence[Mapping[str, float]],
+    given: Sequence[FloatArray],
+) -> TuningResult:
+    """Level by level; the models that one level has made active remain so."""
+    models = list(active)
+
+    def run(
+        requirements: Sequence[TuningRequirement],
+        structure: Structure,
+        *,
+        initial: Sequence[FloatArray],
+        options: TuningOptions,
+    ) -> TuningResult:
+        rounds = whole.max_rounds if structure.size else 1  # one controller is searched once
+        own = replace(whole, tuning=options, max_rounds=rounds)
+        common: Any = {"active": models, "loop_delay": loop_delay, "options": own}
+        found = tune_robust(build, box, requirements, structure, initial=initial, **common)
+        models[:] = found.active
+        return found
+
+    return tuned_in_order(run, requirements, structure, given, whole.tuning, whole.slack)
+
+
 @dataclass
 class _Design:
     """Models at parameter values: worse is what the search over the box finds."""
 
     build: Build
     box: Box
-    requirements: tuple[Requirement, ...]
+    requirements: tuple[TuningRequirement, ...]
     structure: Structure
     loop_delay: float
     options: RobustOptions

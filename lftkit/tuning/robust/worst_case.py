@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.optimize
@@ -17,10 +17,14 @@ import scipy.optimize
 from lftkit.analysis.frequency_response import PoleError
 from lftkit.arrays import FloatArray, IntArray
 from lftkit.support.threads import one_thread
+from lftkit.systems.operand import common_period
+from lftkit.systems.sampled.bilinear import unwarped_frequency
+from lftkit.systems.sampled.image import image_of
 from lftkit.systems.system import System
 from lftkit.tuning.gains.controller_response import controller_response
 from lftkit.tuning.goals import Goal, resolved_build
-from lftkit.tuning.requirements import HinfGain, Requirement
+from lftkit.tuning.requirements import HinfGain, TuningRequirement
+from lftkit.tuning.requirements.assembled_loop import NO_DELAY
 from lftkit.tuning.result import WorstCase
 from lftkit.tuning.robust.closed_loop_evaluator import ClosedLoopEvaluator, gain_at
 from lftkit.tuning.structures.structures import gain_matrix_of
@@ -73,7 +77,7 @@ def worst_case(
     build: Build,
     box: Box,
     controller: System,
-    requirements: Sequence[Requirement | Goal],
+    requirements: Sequence[TuningRequirement | Goal],
     *,
     loop_delay: float = 0.0,
     options: WorstCaseOptions | None = None,
@@ -83,11 +87,13 @@ def worst_case(
     Parameters
     ----------
     build : callable
-        From parameter values by name to a :class:`System`.
+        From parameter values by name to a :class:`System`, in continuous or discrete time.
     box : mapping of str to (lowest, highest)
     controller : System
+        Of the models' sampling period.
     requirements : sequence
     loop_delay : float
+        Delay on the commands [s]; 0 in discrete time.
     options : WorstCaseOptions, optional
 
     Returns
@@ -98,7 +104,7 @@ def worst_case(
     Raises
     ------
     ValueError
-        An empty box or bounds in the wrong order.
+        An empty box or bounds in the wrong order, sampling periods that differ, a delay in discrete time.
 
     Examples
     --------
@@ -114,6 +120,7 @@ def worst_case(
     (14.15, {'m': 2.0, 'c': 0.1})
     """
     options = options or WorstCaseOptions()
+    _check_box(box)
     middle = {name: 0.5 * (low + high) for name, (low, high) in box.items()}
     ready, needs = resolved_build(build, requirements, middle)
     search = _Search(ready, box, controller, needs, loop_delay, options)
@@ -121,30 +128,33 @@ def worst_case(
         return search.run()
 
 
+def _check_box(box: Box) -> None:
+    if not box:
+        raise ValueError("the box of parameters is empty: there is nothing to search")
+    for name, (low, high) in box.items():
+        if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+            raise ValueError(f"parameter {name!r}: expected finite bounds, lowest first, got ({low}, {high})")
+
+
 class _Search:
-    """State of one search; points are in the unit cube."""
+    """State of one search; points are in the unit cube. Discrete systems are evaluated on their images."""
 
     def __init__(
         self,
         build: Build,
         box: Box,
         controller: System,
-        requirements: tuple[Requirement, ...],
+        requirements: tuple[TuningRequirement, ...],
         loop_delay: float,
         options: WorstCaseOptions,
     ) -> None:
-        if not box:
-            raise ValueError("the box of parameters is empty: there is nothing to search")
-        for name, (low, high) in box.items():
-            if not (np.isfinite(low) and np.isfinite(high) and low <= high):
-                raise ValueError(f"parameter {name!r}: expected finite bounds, lowest first, got ({low}, {high})")
         self._build, self._controller, self._options = build, controller, options
         self._requirements, self._delay = requirements, loop_delay
         self._names = tuple(box)
         self._low = np.array([box[n][0] for n in self._names])
         self._width = np.array([box[n][1] for n in self._names]) - self._low
         self._deadline = time.monotonic() + options.wall_limit
-        self._count = 0
+        self._count, self._dt = 0, 0.0
 
     def run(self) -> tuple[WorstCase, ...]:
         points = self._points()
@@ -167,7 +177,8 @@ class _Search:
                     best, omega, point = value, frequency, where
             others = self._runners_up(order, values[:, i], [t[1][i] for t in table], float(omega), points)
             found.append(((r.name, float(best), self._parameters(point), float(omega), sampled), others))
-        return tuple(WorstCase(*f, self._count, others) for f, others in found)
+        cases = tuple(WorstCase(*f, self._count, others) for f, others in found)
+        return tuple(replace(w, omega=unwarped_frequency(w.omega, self._dt)) for w in cases) if self._dt else cases
 
     def _runners_up(
         self,
@@ -201,10 +212,23 @@ class _Search:
     def _parameters(self, point: FloatArray) -> dict[str, float]:
         return dict(zip(self._names, (self._low + point * self._width).tolist()))
 
+    def _model(self, point: FloatArray) -> System:
+        """Model at a point, of a discrete one its image; the first says what the controller and requirements are."""
+        model = self._build(self._parameters(point))
+        if not model.dt:
+            return model
+        if not self._dt:
+            if self._delay:
+                raise ValueError(f"{NO_DELAY}, got {self._delay:g} s")
+            self._dt = common_period([model, self._controller])
+            self._requirements = tuple(r.on_image(model) for r in self._requirements)
+            self._controller = image_of(self._controller) if self._controller.dt else self._controller
+        return image_of(model)
+
     def _evaluate(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values and peak frequencies of all requirements at a point."""
         self._count += 1
-        model = self._build(self._parameters(point))
+        model = self._model(point)
         return ClosedLoopEvaluator(model, self._controller, self._delay).values(self._requirements)
 
     def _climb(self, i: int, start: FloatArray) -> tuple[float, float, FloatArray]:
@@ -248,7 +272,7 @@ class _Search:
 
     def _fixed(self, i: int, point: FloatArray, omega: float) -> float:
         r = self._requirements[i]
-        model = self._build(self._parameters(point))
+        model = self._model(point)
         if isinstance(r, HinfGain):
             K = controller_response(gain_matrix_of(self._controller), self._controller.order, np.array([omega]))[0]
             with suppress(PoleError):  # the plant may have a pole at this frequency that the loop moves away

@@ -114,3 +114,11 @@ def bounds_by_name(names: Sequence[str], before: Bounds | None, limits: Mapping[
             raise ValueError(f"bounds of {name} must be a lowest and a higher highest value, got ({low:g}, {high:g})")
         lower[number], upper[number] = low, high
     return Bounds(lower, upper)
+
+
+@dataclass(frozen=True)
+class ParameterBounds:
+    """Bounds of the structure's parameters, kept by the descents as a hard requirement: not one that users give."""
+
+    hard: bool = True
+    name: str = "bounds of the parameters"

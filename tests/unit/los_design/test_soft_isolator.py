@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem, worst_values
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 from los_design.synthesis.state_space_requirements import paper_requirements
 from los_estimator.problem import kalman_start, observer_plant, observer_structure
 from titop_plant.telescope.load import load_telescope

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lftkit.analysis.norms
-from lftkit.analysis.circle.half_plane import HalfPlane
+from lftkit.analysis.hinf.half_plane import HalfPlane
+from lftkit.analysis.hinf.small_norm import COMPILED_STATES
 from lftkit.analysis.norms import HInfNorm, compiled, hinf_norm
-from lftkit.analysis.small_norm import COMPILED_STATES
 from lftkit.systems.sampled.bilinear import to_continuous
 
 pytest.importorskip("numba")

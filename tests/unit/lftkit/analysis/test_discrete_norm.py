@@ -19,8 +19,9 @@ from support.resonant_systems import resonator, sum_of
 
 import lftkit.analysis.circle.circle_norm
 from lftkit.analysis.circle.circle_response import CircleResolvents, circle_modes
-from lftkit.analysis.circle.exact_circle_norm import Quotient, exact_circle_norm
+from lftkit.analysis.circle.exact_circle_norm import ExactCircleModel, Quotient
 from lftkit.analysis.eigenvectors import balanced
+from lftkit.analysis.hinf.level_iteration import bracketed_norm
 from lftkit.analysis.norms import h2_norm, hinf_norm
 
 EPS = np.finfo(float).eps
@@ -147,7 +148,7 @@ def test_three_ways_agree() -> None:
     peaks = [lftkit.analysis.circle.circle_norm.circle_norm(way, 1e-6) for way in (form, CircleResolvents.of(given))]
     quotient = Quotient.of(given)
     assert quotient is not None and quotient.stable(1.0 - 1e-14)
-    value, upper, _ = exact_circle_norm(quotient, 1e-6)
+    value, upper, _ = bracketed_norm(ExactCircleModel(quotient, 1e-6))
     for peak in peaks:
         assert peak is not None
         assert peak.value <= upper and value <= peak.upper

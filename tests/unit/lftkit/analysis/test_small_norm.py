@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from oracles.accurate_response import extended_response
 from support.resonant_systems import mixed, oscillator, structure, sum_of
 
-import lftkit.analysis.small_norm
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.hinf.level_iteration import NormBracket, Peak, UndecidedError, bracketed_norm
+from lftkit.analysis.hinf.peak_search import climb, squared_gain
+from lftkit.analysis.hinf.small_norm import MAX_STATES, SmallModel
 from lftkit.analysis.norms import hinf_norm
-from lftkit.analysis.peak_search import climb, squared_gain
-from lftkit.analysis.small_norm import MAX_STATES, small_hinf_norm
 
 SHAPES = [(1, 1), (1, 3), (3, 1), (2, 2), (4, 3), (2, 5)]
 
@@ -28,9 +26,9 @@ def random_system(seed: int, shape: tuple[int, int], feedthrough: float = 0.5) -
     return A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), feedthrough * rng.normal(size=(p, m))
 
 
-def small(system: tuple[np.ndarray, ...], rtol: float) -> Any:
+def small(system: tuple[np.ndarray, ...], rtol: float) -> NormBracket:
     A, B, C, D = system
-    return small_hinf_norm((*balanced(A, B, C), D), rtol)
+    return bracketed_norm(SmallModel.of((*balanced(A, B, C), D), rtol))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -59,7 +57,11 @@ def test_other_peak_is_found_by_the_crossings(monkeypatch: pytest.MonkeyPatch) -
     """The search starts at the lower of two peaks that differ by 1e-5, and at a frequency where there is none."""
     system = mixed(sum_of(oscillator(1.0, 0.01), oscillator(70.0, 0.01 * (1 + 1e-5))))
     for start in (70.0, 8.0):
-        monkeypatch.setattr(lftkit.analysis.small_norm._ModalForm, "seeds", lambda _, w=start: np.array([w]))
+
+        def first_peak(model: SmallModel, omega: float = start) -> Peak:
+            return Peak(omega, float(np.linalg.norm(model.with_derivatives(omega)[0], 2)))
+
+        monkeypatch.setattr(SmallModel, "first_peak", first_peak)
         norm = small(system, 1e-8)
         assert norm.value == pytest.approx(50.0 / np.sqrt(1 - 1e-4), rel=2e-8) and norm.omega == pytest.approx(1, 1e-3)
 
@@ -68,17 +70,22 @@ def test_other_peak_is_found_by_the_crossings(monkeypatch: pytest.MonkeyPatch) -
 def test_damping_near_rounding_is_refused(zeta: float) -> None:
     """And the other way has the right value."""
     system = mixed(sum_of(oscillator(1.0, 0.1), oscillator(30.0, zeta)))
-    assert small(system, 1e-7) is None
+    with pytest.raises(UndecidedError, match="the damping is near rounding"):
+        small(system, 1e-7)
     assert hinf_norm(*sum_of(oscillator(1.0, 0.1), oscillator(30.0, zeta))).value == pytest.approx(0.5 / zeta, rel=1e-7)
 
 
 def test_systems_of_other_kinds_are_refused() -> None:
     one = np.eye(3)
     chain = -one + np.diag([1.0, 1.0], 1)
-    assert small((chain, one[:, 2:], one[:1], np.zeros((1, 1))), 1e-7) is None, "no basis of eigenvectors"
-    assert small((np.diag([-1.0, -2.0, 0.0]), one, one, 0 * one), 1e-7) is None, "integrator"
     driven, observed = np.eye(4)[:, :1], np.eye(4)[2:3]
-    assert small((np.diag([-1.0, -2.0, -3.0, -4.0]), driven, observed, np.zeros((1, 1))), 1e-7) is None, "no gain"
+    for system, reason in (
+        ((chain, one[:, 2:], one[:1], np.zeros((1, 1))), "no basis of eigenvectors"),
+        ((np.diag([-1.0, -2.0, 0.0]), one, one, 0 * one), "a pole is not left of the imaginary axis"),
+        ((np.diag([-1.0, -2.0, -3.0, -4.0]), driven, observed, np.zeros((1, 1))), "the modal terms cancel"),
+    ):
+        with pytest.raises(UndecidedError, match=reason):
+            small(system, 1e-7)
 
 
 def test_number_of_states_decides() -> None:

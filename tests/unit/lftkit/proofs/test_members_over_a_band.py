@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lftkit import System
-from lftkit.analysis.band_gain import band_gain
+from lftkit.analysis.norms import band_gain
 from lftkit.proofs.state_space.disk_search import DiskSearch
 from lftkit.proofs.state_space.search import member_gain
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lftkit.analysis.band_gain import band_gain
-from lftkit.analysis.norms import hinf_norm
+from lftkit.analysis.norms import band_gain, hinf_norm
 from lftkit.systems.system import System
 from lftkit.tuning import HinfGain, TuningOptions, WorstCaseOptions, gain, tune, worst_case
 

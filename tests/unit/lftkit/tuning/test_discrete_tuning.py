@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy import linalg
 
 from lftkit import hinf_norm
 from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.sampled.image import image_of, sampled_from_image
 from lftkit.systems.system import System
 from lftkit.tuning import (
     ClosedLoopPoles,
@@ -23,19 +25,19 @@ from lftkit.tuning import (
     MaxLoopGain,
     MinLoopGain,
     Overshoot,
-    Requirement,
     Sensitivity,
     StableStateSpace,
     StepTracking,
     TuningOptions,
+    TuningRequirement,
     gain,
     pid,
     state_space,
     tune,
     tune_discrete,
+    worst_case,
 )
 from lftkit.tuning.certificate import certify
-from lftkit.tuning.discrete import certified, image_of, image_of_requirement, sampled_from_image
 from lftkit.tuning.goals.goal import resolved
 from lftkit.tuning.structures.on_image import StructureOnImage
 from lftkit.tuning.structures.structures import Structure, controller
@@ -155,13 +157,13 @@ def lag_on_samples(pole: float = 0.5, dt: float = 0.1) -> System:
     return System([[pole]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=dt)
 
 
-def held(k: float, goal: Requirement | Goal, plant: System | None = None) -> float:
+def held(k: float, goal: TuningRequirement | Goal, plant: System | None = None) -> float:
     """Value of a goal for u = k y on the discrete loop, which is that of the image that is tuned."""
     models, needs = resolved([plant or lag_on_samples()], [goal])
     dt = models[0].dt
     K = System.static([[k]], [("y", 1)], [("u", 1)])
-    found = certified(models, replace(K, dt=dt), needs, dt)
-    image = certify([image_of(models[0])], K, [image_of_requirement(r, models[0]) for r in needs])
+    found = certify(models, replace(K, dt=dt), needs)
+    image = certify([image_of(models[0])], K, [r.on_image(models[0]) for r in needs])
     assert found.stable and found.values == pytest.approx(image.values, rel=2e-5)
     return float(found.values[0, 0])
 
@@ -223,7 +225,7 @@ def test_a_step_response_on_samples_is_compared_sample_by_sample() -> None:
 
 
 def test_slopes_of_the_poles_of_an_image_are_differences() -> None:
-    asked = image_of_requirement(ClosedLoopPoles(min_decay=1.0, min_damping=0.4, max_frequency=9.0), lag_on_samples())
+    asked = ClosedLoopPoles(min_decay=1.0, min_damping=0.4, max_frequency=9.0).on_image(lag_on_samples())
     assert isinstance(asked, ClosedLoopPoles)
     poles = np.array([-3.0 + 4.0j, -30.0 + 1.0j, -2.0 + 0j])
     values, slopes, number = asked.pieces(poles)
@@ -281,7 +283,7 @@ def test_a_short_period_has_the_values_of_continuous_time() -> None:
         a = np.exp(-dt)
         fast = System([[a]], (1 - a) * B, C, D, slow.inputs, slow.outputs, dt=dt)
         models, needs = resolved([fast], goals)
-        differences.append(certified(models, replace(K, dt=dt), needs, dt).values[:, 0] - continuous)
+        differences.append(certify(models, replace(K, dt=dt), needs).values[:, 0] - continuous)
     assert np.abs(differences[1]).max() < 2e-2
     assert np.abs(differences[1]).max() < 0.6 * np.abs(differences[0]).max()
 
@@ -361,3 +363,73 @@ def test_fixed_entries_of_a_discrete_controller_stay() -> None:
     assert result.controller.A.item() == 0.0 and result.controller.B.item() == 1.0 and result.controller.D.item() == 0.0
     assert result.soft == pytest.approx(other.soft, rel=1e-4)
     assert result.x.item() == pytest.approx(other.controller.D.item(), rel=1e-2)
+
+
+def drawn_loop(rng: np.random.Generator) -> tuple[System, System]:
+    """A stable discrete plant of order 3 and a static controller that keeps it stable."""
+    while True:
+        A = rng.normal(size=(3, 3))
+        A *= 0.8 / np.abs(np.linalg.eigvals(A)).max()
+        B, C, D = rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), np.array([[0.3, 0.0], [0.0, 0.0]])
+        plant = System(A, B, C, D, [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=0.2)
+        k = 0.2 * rng.normal()
+        if np.abs(np.linalg.eigvals(A + k * B[:, 1:] @ C[1:])).max() < 0.95:
+            return plant, System.static([[k]], [("y", 1)], [("u", 1)])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_certificate_in_discrete_time_is_that_of_the_unit_circle(seed: int) -> None:
+    """Against the response of the loop closed by hand on a fine grid, and its impulse response."""
+    plant, K = drawn_loop(np.random.default_rng(seed))
+    k, (A, B, C, D) = float(K.D.item()), plant.matrices
+    closed = A + k * B[:, 1:] @ C[1:]
+    angles = np.linspace(0.0, np.pi, 20_001)
+    gains = [
+        abs((C[:1] @ np.linalg.solve(np.exp(1j * t) * np.eye(3) - closed, B[:, :1]) + D[:1, :1]).item())
+        for t in angles[::10]
+    ]
+    found = certify([plant], K, [HinfGain("w", "z"), H2Gain("w", "z"), ClosedLoopPoles(min_decay=1.0)])
+    assert found.values[0, 0] >= max(gains) * (1.0 - 1e-9) and found.upper[0, 0] >= found.values[0, 0]
+    assert found.values[0, 0] == pytest.approx(max(gains), rel=1e-3)
+    assert found.peak_frequencies[0, 0] == pytest.approx(angles[::10][int(np.argmax(gains))] / 0.2, abs=0.05)
+    impulse = [D[0, 0], *(float((C[:1] @ np.linalg.matrix_power(closed, n) @ B[:, :1]).item()) for n in range(800))]
+    assert found.values[1, 0] == pytest.approx(np.sqrt(np.sum(np.square(impulse)) / 0.2), rel=1e-9)
+    decay = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / 0.2
+    assert found.abscissae[0] == pytest.approx(decay) and found.values[2, 0] == pytest.approx(2.0 + decay)
+
+
+def test_a_worst_case_in_discrete_time_is_that_of_the_unit_circle() -> None:
+    """x+ = a x + w: the largest gain 1 / (1 - |a|) is at z = 1 for a positive pole, at z = -1 for a negative one."""
+
+    def build(values: Mapping[str, float]) -> System:
+        return System(
+            [[values["a"]]], [[1, 1]], [[1], [1]], np.zeros((2, 2)), [("w", 1), ("u", 1)], [("z", 1), ("y", 1)], dt=0.1
+        )
+
+    nothing = System.static([[0.0]], [("y", 1)], [("u", 1)])
+    for box, at, omega in (((-0.5, 0.9), 0.9, 0.0), ((-0.9, 0.5), -0.9, np.pi / 0.1)):
+        found, poles = worst_case(build, {"a": box}, nothing, [HinfGain("w", "z"), ClosedLoopPoles(min_decay=1.0)])
+        assert found.value == pytest.approx(10.0) and found.parameters["a"] == pytest.approx(at)
+        assert found.omega == pytest.approx(omega, abs=1e-6)
+        assert poles.value == pytest.approx(2.0 + np.log(0.9) / 0.1, rel=1e-4)
+
+
+def test_a_delay_in_discrete_time_is_refused() -> None:
+    plant, K = drawn_loop(np.random.default_rng(0))
+    for asked in (
+        lambda: certify([plant], K, [HinfGain("w", "z")], 0.1),
+        lambda: worst_case(lambda _: plant, {"a": (0.0, 1.0)}, K, [HinfGain("w", "z")], loop_delay=0.1),
+    ):
+        with pytest.raises(
+            ValueError, match=r"loop_delay must be 0 in discrete time, where delays are states, got 0\.1 s"
+        ):
+            asked()
+
+
+def test_controllers_of_another_period_are_refused() -> None:
+    plant, _ = drawn_loop(np.random.default_rng(0))
+    other = System([[0.5]], [[0.1]], [[0.1]], [[0.0]], [("y", 1)], [("u", 1)], dt=0.1)
+    with pytest.raises(ValueError, match="same sampling period"):
+        certify([plant], other, [HinfGain("w", "z")])
+    with pytest.raises(ValueError, match="same sampling period"):
+        worst_case(lambda _: plant, {"a": (0.0, 1.0)}, other, [HinfGain("w", "z")])

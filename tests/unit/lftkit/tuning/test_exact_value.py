@@ -21,11 +21,12 @@ from lftkit.systems.system import System
 from lftkit.tuning.descent.exact_value import ExactValue
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.gains.controller_response import controller_response
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import H2Gain, HinfGain
 from lftkit.tuning.structures.structures import state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 U, Y = ("u", 2), ("y", 3)
 

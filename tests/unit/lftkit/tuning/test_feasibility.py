@@ -8,10 +8,11 @@ import pytest
 from lftkit.systems.system import System
 from lftkit.tuning.descent.grid_source import Point, point_at
 from lftkit.tuning.descent.smooth_phase import smooth_phase
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures.structures import gain
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 STATIC = gain([("y", 1)], [("u", 1)])
 

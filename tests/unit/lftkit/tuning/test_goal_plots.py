@@ -21,10 +21,10 @@ from lftkit.tuning import (
     MinLoopGain,
     Overshoot,
     Passivity,
-    Requirement,
     Sensitivity,
     StepTracking,
     Tracking,
+    TuningRequirement,
     plot_goals,
 )
 
@@ -34,7 +34,7 @@ UNEQUAL = System.static(np.diag([3.0, 1.0]), [("in", 2)], [("out", 2)])
 LAG = System([[-2.0]], [[1.0]], [[2.0]], [[0.0]], [("in", 1)], [("out", 1)])
 
 # closed loop from w to x and v = x: 1 / (s + 4); S = (s + 1) / (s + 4)
-GAINS: list[tuple[Requirement | Goal, float, object]] = [
+GAINS: list[tuple[TuningRequirement | Goal, float, object]] = [
     (Sensitivity("u", bound=2.0), 1.0, lambda w: 2.0 + 0.0 * w),
     (Margins("u", gain_margin=3.0), 0.5, lambda w: 1.0 + 0.0 * w),
     (MinLoopGain("u", 0.3), 1.0, lambda w: np.abs(1j * w + 3e-5) / 0.3),
@@ -49,7 +49,7 @@ GAINS: list[tuple[Requirement | Goal, float, object]] = [
     (Tracking("w", "x", response_time=2.0), 1.0, lambda w: np.abs((1j * w + 1e-3) / (1j * w + 1.0))),
 ]
 """Goal, its result at 100 rad/s (to 6 %), its limit."""
-OTHERS: list[Requirement | Goal] = [
+OTHERS: list[TuningRequirement | Goal] = [
     H2Gain("w", "x", bound=0.5),
     StepTracking("w", "x", time_constant=0.5),
     ClosedLoopPoles(min_decay=0.5, min_damping=0.4, max_frequency=20.0),

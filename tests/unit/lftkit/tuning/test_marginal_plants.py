@@ -7,10 +7,11 @@ import pytest
 
 from lftkit.systems.system import System
 from lftkit.tuning.nested_orders import embedded, lower_order
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import ClosedLoopPoles, HinfGain
 from lftkit.tuning.structures.structures import controller, gain, pid, state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 
 def masses(ground: float, measured: int = 2) -> System:

@@ -11,12 +11,13 @@ from lftkit.systems.connection.filters import transfer
 from lftkit.systems.ports import Port
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import certify
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import ClosedLoopPoles, ControllerPoles, H2Gain, HinfGain
 from lftkit.tuning.status import TuningStatus
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import gain, gain_matrix_of, state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 
 def masses(ground: float = 0.0, damping: float = 0.0) -> System:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from support.counted_time import Clock, counted_evaluations, structure_with_all_states_seen
 
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.structures.structures import state_space
-from lftkit.tuning.tuner import TuningOptions, tune
+from lftkit.tuning.tuner import tune
 
 AFTER = 4  # evaluations after the limit: the one that is running, the point that is kept, and the result
 

@@ -11,11 +11,11 @@ import scipy.optimize
 from support.worst_case_plants import GAIN, ONLY_POINTS, OPEN, Recorder, bump, first_order, mode, mode_peak, modes
 
 from lftkit.systems.system import System
+from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.requirements import ClosedLoopPoles, H2Gain, HinfGain
 from lftkit.tuning.robust.robust import RobustOptions, tune_robust
 from lftkit.tuning.robust.worst_case import WorstCaseOptions, worst_case
 from lftkit.tuning.structures.structures import gain
-from lftkit.tuning.tuner import TuningOptions
 
 worst_case_module = importlib.import_module("lftkit.tuning.robust.worst_case")
 

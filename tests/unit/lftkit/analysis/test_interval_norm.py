@@ -1,4 +1,4 @@
-"""Level tests behind the H-infinity norm: intervals with Taylor bounds, and the Hamiltonian."""
+"""Level tests behind the H-infinity norm: intervals with Taylor bounds, and crossings by the Hamiltonian matrix."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ import pytest
 import scipy.linalg
 from support.resonant_systems import EVERY, oscillator, structure, sum_of
 
-import lftkit.analysis.hinf_level_test
+import lftkit.analysis.hinf.interval_cover
+import lftkit.analysis.hinf.interval_norm
+import lftkit.analysis.hinf.level_iteration
 import lftkit.analysis.norms
 from lftkit.analysis.frequency_response import FrequencyResponse, refined_response
-from lftkit.analysis.hinf_level_test import hamiltonian_test, interval_test
+from lftkit.analysis.hinf.hamiltonian_norm import level_crossings
+from lftkit.analysis.hinf.interval_cover import above_level
+from lftkit.analysis.hinf.interval_norm import interval_test
+from lftkit.analysis.hinf.level_iteration import UndecidedError
 from lftkit.analysis.norms import hinf_norm
 
 EPS = np.finfo(float).eps
@@ -22,64 +27,64 @@ def test_both_level_tests_decide_alike(level: float, feedthrough: float) -> None
     system = structure(feedthrough)
     response = FrequencyResponse.of(*system)
     top = level * hinf_norm(*system, rtol=1e-10).value
-    one, two = interval_test(response, top, np.abs(response.poles)), hamiltonian_test(*system, top)
-    for outcome in (one, two):
-        assert outcome.decided and outcome.below == (level > 1.0)
-        gains = [scipy.linalg.svdvals(g)[0] for g in response.at(outcome.frequencies)]
-        assert (len(gains) == 0) if level > 1.0 else (max(gains) > top)
+    found, crossings = interval_test(response, top, np.abs(response.poles)), level_crossings(system, top)
+    if level > 1.0:
+        assert found is None and not crossings.size
+        return
+    for frequencies in (found, np.append(crossings, 0.5 * (crossings[:-1] + crossings[1:]))):
+        assert max(scipy.linalg.svdvals(g)[0] for g in response.at(frequencies)) > top
 
 
 def test_crossings_of_the_level_are_answered() -> None:
-    """|1 / (jw + 1)| = 0.6 at w = 4 / 3; with 1 / (s^2 + 0.2 s + 1) two crossings and the middle between them."""
+    """|1 / (jw + 1)| = 0.6 at w = 4 / 3; 1 / (s^2 + 0.2 s + 1) crosses twice."""
     one = np.ones((1, 1))
-    found = hamiltonian_test(-one, one, one, 0 * one, 0.6)
-    assert not found.below and found.frequencies == pytest.approx([4 / 3], rel=1e-7)
-    level = 2.0
-    found = hamiltonian_test(*oscillator(1.0, 0.1), level)
-    square = np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / level**2])
-    low, high = np.sort(np.sqrt(square.real))
-    assert found.frequencies == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
+    assert level_crossings((-one, one, one, 0 * one), 0.6) == pytest.approx([4 / 3], rel=1e-7)
+    found = level_crossings(oscillator(1.0, 0.1), 2.0)
+    assert found == pytest.approx(crossings_of_an_oscillator(), rel=1e-6)
+
+
+def crossings_of_an_oscillator() -> np.ndarray:
+    """Of 1 / (s^2 + 0.2 s + 1) and the level 2."""
+    return np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
 
 
 def test_crossings_with_feedthrough() -> None:
     """|2 + 1 / (jw + 1)|^2 = (9 + 4 w^2) / (1 + w^2); the second input does nothing."""
     A, B, C, D = -np.eye(1), np.array([[1.0, 0.0]]), np.eye(1), np.array([[2.0, 0.0]])
     for system in ((A, B, C, D), (A, C, B.T, D.T)):
-        found = hamiltonian_test(*system, 2.5)
-        assert found.frequencies == pytest.approx([np.sqrt(2.75 / 2.25)], rel=1e-7)
+        assert level_crossings(system, 2.5) == pytest.approx([np.sqrt(2.75 / 2.25)], rel=1e-7)
 
 
-def test_level_below_the_feedthrough_points_to_infinity() -> None:
-    for D in (np.array([[2.0, 0.0]]), np.array([[2.0], [0.0]])):
-        p, m = D.shape
-        outcome = hamiltonian_test(-np.eye(1), np.ones((1, m)), np.ones((p, 1)), D, 1.9)
-        assert not outcome.below and outcome.decided and outcome.frequencies.tolist() == [np.inf]
+def test_level_below_the_feedthrough() -> None:
+    """|2 - 1 / (jw + 1)|^2 = (1 + 4 w^2) / (1 + w^2) is the square of 1.9 at one frequency and exceeds it above."""
     response = FrequencyResponse.of([[-1.0]], [[1.0]], [[-1.0]], [[2.0]])
-    outcome = interval_test(response, 1.9, np.array([1.0]))
-    assert not outcome.below and response.at(outcome.frequencies).__abs__().max() > 1.9
+    found = interval_test(response, 1.9, np.array([1.0]))
+    assert found is not None and np.abs(response.at(found)).max() > 1.9
+    one = np.eye(1)
+    assert level_crossings((-one, one, -one, 2.0 * one), 1.9) == pytest.approx([np.sqrt(2.61 / 0.39)], rel=1e-7)
 
 
 def test_peak_between_the_seeds_is_found_without_any() -> None:
     """The cuts alone, with no seed at the resonance."""
     system = sum_of(oscillator(3.0, 1e-4), oscillator(500.0, 1e-3))
     response = FrequencyResponse.of(*system)
-    assert not interval_test(response, 4999.0, np.zeros(0)).below
-    assert interval_test(response, 5001.0, np.zeros(0)).below
+    assert interval_test(response, 4999.0, np.zeros(0)) is not None
+    assert interval_test(response, 5001.0, np.zeros(0)) is None
 
 
 def test_an_interval_test_that_gives_up_hands_over_to_the_hamiltonian(monkeypatch: pytest.MonkeyPatch) -> None:
     system, exact = structure(), hinf_norm(*structure()).value
-    monkeypatch.setattr(lftkit.analysis.hinf_level_test, "MAX_INTERVALS", 3)
+    monkeypatch.setattr(lftkit.analysis.hinf.interval_cover, "MAX_INTERVALS", 3)
     response = FrequencyResponse.of(*system)
-    outcome = interval_test(response, 2 * exact, np.abs(response.poles))
-    assert not outcome.below and not outcome.decided and len(outcome.frequencies) == 0
+    with pytest.raises(UndecidedError, match="more than 3 intervals"):
+        interval_test(response, 2 * exact, np.abs(response.poles))
     norm = hinf_norm(*system)
     assert norm.certificate == "hamiltonian" and norm.value == pytest.approx(exact, rel=1e-7)
 
 
 def test_intervals_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = hinf_norm(*structure())
-    monkeypatch.setattr(lftkit.analysis.hinf_level_test, "CHUNK", 7)
+    monkeypatch.setattr(lftkit.analysis.hinf.interval_norm, "CHUNK", 7)
     assert hinf_norm(*structure()) == exact
 
 
@@ -97,8 +102,8 @@ def test_rounding_of_the_modal_form_hands_over_to_the_hamiltonian(monkeypatch: p
 
 
 def test_no_certificate_within_the_rounds_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lftkit.analysis.norms, "MAX_ROUNDS", 0)
-    with pytest.raises(ArithmeticError, match=r"did not settle in 0 rounds \(order 8\)"):
+    monkeypatch.setattr(lftkit.analysis.hinf.level_iteration, "MAX_LEVELS", 0)
+    with pytest.raises(ArithmeticError, match="the H-infinity norm did not settle in 0 levels"):
         hinf_norm(*structure(), certificate="interval")
 
 
@@ -140,7 +145,7 @@ def law_of_cuts(light: list[complex], seeds: list[float], top: float) -> np.ndar
 )
 def test_first_cuts_grow_fourfold_with_the_distance_from_lightly_damped_poles(light: list, damped: list) -> None:
     poles = np.array([q for p in [*light[::-1], *damped] for q in ([p, p.conjugate()] if np.imag(p) else [p])], complex)
-    cuts = lftkit.analysis.hinf_level_test._cuts(poles, np.array([0.5, 30.0]), 20.0)
+    cuts = lftkit.analysis.hinf.interval_norm._cuts(poles, np.array([0.5, 30.0]), 20.0)
     assert np.array_equal(cuts, np.unique(cuts))
     np.testing.assert_allclose(cuts, law_of_cuts(light, [0.5], 20.0), rtol=1e-9)
 
@@ -149,9 +154,9 @@ def test_cuts_around_a_peak_halve_the_pole_distance_thirteen_times() -> None:
     poles = np.array([-0.2 + 3.0j, -0.2 - 3.0j, -1.0])
     distance = np.hypot(0.2, 0.1)
     steps = distance / 2.0 ** np.arange(14)
-    found = np.sort(lftkit.analysis.hinf_level_test._around(2.9, poles))
+    found = np.sort(lftkit.analysis.hinf.interval_norm._around(2.9, poles))
     np.testing.assert_allclose(found, np.sort([2.9, *(2.9 - steps), *(2.9 + steps)]), rtol=1e-9)
-    assert lftkit.analysis.hinf_level_test._around(np.inf, poles).size == 0
+    assert lftkit.analysis.hinf.interval_norm._around(np.inf, poles).size == 0
 
 
 def two_by_two(poles: list[complex]) -> FrequencyResponse:
@@ -170,7 +175,7 @@ def test_bound_of_an_interval_is_the_taylor_polynomial_and_its_rest(inverse: boo
     form = two_by_two([-0.3 + 2.0j, -0.3 - 2.0j, -0.7])
     centre = np.array([0.03, 0.05, 0.12]) if inverse else np.array([0.5, 1.9, 4.0])
     half = np.array([0.01, 0.05, 0.1]) if inverse else np.array([0.3, 0.05, 1.5])
-    gain, bound = lftkit.analysis.hinf_level_test._taylor_bound(form, form.residue_norms, centre, half, inverse)
+    gain, bound = lftkit.analysis.hinf.interval_norm._taylor_bound(form, form.residue_norms, centre, half, inverse)
     for i, (c, h) in enumerate(zip(centre, half)):
         G, slope, curve, rest = form.D.astype(complex), 0.0, 0.0, 0.0
         for k, pole in enumerate(form.poles):
@@ -196,7 +201,7 @@ def test_interval_longer_than_three_quarters_of_a_pole_distance_has_no_bound(inv
     centre = np.full(4, 0.25 if inverse else 2.0)
     distance = abs(1j / form.poles[0] - 0.25) if inverse else 0.5
     half = distance * np.array([0.7, 0.8, 1.0, 3.0])
-    _, bound = lftkit.analysis.hinf_level_test._taylor_bound(form, form.residue_norms, centre, half, inverse)
+    _, bound = lftkit.analysis.hinf.interval_norm._taylor_bound(form, form.residue_norms, centre, half, inverse)
     assert np.isfinite(bound).tolist() == [True, False, False, False]
 
 
@@ -209,12 +214,12 @@ def test_interval_is_clearly_below_where_feedthrough_and_terms_add_up_to_less() 
         ]
         total = sum(terms) + np.linalg.norm(form.D, 2)
         for level, below in ((total * (1 + 1e-9), True), (total * (1 - 1e-9), False)):
-            answer = lftkit.analysis.hinf_level_test._clearly_below(
+            answer = lftkit.analysis.hinf.interval_norm._clearly_below(
                 form, form.residue_norms, level, np.array([c]), np.array([h])
             )
             assert answer.tolist() == [below]
     for h in (0.5, 0.6):  # the interval reaches the circle through the pole
-        answer = lftkit.analysis.hinf_level_test._clearly_below(
+        answer = lftkit.analysis.hinf.interval_norm._clearly_below(
             form, form.residue_norms, 1e9, np.array([2.0]), np.array([h])
         )
         assert answer.tolist() == [False]
@@ -238,11 +243,11 @@ def test_peak_far_above_all_poles(factor: float) -> None:
     assert omega > 4.0 * factor and peak == pytest.approx(1.0 + 1.85e-4, rel=1e-5)
     response = FrequencyResponse.of(*system)
     for level, below in ((peak * (1 + 1e-7), True), (peak * (1 - 1e-7), False), (1.0 + 1e-5, False)):
-        for outcome in (interval_test(response, level, np.zeros(0)), hamiltonian_test(*system, level)):
-            assert outcome.decided and outcome.below == below
-            if not below:
-                assert abs(response.at(outcome.frequencies)).max() >= level * (1 - 1e-9)
-                assert outcome.frequencies.max() > 2.0 * factor
+        found, crossings = interval_test(response, level, np.zeros(0)), level_crossings(system, level)
+        assert (found is None) == (not crossings.size) == below
+        for frequencies in () if below else (found, crossings):
+            assert abs(response.at(frequencies)).max() >= level * (1 - 1e-9)
+            assert frequencies.max() > 2.0 * factor
     for certificate in EVERY:
         norm = hinf_norm(*system, rtol=1e-9, certificate=certificate)
         assert norm.value == pytest.approx(peak, rel=2e-9) and norm.omega == pytest.approx(omega, rel=1e-3)
@@ -253,7 +258,7 @@ def covered(
 ) -> tuple[bool, int, int]:
     """Answer of the interval test, intervals looked at, and Taylor polynomials computed."""
     looked, computed = [0], [0]
-    easy, taylor = lftkit.analysis.hinf_level_test._clearly_below, lftkit.analysis.hinf_level_test._taylor_bound
+    easy, taylor = lftkit.analysis.hinf.interval_norm._clearly_below, lftkit.analysis.hinf.interval_norm._taylor_bound
 
     def count_easy(form: FrequencyResponse, *rest) -> np.ndarray:
         looked[0] += len(rest[2])
@@ -264,9 +269,9 @@ def covered(
         return taylor(form, *rest)
 
     with monkeypatch.context() as patch:
-        patch.setattr(lftkit.analysis.hinf_level_test, "_clearly_below", count_easy)
-        patch.setattr(lftkit.analysis.hinf_level_test, "_taylor_bound", count_taylor)
-        below = interval_test(response, level, np.zeros(0), peak).below
+        patch.setattr(lftkit.analysis.hinf.interval_norm, "_clearly_below", count_easy)
+        patch.setattr(lftkit.analysis.hinf.interval_norm, "_taylor_bound", count_taylor)
+        below = interval_test(response, level, np.zeros(0), peak) is None
     return below, looked[0], computed[0]
 
 
@@ -287,44 +292,35 @@ def test_number_of_intervals_does_not_grow_with_the_sharpness_of_the_peak(
 def test_hamiltonian_answers_alike_in_every_unit_of_time(factor: float) -> None:
     A, B, C, D = oscillator(factor, 0.1)
     peak = 5.0 / np.sqrt(0.99)
-    assert hamiltonian_test(A, B, C, D, peak * (1 + 1e-6)).below
-    found = hamiltonian_test(A, B, C, D, 2.0)
-    low, high = np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
-    assert found.frequencies / factor == pytest.approx([low, 0.5 * (low + high), high], rel=1e-6)
+    assert not level_crossings((A, B, C, D), peak * (1 + 1e-6)).size
+    found = level_crossings((A, B, C, D), 2.0)
+    assert found / factor == pytest.approx(crossings_of_an_oscillator(), rel=1e-6)
 
 
-@pytest.mark.parametrize(("first", "last"), [(2.96, 3.16), (2.78, 2.98), (2.87, 3.07)])
-@pytest.mark.parametrize("inverse", [False, True])
-def test_interval_is_covered_from_end_to_end(first: float, last: float, inverse: bool) -> None:
-    """The peak at 2.97 rad/s is near its left end, its right end or in its middle; beside it the gain is lower."""
-    form = FrequencyResponse.of(*oscillator(3.0, 0.1))
-    peak, residue = 5.0 / np.sqrt(0.99), form.residue_norms
+@pytest.mark.parametrize("at_once", [1, 2, 1000])
+def test_intervals_are_covered_from_end_to_end(at_once: int) -> None:
+    """The gain 1 - |x - c| with its slope as the bound: found wherever c is, and below every higher level."""
+    ends = np.array([[0.0, 0.4], [0.4, 0.5], [0.5, 1.0]])
+    for c, highest in ((0.0, 1.0), (0.3, 1.0), (0.4, 1.0), (0.77, 1.0), (1.0, 1.0), (1.2, 0.8)):
 
-    def below(level: float, low: float, high: float) -> bool:
-        ends = np.array([[1.0 / high, 1.0 / low]] if inverse else [[low, high]])
-        outcome = lftkit.analysis.hinf_level_test._cover(form, residue, level, ends, inverse)
-        assert outcome.decided
-        return outcome.below
+        def bounds(centre: np.ndarray, half: np.ndarray, c: float = c) -> tuple[np.ndarray, np.ndarray]:
+            gain = 1.0 - np.abs(centre - c)
+            return gain, gain + half
 
-    assert below(peak * (1 + 1e-6), first, last) and not below(peak * (1 - 1e-3), first, last)
-    assert below(peak * (1 - 1e-3), 3.1, 3.4) and below(peak * (1 - 1e-3), 2.5, 2.8)
+        above = above_level(bounds, highest - 1e-6, ends, at_once)
+        assert above is not None and np.all(above[1] > highest - 1e-6)
+        assert above[0] == pytest.approx(min(c, 1.0), abs=1e-6)
+        assert above_level(bounds, highest + 1e-6, ends, at_once) is None
 
 
 def test_interval_that_cannot_be_halved_is_left_undecided() -> None:
-    """Two neighbouring numbers beside a pole that is closer to the axis than they are to each other."""
-    poles = np.array([-1e-20 + 1j, -1e-20 - 1j])
-    form = FrequencyResponse(poles, np.ones((1, 2)), np.ones((2, 1)), np.zeros((1, 1)), None)
+    """Two neighbouring numbers, and a bound that is not finite."""
     ends = np.array([[1.0, np.nextafter(1.0, 2.0)]])
-    outcome = lftkit.analysis.hinf_level_test._cover(form, form.residue_norms, 1.0, ends, False)
-    assert (outcome.below, outcome.decided, len(outcome.frequencies)) == (False, False, 0)
+    with pytest.raises(UndecidedError, match="an interval cannot be halved"):
+        above_level(lambda x, h: (0.0 * x, np.inf + h), 1.0, ends)
 
 
-def test_middles_stand_between_neighbouring_crossings() -> None:
-    """Two peaks: four crossings and the three middles; at the level of the feedthrough infinity is the answer."""
-    found = hamiltonian_test(*sum_of(oscillator(1.0, 0.1), oscillator(10.0, 0.1)), 2.0).frequencies
-    low, high = np.sort(np.sqrt(np.roots([1.0, 0.04 - 2.0, 1.0 - 1.0 / 2.0**2]).real))
-    crossings = np.array([low, high, 10.0 * low, 10.0 * high])
-    assert found[::2] == pytest.approx(crossings, rel=1e-6)
-    assert found[1::2] == pytest.approx(0.5 * (crossings[:-1] + crossings[1:]), rel=1e-6)
-    one = np.eye(1)
-    assert hamiltonian_test(-one, one, one, one, 1.0).frequencies.tolist() == [np.inf]
+def test_every_crossing_of_two_peaks_is_found() -> None:
+    found = level_crossings(sum_of(oscillator(1.0, 0.1), oscillator(10.0, 0.1)), 2.0)
+    one = crossings_of_an_oscillator()
+    assert found == pytest.approx(np.concatenate([one, 10.0 * one]), rel=1e-6)

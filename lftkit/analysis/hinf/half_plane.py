@@ -11,8 +11,8 @@ from math import pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
+from lftkit.analysis.hinf.direct_gain import response_at
 from lftkit.arrays import ComplexArray, Matrices
 from lftkit.systems.sampled.bilinear import discrete_point, to_continuous, unwarped_frequency
 
@@ -55,11 +55,7 @@ class HalfPlane(NamedTuple):
 
     def response(self, omega: float) -> ComplexArray:
         """Response (p, m) of the matrices that were given, at the point of the circle of `omega`."""
-        A, B, C, D = self.given
-        z = self.sign * (complex(-1.0) if omega == np.inf else discrete_point(1j * omega))
-        shifted = np.multiply(A, -1.0 + 0.0j, order="F")
-        shifted.flat[:: len(A) + 1] += z
-        return np.asarray(C @ lapack.zgesv(shifted, B, overwrite_a=1)[2] + D)
+        return response_at(self.given, self.sign * (-1.0 if omega == np.inf else discrete_point(1j * omega)))
 
 
 def _mapped(system: Matrices, sign: float) -> HalfPlane | None:

@@ -1,18 +1,82 @@
-"""Peaks of the largest singular value over frequency, by Newton's method with exact derivatives."""
+"""Peaks of the largest singular value over frequency: where to look, and Newton's method with exact derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from scipy.linalg import lapack
 
-from lftkit.arrays import ComplexArray
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.eigenvectors import EPS
+from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.hinf.level_iteration import Peak
+from lftkit.arrays import ComplexArray, FloatArray
 
 MAX_STEPS = 20
 FALL = 0.01  # of a step that would raise the gain by less than this times the tolerance: it is not taken
+STARTS = 3  # frequencies from which a peak is searched
+RIVAL = 0.7  # of the largest gain: frequencies below are no starts
 
 Responses = Callable[[float], tuple[ComplexArray, ComplexArray, ComplexArray]]
+
+
+def peak_frequencies(poles: Iterable[complex]) -> FloatArray:
+    """Finite frequencies of possible peaks [rad/s], ascending: zero, resonances, magnitudes of the poles."""
+    found = {0.0}
+    for pole in poles:
+        decay, height, size = -pole.real, pole.imag, abs(pole)
+        if height >= -4.0 * EPS * size:
+            found.add(size)
+            if height > abs(decay):
+                found.add(((height - decay) * (height + decay)) ** 0.5)
+    return np.array(sorted(found))
+
+
+def highest_peak_of(
+    response: FrequencyResponse, frequencies: FloatArray, rtol: float, band: tuple[float, float] = (0.0, np.inf)
+) -> Peak:
+    """Highest peak of a response near the best of some frequencies, see :func:`highest_peak`."""
+
+    def distance(omega: float) -> float:
+        return float(np.abs(1j * omega - response.poles).min())
+
+    gains = largest_gains(response.at(frequencies))
+    return highest_peak(response.with_derivatives, distance, (frequencies, gains), rtol, band)
+
+
+def highest_peak(
+    responses: Responses,
+    distance: Callable[[float], float],
+    tried: tuple[FloatArray, FloatArray],
+    rtol: float,
+    band: tuple[float, float],
+) -> Peak:
+    """Highest peak near the best `STARTS` of the frequencies tried.
+
+    Parameters
+    ----------
+    responses : callable
+        As in :func:`climb`.
+    distance : callable
+        Distance of the nearest pole from a frequency.
+    tried : tuple of ndarray
+        Frequencies and the gains there, both (k,).
+    rtol : float
+        As in :func:`climb`.
+    band : tuple of float
+        Lowest and highest frequency; the search starts inside and does not leave it.
+    """
+    frequencies, gains = tried
+    chosen = np.argsort(gains)[::-1][:STARTS]
+    best, place = float(gains[chosen[0]]), float(frequencies[chosen[0]])
+    for k in chosen[gains[chosen] >= RIVAL * best]:
+        start = float(frequencies[k])
+        if band[0] < start < band[1]:
+            omega, gain = climb(responses, start, float(gains[k]), distance(start), rtol)
+            if gain > best and band[0] <= omega <= band[1]:
+                best, place = gain, omega
+    return Peak(place, best)
 
 
 def climb(responses: Responses, omega: float, gain: float, limit: float, rtol: float) -> tuple[float, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
@@ -10,7 +11,11 @@ from scipy import linalg
 from lftkit.analysis.batched_linalg import solve
 from lftkit.arrays import ComplexArray, FloatArray
 from lftkit.systems.system import System
-from lftkit.tuning.requirements import HinfGain
+from lftkit.tuning.requirements.gains import HinfGain, peak_gain
+from lftkit.tuning.requirements.requirement import CertifiedValue
+
+if TYPE_CHECKING:
+    from lftkit.tuning.requirements.assembled_loop import AssembledLoop
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,11 @@ class SectorGain(HinfGain):
         if not (np.all(np.isfinite(self.fraction)) and self._determinant != 0.0):
             raise ValueError(f"fraction must be finite numbers (a, b, c, d) with a d - b c != 0, got {self.fraction}")
 
+    def held(self, level: float) -> SectorGain:
+        """As of :meth:`lftkit.tuning.HinfGain.held`."""
+        a, b, c, d = self.fraction
+        return replace(self, fraction=(a / level, b / level, c, d), hard=True)
+
     @property
     def _determinant(self) -> float:
         a, b, c, d = self.fraction
@@ -69,6 +79,16 @@ class SectorGain(HinfGain):
             return None
         E = linalg.inv(inner)
         feedthrough = (a * D + b * one) @ E
-        return System(
-            A - c * B @ E @ C, B @ E, a * C - c * feedthrough @ C, feedthrough, T.inputs, T.outputs, self.name
-        )
+        A, C = A - c * B @ E @ C, a * C - c * feedthrough @ C
+        return System(A, B @ E, C, feedthrough, T.inputs, T.outputs, self.name, dt=T.dt)
+
+    def certified(self, loop: AssembledLoop, rtol: float) -> CertifiedValue:
+        """Both sides of the index.
+
+        An index whose system is unstable exceeds 1; its value is the largest gain on the axis or the circle.
+        """
+        index = self.realised(self.weighted(loop))
+        if index is None:
+            return CertifiedValue(np.inf, np.inf, np.inf)
+        norm = peak_gain(index, self.band, rtol, stable=False)
+        return CertifiedValue(norm.value, norm.upper, norm.omega)

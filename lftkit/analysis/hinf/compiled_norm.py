@@ -1,28 +1,27 @@
-"""The steps of :mod:`lftkit.analysis.small_norm` for a few states in compiled code, where Python calls are the cost.
+"""The level iteration of a `SmallModel` of few states in compiled code, where Python calls are the cost.
 
-The same seeds, the same steps to the peak, the same test of the level; only the eigenvalues come from the complex
-routine of LAPACK, which numba reaches. numba is optional (extra ``fast``) and is imported with this module. All
-compiled code is in this file, since its cache follows the changes of one file only.
+Seeds, steps to the peak and test of the level are those of :mod:`lftkit.analysis.hinf.small_norm`; only the eigenvalues
+come from the complex routine of LAPACK, which numba reaches. numba is optional (extra ``fast``) and is imported with
+this module. All compiled code is in this file, since its cache follows the changes of one file only.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lftkit.analysis.circle.half_plane import MAX_CONDITION
 from lftkit.analysis.eigenvectors import EPS
-from lftkit.analysis.peak_search import FALL, MAX_STEPS
-from lftkit.analysis.small_norm import (
+from lftkit.analysis.hinf.half_plane import MAX_CONDITION
+from lftkit.analysis.hinf.level_iteration import AGREEMENT, MAX_LEVELS
+from lftkit.analysis.hinf.peak_search import FALL, MAX_STEPS
+from lftkit.analysis.hinf.small_norm import (
     AT_CIRCLE,
-    CANCELLATION,
     CLIMB,
     DIRECT,
     DIRECT_OF_MAP,
+    HIDDEN,
     LARGE,
-    MAX_LEVELS,
     SEPARATION,
     SMALL_GAP,
-    TRUSTED,
 )
 from lftkit.arrays import ComplexArray, FloatArray, Matrices
 from lftkit.support.compiled import compiled
@@ -71,7 +70,7 @@ def _modal(weights: ComplexArray, residues: ComplexArray) -> ComplexArray:
 
 @compiled
 def _squared_gain(G: ComplexArray, G1: ComplexArray, G2: ComplexArray) -> Found:
-    """As :func:`lftkit.analysis.peak_search.squared_gain`."""
+    """As :func:`lftkit.analysis.hinf.peak_search.squared_gain`."""
     gram, first, second, own = _gram(G, G), _gram(G1, G), _gram(G2, G), _gram(G1, G1)
     k = len(gram)
     if k == 1:
@@ -108,7 +107,7 @@ def _distance(poles: ComplexArray, omega: float) -> float:
 def _climbed(
     poles: ComplexArray, residues: ComplexArray, D: FloatArray, omega: float, gain: float, rtol: float
 ) -> tuple[float, float]:
-    """As :func:`lftkit.analysis.peak_search.climb`, on the modal form."""
+    """As :func:`lftkit.analysis.hinf.peak_search.climb`, on the modal form."""
     if omega == np.inf or omega == 0.0:
         return omega, gain
     limit = _distance(poles, omega)
@@ -208,7 +207,7 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
     """Gain reached, level not exceeded and frequency [rad/s]; `REFUSED` where this way is not sound.
 
     The `system` is balanced and in continuous time. With a `sign` other than 0 it is the map of `given`, a
-    discrete-time system, exact to `lost` roundings: see :class:`lftkit.analysis.circle.half_plane.HalfPlane`.
+    discrete-time system, exact to `lost` roundings: see :class:`lftkit.analysis.hinf.half_plane.HalfPlane`.
     """
     A, B, C, D = system
     n = len(A)
@@ -244,7 +243,7 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
         else:
             point = -sign + 0.0j if omega == np.inf else sign * (1.0 + 1j * omega) / (1.0 - 1j * omega)
             value = _direct(given[0], given[1], given[2], given[3], point)
-        if abs(value - gain) > TRUSTED * rtol * value or value <= max(CANCELLATION * terms, 1.0 / LARGE):
+        if abs(value - gain) > AGREEMENT * rtol * value or value <= max(HIDDEN * terms, 1.0 / LARGE):
             return REFUSED
         upper = value * (1.0 + rtol)
         gap = 1.0 - (direct / upper) ** 2
@@ -255,7 +254,7 @@ def norm(system: Matrices, rtol: float, given: Matrices, sign: float, lost: floa
             return value, upper, omega
         omega, gain = _best(poles, residues, D, places)
         if gain <= upper:
-            sound = rounding <= TRUSTED * rtol * decay and gap > SMALL_GAP
+            sound = rounding <= AGREEMENT * rtol * decay and gap > SMALL_GAP
             return (value, upper, omega) if sound else REFUSED
     return REFUSED
 
@@ -284,7 +283,7 @@ def mapped(given: Matrices, sign: float) -> tuple[Matrices, float]:
 def circle_norm(given: Matrices, rtol: float) -> Found:
     """As :func:`norm`, for a balanced system in discrete time, by the maps of `HalfPlane`: the angle [rad] is the last.
 
-    See :class:`lftkit.analysis.circle.half_plane.HalfPlane`.
+    See :class:`lftkit.analysis.hinf.half_plane.HalfPlane`.
     """
     sign = 1.0 if np.trace(given[0]) >= 0.0 else -1.0
     for _ in range(2):

@@ -1,0 +1,1 @@
+"""H-infinity norms: one iteration over levels, and the models of the gain that it asks."""

@@ -1,0 +1,261 @@
+"""H-infinity norm of systems of few states: eigenvalues, Newton's method on the gain, one Hamiltonian matrix.
+
+Everything is arranged to cost few calls, because at ten states the calls are the cost. Systems whose damping is so
+light that rounding of the eigenvalues could decide a crossing are refused, and :mod:`lftkit.analysis.norms` takes its
+other way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from lftkit.analysis.batched_linalg import largest_gains
+from lftkit.analysis.eigenvectors import EPS
+from lftkit.analysis.hinf.direct_gain import direct_gain, largest_gain
+from lftkit.analysis.hinf.hamiltonian_norm import hamiltonian_eigenvalues
+from lftkit.analysis.hinf.level_iteration import AGREEMENT, Peak, UndecidedError
+from lftkit.analysis.hinf.peak_search import climb, peak_frequencies
+from lftkit.arrays import ComplexArray, FloatArray, Matrices
+
+MAX_STATES = 40
+COMPILED_STATES = 12  # up to which compiled code is used where numba is installed
+SEPARATION = 1e-3  # rounding of the poles over the distance from the axis of the eigenvalues at the level, at most
+HIDDEN = 1e-12  # smallest norm over the bound of the sum of the modal terms
+SMALL_GAP = 1e-4  # relative distance of the squares of level and norm of D below which crossings may be displaced
+AT_CIRCLE = 16.0 * EPS  # 1 - |z|^2 of a pole over the number of states, below which another way says what is stable
+LARGE = 1e70  # gains between this and its inverse have fourth powers that are numbers
+CLIMB = 0.1  # part of `rtol` to which a peak is climbed: the ways with and without compiled code agree to 1e-10
+DIRECT = 1e-3  # relative rounding of a direct solution without refinement over `rtol`, at most
+DIRECT_OF_MAP = 1e-2  # the same with the rounding of a map, which a direct solution does not have
+
+
+class Origin(NamedTuple):
+    """Where a mapped system comes from.
+
+    Parameters
+    ----------
+    response : callable
+        Response (p, m) of the matrices that were given at a frequency of the mapped system [rad/s], also at infinity.
+    condition : float
+        The mapped matrices are exact to so many roundings.
+    """
+
+    response: Callable[[float], ComplexArray]
+    condition: float
+
+
+class SmallModel(NamedTuple):
+    """Gain of few states: a :class:`~lftkit.analysis.hinf.level_iteration.GainModel`.
+
+    Parameters
+    ----------
+    system : tuple of ndarray
+        Shapes (n, n), (n, m), (p, n), (p, m).
+    rtol : float
+        Relative distance of the two sides.
+    origin : Origin or None
+        Of a mapped system.
+    poles : ndarray, shape (n,), complex
+        Eigenvalues of A [rad/s].
+    residues : ndarray, shape (n, p m), complex
+    values : list of complex
+        The poles once more.
+    decay : float
+        Slowest decay of a pole [rad/s].
+    condition : float
+        Of the eigenvectors.
+    rounding : float
+        Rounding error of a pole [rad/s].
+    terms : float
+        No sum of the magnitudes of the modal terms exceeds it.
+    direct : float
+        Norm of D.
+    """
+
+    system: Matrices
+    rtol: float
+    origin: Origin | None
+    poles: ComplexArray
+    residues: ComplexArray
+    values: list[complex]
+    decay: float
+    condition: float
+    rounding: float
+    terms: float
+    direct: float
+
+    @classmethod
+    def of(cls, system: Matrices, rtol: float, origin: Origin | None = None) -> SmallModel:
+        """Model of a balanced system (A, B, C, D) in continuous time.
+
+        Parameters
+        ----------
+        system : tuple of ndarray
+            Shapes (n, n), (n, m), (p, n), (p, m); B and C are not zero.
+        rtol : float
+            Relative distance of the two sides.
+        origin : Origin, optional
+            Of a system that is an exact map of another one up to rounding: the gain is that of the other one, and
+            nothing is decided by what the map may have lost.
+
+        Raises
+        ------
+        UndecidedError
+            A system that is not stable, has no basis of eigenvectors, or is too near to the one or the other.
+        """
+        A, B, C, D = system
+        n = len(A)
+        real, imaginary, _, vectors, info = lapack.dgeev(A, compute_vl=0)
+        parts, heights = real.tolist(), imaginary.tolist()
+        decay = -max(parts)
+        if info or not decay > 0.0:
+            raise UndecidedError("a pole is not left of the imaginary axis")
+        lu, _, right, info = lapack.dgesv(vectors, B)
+        reciprocal = 0.0 if info else float(lapack.dgecon(lu, n**0.5)[0])  # a column has the norm 1 or less
+        if reciprocal < n * EPS:
+            raise UndecidedError("there is no basis of eigenvectors")
+        poles: ComplexArray = real.astype(complex)
+        poles.imag = imaginary
+        residues = _residues((C @ vectors).T, right, heights)
+        values = list(map(complex, parts, heights))
+        rounding = _rounding(max(map(abs, values)), origin) / reciprocal
+        terms = n * float(abs(residues).max()) / decay
+        if rounding > SEPARATION * rtol**0.5 * decay:
+            raise UndecidedError("the damping is near rounding")
+        if origin is not None and _nearest_to_circle(values) < AT_CIRCLE * n:
+            raise UndecidedError("a pole is near the unit circle")
+        if not terms + float(abs(D).max()) < LARGE:
+            raise UndecidedError("powers of the gains are no numbers")
+        condition = 1.0 / reciprocal
+        return cls(system, rtol, origin, poles, residues, values, decay, condition, rounding, terms, largest_gain(D))
+
+    def first_peak(self) -> Peak:
+        """The peak near the best of zero, the resonances and the magnitudes of the poles."""
+        return self._climbed(*self._best(peak_frequencies(self.values)))
+
+    def bracket(self, peak: Peak) -> tuple[float, float]:
+        """Gain by a direct solution, which the modal form must reproduce, and the level above it."""
+        value = self._direct_gain(peak.omega)
+        if abs(value - peak.gain) > AGREEMENT * self.rtol * value:
+            raise UndecidedError("the modal form differs from a direct solution")
+        if value <= max(HIDDEN * self.terms, 1.0 / LARGE):
+            raise UndecidedError("the modal terms cancel")
+        return value, value * (1.0 + self.rtol)
+
+    def higher_peak(self, level: float, peak: Peak) -> Peak | None:
+        """The peak near the best of the crossings of the level and the middles between them."""
+        gap = 1.0 - (self.direct / level) ** 2
+        crossings = self._crossings(level, gap)
+        if not crossings:
+            return None
+        middles = [0.5 * (low + high) for low, high in pairwise(crossings)]
+        omega, gain = self._best(np.array(crossings + middles))
+        if gain > level:
+            return self._climbed(omega, gain)
+        if self.rounding > AGREEMENT * self.rtol * self.decay or gap <= SMALL_GAP:
+            raise UndecidedError("crossings by rounding, and the modal form does not tell the gains apart")
+        return None
+
+    def with_derivatives(self, omega: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Response (p, m) at a finite frequency [rad/s] and its first and second derivative with respect to it."""
+        D = self.system[3]
+        term = 1.0 / (1j * omega - self.poles)
+        first = -1j * term * term
+        G, G1, G2 = (np.array((term, first, -2j * first * term)) @ self.residues).reshape(3, *D.shape)
+        return G + D, G1, G2
+
+    def _best(self, frequencies: FloatArray) -> tuple[float, float]:
+        """Frequency of the largest gain at the `frequencies` and at infinity, and that gain."""
+        D = self.system[3]
+        response = (1.0 / (1j * frequencies[:, None] - self.poles)) @ self.residues
+        response += D.ravel()
+        gains = _gains(response, D.shape)
+        gain = max(gains)
+        return (np.inf, self.direct) if self.direct > gain else (float(frequencies[gains.index(gain)]), gain)
+
+    def _climbed(self, omega: float, gain: float) -> Peak:
+        """Peak near `omega`."""
+        if omega == np.inf or omega == 0.0:
+            return Peak(omega, gain)
+        return Peak(*climb(self.with_derivatives, omega, gain, self._distance(omega), CLIMB * self.rtol))
+
+    def _distance(self, omega: float) -> float:
+        """Distance from j omega to the nearest pole [rad/s]."""
+        return min(abs(pole - 1j * omega) for pole in self.values)
+
+    def _direct_gain(self, omega: float) -> float:
+        """Gain by a direct solution, refined where rounding could be felt."""
+        felt = DIRECT if self.origin is None else DIRECT_OF_MAP
+        refined = omega < np.inf and self.rounding > felt * self.rtol * self._distance(omega)
+        if self.origin is None:
+            return direct_gain(self.system, omega, refined=refined)
+        if refined:
+            raise UndecidedError("rounding of the map is felt")
+        return largest_gain(self.origin.response(omega))
+
+    def _crossings(self, level: float, gap: float) -> list[float]:
+        """Frequencies at which the gain may equal `level` [rad/s], ascending; none: the gain stays below.
+
+        `gap`: smallest eigenvalue of ``I - D' D / level^2``, by whose inverse rounding grows.
+
+        An eigenvalue of the Hamiltonian matrix counts as imaginary where rounding could have moved it from the axis. A
+        double one, of a peak that just reaches the level, moves by the square root of the rounding times the distance
+        of the pole.
+        """
+        real, imaginary = (part.tolist() for part in hamiltonian_eigenvalues(self.system, level))
+        sizes = list(map(hypot, real, imaginary))
+        rounding = _rounding(max(sizes), self.origin) * self.condition / gap
+        found = {
+            abs(y)
+            for x, y, size in zip(real, imaginary, sizes)
+            if abs(x) <= 2.0 * (rounding * size) ** 0.5 + rounding
+            and abs(x) <= 2.0 * (rounding * self._distance(y)) ** 0.5 + rounding
+        }
+        return sorted(found)
+
+
+def _nearest_to_circle(values: list[complex]) -> float:
+    """Smallest ``1 - |z|^2`` of the poles ``z = (1 + s) / (1 - s)``."""
+    return min(-4.0 * pole.real / abs(1.0 - pole) ** 2 for pole in values)
+
+
+def _rounding(size: float, origin: Origin | None) -> float:
+    """Rounding of a matrix of the norm `size`; of a mapped one of so many roundings of 1 and of its norm."""
+    lost = origin.condition if origin else 0.0
+    return EPS * (max(lost, 1.0) * size + lost)
+
+
+def _residues(left: FloatArray, right: FloatArray, heights: list[float]) -> ComplexArray:
+    """Residues (n, p m) from factors (n, p) and (n, m) in the real form of LAPACK, poles of the imaginary parts given.
+
+    For a pair of poles with the factors ``lx + j ly`` and ``(rx - j ry) / 2`` the residue is half of
+    ``lx rx + ly ry + j (ly rx - lx ry)``.
+    """
+    n = len(heights)
+    left, right = left[:, :, None], right[:, None, :]
+    own = (left * right).reshape(n, -1)
+    residues = own.astype(complex)
+    if any(heights):
+        partner = [k + (y > 0.0) - (y < 0.0) for k, y in enumerate(heights)]
+        across = (left * right[partner]).reshape(n, -1)
+        residues += own[partner]
+        residues.imag = across[partner] - across
+        residues *= 0.5
+    return residues
+
+
+def _gains(responses: ComplexArray, shape: tuple[int, ...]) -> list[float]:
+    """Largest singular value of each response, a row (p m) of the stack."""
+    gains: list[float]
+    if 1 in shape:
+        parts = responses.view(float)
+        gains = np.sqrt(np.einsum("ij,ij->i", parts, parts)).tolist()
+    else:
+        gains = largest_gains(responses.reshape(-1, *shape)).tolist()
+    return gains

@@ -1,0 +1,78 @@
+"""Limits of a tuning run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class TuningOptions:
+    """Limits of a tuning run.
+
+    Parameters
+    ----------
+    starts : int
+        Random starts of a batch, beside the given ones: all are screened in short rounds, the best carried on. With
+        more than six, batches follow until one finds nothing better. Up to six run to their ends one after another,
+        each with an equal part of the time that is left.
+    seed : int
+        Same seed, same result bit for bit (as long as the wall limit, or a part of it, is not what ends a start).
+    wall_limit : float
+        Seconds for the whole run: a cap, after which the status is ``out_of_time``.
+    workers : int
+        Processes; with more than one, guard the calling script by ``if __name__ == "__main__":``.
+    iterations : int
+        Most quadratic programs of a start.
+    tolerance : float
+        See :class:`lftkit.tuning.descent.minimax.minimax.DescentOptions`.
+    target : float
+        Stop as soon as the worst soft value is below, hard ones kept.
+    met : float
+        Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
+        whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
+        the certificate's upper sides say so: no controller has less, and the stationarity is zero.
+    lexicographic : bool
+        After the most critical requirements the others are lowered, too: these are held at what they have reached,
+        and the largest soft value of the others is minimised, and so on (:mod:`lftkit.tuning.lexicographic`). The
+        first level takes half of the wall limit at most.
+    hold : float
+        Part by which a requirement that is held may rise above what it has reached.
+    band : float
+        Peaks above this fraction of the largest enter the quadratic programs.
+    progress : bool
+        Show a progress line.
+    parameter_limit : float
+        Magnitude of a parameter beyond which no controller is looked at, for want of a bound of its own; at least a
+        thousand times that of the starts. A run that ends there is ``unbounded``.
+    """
+
+    starts: int = 24
+    seed: int = 0
+    wall_limit: float = 600.0
+    workers: int = 1
+    iterations: int = 300
+    tolerance: float = 1e-4
+    target: float = -np.inf
+    met: float = -np.inf
+    lexicographic: bool = False
+    hold: float = 1e-3
+    band: float = 0.3
+    progress: bool = False
+    parameter_limit: float = 1e8
+
+    def __post_init__(self) -> None:
+        if self.starts < 0 or self.workers < 1 or self.iterations < 1:
+            raise ValueError(
+                "expected starts >= 0, workers >= 1 and iterations >= 1, got "
+                f"{self.starts}, {self.workers} and {self.iterations}"
+            )
+        if not self.wall_limit > 0:
+            raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
+        if not self.parameter_limit > 0:
+            raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
+        if not self.hold > 0:
+            raise ValueError(f"hold must be positive, got {self.hold}")
+        if not 0 < self.band < 1:
+            raise ValueError(f"band must be between 0 and 1, got {self.band}")
