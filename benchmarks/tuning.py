@@ -3,9 +3,7 @@
     python benchmarks/tuning.py [--plants AC3,REA1] [--orders 0,1,2] [--seconds 60] [--json] [--table] [--cpu]
                                 [--rows FILE] [--methods ours]
 
-- ``bfgs``: written here, apart from the tuner: BFGS with a weak Wolfe line search and random restarts on the
-  H-infinity norm itself (Lewis and Overton 2013), stabilised by the same method on the spectral abscissa. The norm is
-  SLICOT's AB13DD where Slycot is installed, else a level iteration (Bruinsma and Steinbuch 1990).
+- ``bfgs``: :mod:`lftkit.benchmarks.bfgs`, apart from the tuner.
 - ``sampling``: gradient sampling (:mod:`gradient_sampling`) on the same function, from the same random starts.
 - ``other``: PyGRANSO (Curtis, Mitchell and Overton 2017; ``pip install pygranso torch osqp gurobipy slycot``; AGPL, so
   no dependency of the project) on the same function, from the same random starts; null where it is not installed.
@@ -40,18 +38,15 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import scipy.linalg as sl
 from gradient_sampling import by_sampling
 from threadpoolctl import threadpool_limits
 
-from lftkit import System, hinf_norm
-from lftkit.tuning import HinfGain, TuningOptions, state_space, tune
+from lftkit.benchmarks.bfgs import Function, by_bfgs, restarted
+from lftkit.benchmarks.norms import ab13dd
+from lftkit.benchmarks.tuning import finite, tuned
+from lftkit.systems.system import System
 from lftkit.tuning.published_plants import BEST_KNOWN, PLANTS, CompleibPlant
 
-try:
-    from slycot import ab13dd
-except ImportError:
-    ab13dd = None
 try:
     import torch
     from pygranso.pygranso import pygranso
@@ -60,11 +55,6 @@ except ImportError:
     pygranso = None
 
 AGREEMENT, FLOOR = 1e-3, 1e-6
-STABLE = -1e-9
-SYSTEM = "CISD"  # AB13DD: continuous, E = I, scaled, with D
-
-Function = Callable[[np.ndarray], tuple[float, np.ndarray]]
-Minimiser = Callable[[Function, np.ndarray, float], np.ndarray]
 Row = dict[str, Any]
 METHODS = ("ours", "bfgs", "sampling", "other")
 
@@ -88,146 +78,6 @@ def plants() -> dict[str, Callable[[], System]]:
     return found
 
 
-class Loop:
-    """Closed loop of a plant with a controller of fixed order, all entries free, as a function of their vector."""
-
-    def __init__(self, plant: System, order: int) -> None:
-        k, n = order, plant.order
-        nu, nz = plant.inputs[1].size, plant.outputs[0].size
-        nw, ny = plant.inputs[0].size, plant.outputs[1].size
-        B, C, D = plant.B, plant.C, plant.D
-        self.A = sl.block_diag(plant.A, np.zeros((k, k)))
-        self.B1 = np.vstack([B[:, :nw], np.zeros((k, nw))])
-        self.B2 = np.block([[np.zeros((n, k)), B[:, nw:]], [np.eye(k), np.zeros((k, nu))]])
-        self.C1 = np.hstack([C[:nz], np.zeros((nz, k))])
-        self.C2 = np.block([[np.zeros((k, n)), np.eye(k)], [C[nz:], np.zeros((ny, k))]])
-        self.D11, self.D12 = D[:nz, :nw], np.hstack([np.zeros((nz, k)), D[:nz, nw:]])
-        self.D21 = np.vstack([np.zeros((k, nw)), D[nz:, :nw]])
-        self.shape = (k + nu, k + ny)
-
-    def closed(self, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Matrices of the closed loop; the plants have no direct path from u to y."""
-        K = x.reshape(self.shape)
-        return (
-            self.A + self.B2 @ K @ self.C2,
-            self.B1 + self.B2 @ K @ self.D21,
-            self.C1 + self.D12 @ K @ self.C2,
-            self.D11 + self.D12 @ K @ self.D21,
-        )
-
-    def norm(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """H-infinity norm and gradient; infinite where the loop is unstable."""
-        A, B, C, D = self.closed(x)
-        if not np.all(np.isfinite(A)):
-            return np.inf, np.zeros_like(x)
-        poles = sl.eigvals(A)
-        if poles.real.max() >= STABLE:
-            return np.inf, np.zeros_like(x)
-        try:
-            omega = peak_frequency(A, B, C, D, np.abs(poles))
-        except ArithmeticError:
-            return np.inf, np.zeros_like(x)
-        R = sl.inv(1j * omega * np.eye(len(A)) - A) if np.isfinite(omega) else np.zeros_like(A)
-        U, s, Vh = sl.svd(C @ R @ B + D)
-        left = U[:, 0].conj() @ (C @ R @ self.B2 + self.D12)
-        right = (self.C2 @ R @ B + self.D21) @ Vh[0].conj()
-        return float(s[0]), np.real(np.outer(left, right)).ravel()
-
-    def certified(self, x: np.ndarray) -> float:
-        """Guaranteed upper bound of the norm; infinite where the loop is unstable or the norm can't be computed."""
-        try:
-            return hinf_norm(*self.closed(x)).upper
-        except (ValueError, ArithmeticError):
-            return np.inf
-
-    def abscissa(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Spectral abscissa and gradient."""
-        A = self.closed(x)[0]
-        if not np.all(np.isfinite(A)):
-            return np.inf, np.zeros_like(x)
-        values, left, right = sl.eig(A, left=True, right=True)
-        i = int(np.argmax(values.real))
-        scale = left[:, i].conj() @ right[:, i]
-        slope = np.outer(left[:, i].conj() @ self.B2, self.C2 @ right[:, i]) / (scale if abs(scale) > 1e-14 else 1e-14)
-        return float(values[i].real), np.real(slope).ravel()
-
-
-def peak_frequency(A: Any, B: Any, C: Any, D: Any, seeds: np.ndarray) -> float:
-    """Frequency of the largest gain of a stable system [rad/s]; an ArithmeticError where AB13DD gives up."""
-    if ab13dd is None:
-        return level_iteration(A, B, C, D, seeds)
-    n, (p, m) = len(A), D.shape
-    return float(ab13dd(*SYSTEM, n, m, p, A, np.eye(n), B, C, D, 1e-9)[1])
-
-
-def level_iteration(A: Any, B: Any, C: Any, D: Any, first: np.ndarray, rtol: float = 1e-8) -> float:
-    """Peak frequency: levels raised until the Hamiltonian has no imaginary eigenvalue."""
-
-    def gain(w: float) -> float:
-        response = D if not np.isfinite(w) else C @ sl.solve(1j * w * np.eye(len(A)) - A, B) + D
-        return float(sl.svdvals(response)[0])
-
-    best, omega = max((gain(float(w)), float(w)) for w in (0.0, np.inf, *first))
-    for _ in range(30):
-        level = best * (1.0 + 2.0 * rtol)
-        if level <= 0.0:
-            break
-        R, S = level**2 * np.eye(D.shape[1]) - D.T @ D, level**2 * np.eye(len(D)) - D @ D.T
-        F = A + B @ sl.solve(R, D.T @ C)
-        H = np.block([[F, level * B @ sl.solve(R, B.T)], [-level * C.T @ sl.solve(S, C), -F.T]])
-        values = sl.eigvals(H)
-        crossings = np.unique(np.abs(values[np.abs(values.real) < 1e-8 * np.maximum(np.abs(values), 1.0)].imag))
-        if len(crossings) < 2:
-            break
-        value, w = max((gain(float(m)), float(m)) for m in 0.5 * (crossings[1:] + crossings[:-1]))
-        if value <= best:
-            break
-        best, omega = value, w
-    return omega
-
-
-def bfgs(
-    function: Function, x: np.ndarray, deadline: float, stop: float = -np.inf, steps: int = 1000
-) -> tuple[np.ndarray, float]:
-    """BFGS with a weak Wolfe line search by bisection; the best point and its value."""
-    f, g = function(x)
-    H = np.eye(len(x))
-    for step in range(steps):
-        d = -H @ g
-        if not g @ d < 0 or f < stop or np.linalg.norm(g) < 1e-14:
-            break
-        low, high, t, found = 0.0, np.inf, 1.0, False
-        for _ in range(50):
-            new_f, new_g = function(x + t * d)
-            if not new_f < f + 1e-4 * t * (g @ d):
-                high = t
-            elif new_g @ d < 0.9 * (g @ d):
-                low = t
-            else:
-                found = True
-                break
-            if time.monotonic() > deadline:
-                break
-            t = 0.5 * (low + high) if np.isfinite(high) else 2.0 * t
-        if not found:
-            break
-        s, y = t * d, new_g - g
-        x, f, g = x + s, new_f, new_g
-        if time.monotonic() > deadline:
-            break
-        if step == 0:
-            H *= (s @ y) / (y @ y)
-        rho = 1.0 / (s @ y)
-        V = np.eye(len(x)) - rho * np.outer(s, y)
-        H = V @ H @ V.T + rho * np.outer(s, s)
-    return x, f
-
-
-def by_bfgs(function: Function, x: np.ndarray, deadline: float) -> np.ndarray:
-    """Point that BFGS reaches from a stabilising `x`."""
-    return bfgs(function, x, deadline)[0]
-
-
 def by_pygranso(function: Function, x: np.ndarray, deadline: float) -> np.ndarray:
     """Best point that PyGRANSO meets from a stabilising `x`, with its default options."""
     best, where = np.inf, x
@@ -248,18 +98,6 @@ def by_pygranso(function: Function, x: np.ndarray, deadline: float) -> np.ndarra
     return where
 
 
-def restarted(plant: System, order: int, seconds: float, minimise: Minimiser) -> float:
-    """Best certified value from random starts within the wall time."""
-    loop, rng, deadline = Loop(plant, order), np.random.default_rng(0), time.monotonic() + seconds
-    best = np.inf
-    while time.monotonic() < deadline:
-        x = rng.standard_normal(loop.shape).ravel() * 10.0 ** rng.uniform(-1, 1)
-        x, abscissa = bfgs(loop.abscissa, x, deadline, -1e-3, 200)
-        if abscissa < STABLE and np.isfinite(loop.norm(x)[0]):
-            best = min(best, loop.certified(minimise(loop.norm, x, deadline)))
-    return float(best)
-
-
 def measured(row: Row, seconds: float, whole_limit: bool, methods: Collection[str]) -> Row:
     """The row of a plant and order with these methods measured, too, where they were not."""
     plant, order, row = plants()[row["name"]](), row["order"], dict(row)
@@ -272,21 +110,6 @@ def measured(row: Row, seconds: float, whole_limit: bool, methods: Collection[st
             row[name] = finite(restarted(plant, order, rival_seconds, minimise))
             row["rival_seconds"] = rival_seconds
     return row
-
-
-def tuned(plant: System, order: int, seconds: float) -> Row:
-    """The tuner's certified value with default options."""
-    structure = state_space([plant.outputs[1]], [plant.inputs[1]], order)
-    start_time, start_cpu = time.monotonic(), time.process_time()
-    result = tune([plant], [HinfGain("w", "z")], structure, options=TuningOptions(wall_limit=seconds))
-    used, cpu = time.monotonic() - start_time, time.process_time() - start_cpu
-    ours = result.certificate.upper.max() if result.certificate and result.certificate.stable else np.inf
-    return {"ours": finite(ours), "status": str(result.status), "seconds": used, "cpu_seconds": cpu}
-
-
-def finite(value: float) -> float | None:
-    """A number for JSON; None for a method that found no stable loop."""
-    return float(value) if np.isfinite(value) else None
 
 
 def compared(row: Row, rivals: tuple[str, ...]) -> int | None:

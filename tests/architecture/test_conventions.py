@@ -136,6 +136,7 @@ def test_the_library_imports_its_dependencies_only() -> None:
         "lftkit/analysis/plots.py": {"matplotlib"},
         "lftkit/tuning/pictures/plots.py": {"matplotlib"},
         "lftkit/support/progress.py": {"rich"},
+        "lftkit/benchmarks/norms.py": {"slycot"},
     }
     others = {}
     for path in files_of(FOLDERS["lftkit"]):

@@ -1,0 +1,1 @@
+"""Speed and results of this library beside others, on the user's machine: ``python -m lftkit.benchmarks``."""
