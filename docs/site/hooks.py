@@ -111,7 +111,7 @@ def api_nav() -> list[Any]:
 
 def on_config(config: Any) -> Any:
     """Add the API reference to the navigation, and the translations to the Markdown extensions."""
-    config.nav.insert(4, {"API": api_nav()})
+    config.nav.insert(-1, {"API": api_nav()})
     config.markdown_extensions.append(_roles())
     config.mdx_configs.setdefault("pymdownx.superfences", {})["custom_fences"] = [
         {"name": "math", "class": "math", "format": mathml}

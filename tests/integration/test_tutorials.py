@@ -152,8 +152,10 @@ def printed_and_shown(page: str) -> tuple[str, str]:
     return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
 
 
-def test_the_output_of_the_page_on_linear_systems() -> None:
-    printed, shown = printed_and_shown("linear_systems.md")
+@pytest.mark.parametrize("page", ["linear_systems.md", "norms.md", "lftkit_quick_start.md"])
+def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    printed, shown = printed_and_shown(page)
     assert printed == shown
 
 
