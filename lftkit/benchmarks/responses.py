@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import control
 import numpy as np
 from scipy import linalg
 
@@ -23,6 +22,8 @@ ROUNDS = 3
 
 def compared(orders: Sequence[int] = ORDERS, points: int = 1000) -> Iterator[dict[str, Any]]:
     """One row for each order: seconds of both, their ratio, the largest relative difference of an entry's norm."""
+    import control  # with its pictures
+
     rng = np.random.default_rng(0)
     for states in orders:
         A, B, C, D = structure(rng, max(states // 2, 1))
