@@ -317,7 +317,7 @@ def ray_factor(system: System, offset: FloatArray, largest: float) -> float:
         loop = np.eye(q) - system.D[:q, :q] * delta
         if not float(linalg.det(loop)) > 0.0:  # one at the nominal member; zero where the LFT is singular
             return True
-        channels = linalg.lapack.dgesv(loop, system.C[:q])[2]  # without a warning near a singular LFT, which is bisected
+        channels = linalg.lapack.dgesv(loop, system.C[:q])[2]  # no warning where the LFT is nearly singular
         return not_stable(system.A + system.B[:, :q] @ (delta[:, None] * channels))
 
     def not_stable(A: FloatArray) -> bool:
