@@ -10,8 +10,8 @@ import pytest
 
 from lftkit import hinf_norm
 from lftkit.arrays import FloatArray
-from lftkit.benchmarks.__main__ import main
 from lftkit.benchmarks.bfgs import FixedOrderLoop, bfgs, level_iteration
+from lftkit.benchmarks.command_line import main
 from lftkit.benchmarks.norms import random_system
 from lftkit.tuning.published_plants import PLANTS
 
