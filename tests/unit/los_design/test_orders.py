@@ -99,7 +99,7 @@ def test_a_start_is_refused_with_a_loop_delay(telescope) -> None:
         synthesis.design_observer(telescope, DesignOptions(), start=zero_controller("k-fsm"))
 
 
-@pytest.mark.parametrize("order", [0, 1, 6])
+@pytest.mark.parametrize("order", [pytest.param(0, marks=pytest.mark.slow), 1, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_design_of_another_order_is_stored_and_loads_again(order: int, telescope, tmp_path, monkeypatch) -> None:
     """Both controllers, K_PMA behind that K_FSM; with next to no effort."""
     monkeypatch.setattr(synthesis, "NOMINAL_EFFORT", replace(synthesis.NOMINAL_EFFORT, first=1))
