@@ -59,7 +59,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),
-    "titop_plant/disturbances/tones.py": (
+    "titop_plant/disturbances/wheel_and_drive_tones.py": (
         "tests/unit/titop_plant/test_sampled_steps.py",
         "tests/unit/titop_plant/test_sampled_plant.py",
     ),
@@ -85,7 +85,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/pointing_analysis/test_verdict_laws.py",
     ),
     "pointing_analysis/requirements/verdict.py": ("tests/unit/pointing_analysis/test_verdict_laws.py",),
-    "pointing_analysis/requirements/text.py": ("tests/unit/pointing_analysis/test_requirement_text.py",),
+    "pointing_analysis/requirements/requirement.py": ("tests/unit/pointing_analysis/test_requirement_text.py",),
     "pointing_analysis/requirements/rows.py": ("tests/unit/pointing_analysis/test_requirement_rows.py",),
     "pointing_analysis/indices/metrics.py": ("tests/unit/pointing_analysis/test_index_laws.py",),
     "pointing_analysis/requirements/summary.py": ("tests/unit/pointing_analysis/test_summary_figures.py",),

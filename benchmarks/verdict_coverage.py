@@ -35,7 +35,7 @@ from scipy.signal import lfilter
 
 from pointing_analysis.indices.confidence import effective_number
 from pointing_analysis.indices.exceedances import IndependentSamples
-from pointing_analysis.requirements.text import parse
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.verdict import status_of
 
 SHARES = (0.5, 0.9, 0.99, 0.997, 0.999, 0.9999)

@@ -27,7 +27,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import NONE, Delays, SampledLoop
 from los_loop.spec import state_parts
-from titop_plant.disturbances.tones import no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import (
     CAMERA,
     COLUMNS,

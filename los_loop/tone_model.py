@@ -38,7 +38,7 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import exposure_of_run
 from pointing_analysis.spectra.prediction import ToneComparison
 from pointing_analysis.spectra.spectra import background, lines
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import DT, FORCES, MEASUREMENTS, MIRROR, TRUTH, frame_ticks
 from titop_plant.simulation.build import PlantConfig, PlantFamily
 from titop_plant.simulation.driven_plant import held_forces

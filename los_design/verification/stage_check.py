@@ -27,7 +27,7 @@ from los_design.verification.sweep import Reach, Sweep, joined, sweep
 from los_loop.implemented_loop import HIGHEST, LOWEST, ImplementedLoop, LoopMetric
 from los_loop.margins import changed_loops
 from los_loop.sampled_loop import radius_of
-from titop_plant.disturbances.tones import no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.simulation.plant_step import step_matrix
 
 Values = Mapping[str, float]

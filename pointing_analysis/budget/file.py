@@ -23,7 +23,7 @@ from pointing_analysis.budget.table_files import ENDINGS
 from pointing_analysis.files.structured_text import StructuredTextError, is_number, load_toml, read_text
 from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.read.los_source import open_los
-from pointing_analysis.requirements.text import Requirement, RequirementError, parse
+from pointing_analysis.requirements.requirement import Requirement, RequirementError, parse
 from pointing_analysis.units import ANGLES
 
 Entry = Mapping[str, Any]

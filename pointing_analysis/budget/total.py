@@ -23,7 +23,7 @@ from pointing_analysis.budget.file import PointingBudget, TotalRule
 from pointing_analysis.budget.lines import Total, combine, contribution
 from pointing_analysis.budget.sources import ENSEMBLE, TIME, ErrorSource
 from pointing_analysis.indices import confidence
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.units import ANGLES
 
 BLOCK = 100_000

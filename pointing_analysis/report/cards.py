@@ -12,9 +12,9 @@ from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.mcap.bag_files import bag_files, files_digest
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.report.figures import RunView
+from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import css_class, digits
 from pointing_analysis.requirements.summary import Summary
-from pointing_analysis.requirements.text import time_text
 from pointing_analysis.spectra.spectra import SpectralLine
 
 HASH_LIMIT = 2_000_000_000  # larger bags are not hashed for the report

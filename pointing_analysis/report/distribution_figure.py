@@ -23,7 +23,7 @@ from pointing_analysis.report.figures import (
     picture,
     stroke,
 )
-from pointing_analysis.requirements.text import Requirement, parse, time_text
+from pointing_analysis.requirements.requirement import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import index_samples
 
 LEFT = 0.99

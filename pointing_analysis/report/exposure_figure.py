@@ -11,7 +11,7 @@ from pointing_analysis.arrays import FloatArray
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, _panels, legend_above, picture, stroke
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 
 POINTS = 24
 """Lengths of exposure."""

@@ -22,7 +22,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS, ErrorSeries
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts, release
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.requirements.text import Requirement, time_text
+from pointing_analysis.requirements.requirement import Requirement, time_text
 from pointing_analysis.spectra.spectra import SpectralLine, Spectrum
 
 COLOURS = ("#0b5d8a", "#c25a00", "#3b7a3b", "#8a3b7a", "#6b6b00", "#444444")

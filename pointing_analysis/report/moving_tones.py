@@ -17,7 +17,7 @@ from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.motion import Motion, motion_of
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, legend_above, picture, stroke, windows_text
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 
 SEGMENT = 1024
 """Samples of a spectrum of the waterfall."""

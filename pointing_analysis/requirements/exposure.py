@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 
 USUAL = 0.02
 """Window [s] of a recording of which no requirement on the relative error is known."""
@@ -29,7 +29,7 @@ def exposure_of(*requirements: Iterable[Requirement]) -> float:
 
     Examples
     --------
-    >>> from pointing_analysis.requirements.text import parse
+    >>> from pointing_analysis.requirements.requirement import parse
     >>> long = parse("prob(rms RPE(1 s) < 90 mas) >= 0.997 at 95 % confidence")
     >>> short = parse("prob(rms RPE(5 ms) < 9 mas) >= 0.997 at 95 % confidence")
     >>> exposure_of([long, short]), exposure_of([], [long]), exposure_of([])

@@ -15,7 +15,7 @@ from typing import Any
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.rounding import at_most
 
 METADATA = "proof_bounds"

@@ -12,7 +12,7 @@ from pointing_analysis.image.motion_blur import exposure_parts, missing, worst_t
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import ErrorSeries
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 
 
 def image_samples(series: ErrorSeries, requirement: Requirement, optics: Optics) -> tuple[FloatArray, int]:

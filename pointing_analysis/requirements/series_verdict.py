@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from pointing_analysis.read.series import series
+from pointing_analysis.requirements.requirement import Requirement, load, parse
 from pointing_analysis.requirements.summary import Summary, summarise
-from pointing_analysis.requirements.text import Requirement, load, parse
 
 
 def judge_series(

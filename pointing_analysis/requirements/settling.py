@@ -23,7 +23,7 @@ from pointing_analysis.indices.errors import ErrorSeries, knowledge_error, perfo
 from pointing_analysis.indices.weights import rpe_discrete
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.conditions import MEASURED, START_UP
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.verdict import Verdict, index_samples, judge, not_judged
 from pointing_analysis.spectra.tone_budget import named_tones
 

@@ -36,6 +36,7 @@ from pointing_analysis.requirements.conditions import UNKNOWN_CONDITIONS, Condit
 from pointing_analysis.requirements.exposure import exposure_of, finest
 from pointing_analysis.requirements.guarantee import proven_bound, without_bound
 from pointing_analysis.requirements.image_summary import ImageSummary, StarExposures
+from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import (
     Beside,
     RequirementRow,
@@ -46,7 +47,6 @@ from pointing_analysis.requirements.rows import (
     with_unit,
 )
 from pointing_analysis.requirements.settling import judge_settled
-from pointing_analysis.requirements.text import time_text
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge
 from pointing_analysis.spectra.record_lines import unnamed_lines
 from pointing_analysis.spectra.sidebands import FoundLine

@@ -1,4 +1,4 @@
-"""Pointing requirements: judge runs by them; their text form is that of :mod:`pointing_analysis.requirements.text`."""
+"""Runs judged by pointing requirements (:mod:`pointing_analysis.requirements.requirement`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pointing_analysis.read.mapped_arrays import by_parts, parts, present
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.image_samples import finite, image_samples
-from pointing_analysis.requirements.text import Requirement, RequirementError, from_entries, load, parse
+from pointing_analysis.requirements.requirement import Requirement, RequirementError, from_entries, load, parse
 
 __all__ = [
     "IndexSamples",

@@ -128,7 +128,7 @@ def test_a_disturbance_acts_in_a_run(disturbed: PackageCopy) -> None:
     assert np.abs(moved).max() > 1e-10
     found = disturbed.values(
         "import numpy as np\n"
-        "from titop_plant.disturbances.tones import cage_tones\n"
+        "from titop_plant.disturbances.wheel_and_drive_tones import cage_tones\n"
         "from titop_plant.telescope.load import load_telescope\n"
         "tones = cage_tones(load_telescope(), np.array([100.0, -200.0, 0.0, 50.0]), np.random.default_rng(1))\n"
         "found = {'frequency': tones.frequency.tolist(), 'size': np.abs(tones.amplitude).sum(axis=0).tolist()}\n"

@@ -15,7 +15,7 @@ import pytest
 from lftkit import System
 from lftkit.analysis.eigenvectors import balanced
 from lftkit.arrays import FloatArray
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.plant import Plant

@@ -19,7 +19,7 @@ from los_testbed.run_settings import with_scenario
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import conditions_of, differences
 from pointing_analysis.requirements.summary import summarise
-from titop_plant.disturbances.kinds import KINDS
+from titop_plant.disturbances.source_kinds import KINDS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

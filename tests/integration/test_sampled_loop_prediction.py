@@ -14,7 +14,7 @@ from los_estimator.runtime import LosEstimator
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import disturbance_response, sampled_loop_metrics
-from titop_plant.disturbances.tones import Tones, no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones, no_tones
 from titop_plant.interface import DT, MEASURED
 from titop_plant.simulation.build import DISTURBANCES
 from titop_plant.simulation.constant_step import ConstantStep

@@ -40,7 +40,7 @@ from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import weighted_gains
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import FRAME_TICKS, MIRROR_STAGES, PLATFORM
 from titop_plant.simulation.build import PlantFamily
 from titop_plant.simulation.constant_step import ConstantStep

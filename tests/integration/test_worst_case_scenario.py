@@ -12,7 +12,7 @@ from support.true_los import true_los
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.worst_tone import INDICES, WorstTone, worst_tone
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import COMMANDS, DT, STAGES
 from titop_plant.simulation.build import plant_and_tones
 from titop_plant.simulation.constant_step import ConstantStep

@@ -24,7 +24,7 @@ from los_loop.noise import noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
 from los_loop.steady_state import steady_start
 from los_loop.tone_model import ToneModel
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import (
     CAMERA,
     COLUMNS,

@@ -13,7 +13,7 @@ from lftkit.arrays import ComplexArray, FloatArray
 from titop_plant.disturbances.mechanisms import ARRAY_DRIVE, AngleSignal, mechanism_sources
 from titop_plant.disturbances.places import source_ports
 from titop_plant.disturbances.signals import JointSignal
-from titop_plant.disturbances.tones import sadm_tones
+from titop_plant.disturbances.wheel_and_drive_tones import sadm_tones
 from titop_plant.interface import DT
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import disturbances_of

@@ -15,7 +15,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from titop_plant.disturbances.tones import Tones, design_tones, loudest_speeds, no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones, design_tones, loudest_speeds, no_tones
 from titop_plant.interface import COMMANDS, DT, FORCES, MEASUREMENTS, MIRROR, frame_ticks
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.modal_plant import ModalPlant

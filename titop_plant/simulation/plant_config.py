@@ -35,7 +35,7 @@ class PlantConfig(PhysicalSettings):
 
     isolated: bool = setting(True, "payload on its isolator, or hard-mounted")
     tones: tuple[tuple[float, ...], ...] = setting(
-        (), "tones of the scenario worst_case, see titop_plant.disturbances.tones.given_tones"
+        (), "tones of the scenario worst_case, see titop_plant.disturbances.wheel_and_drive_tones.given_tones"
     )
 
     def __post_init__(self) -> None:

@@ -30,7 +30,7 @@ from scipy import linalg
 from lftkit import System
 from lftkit.analysis.modal_form import ModalForm
 from lftkit.arrays import ComplexArray, FloatArray
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.modal_plant import ModalPlant
 

@@ -26,7 +26,7 @@ from scipy import linalg
 
 from lftkit.arrays import ComplexArray, FloatArray, IntArray
 from lftkit.systems.sampled.ordered_product import add_up
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.kernel_arrays import Course, StepArrays

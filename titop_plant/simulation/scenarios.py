@@ -19,8 +19,8 @@ from types import MappingProxyType
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from titop_plant.disturbances import tones
-from titop_plant.disturbances.tones import Tones, joined
+from titop_plant.disturbances import wheel_and_drive_tones as tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones, joined
 from titop_plant.interface import NO_SCENARIO
 from titop_plant.telescope.telescope import Telescope
 
@@ -38,9 +38,9 @@ class Circumstances:
     rng : numpy.random.Generator
         For phases; its seed is that of the run.
     given : tuple of tuples
-        Tones that the configuration holds, see :func:`titop_plant.disturbances.tones.given_tones`.
+        Tones that the configuration holds, see :func:`titop_plant.disturbances.wheel_and_drive_tones.given_tones`.
     isolator_tones : callable
-        Makes :func:`titop_plant.disturbances.tones.design_tones` of the telescope on its isolator.
+        Makes :func:`titop_plant.disturbances.wheel_and_drive_tones.design_tones` of the telescope on its isolator.
     """
 
     telescope: Telescope

@@ -1,7 +1,7 @@
 r"""Pointing requirements of a telescope: read from its parameter file, and the limits that a design takes from them.
 
 The list ``[[requirement]]`` of the file says what a line of sight must keep, in the form of
-:mod:`pointing_analysis.requirements.text`. Runs are judged by it, and the limits of the synthesis weights
+:mod:`pointing_analysis.requirements.requirement`. Runs are judged by it, and the limits of the synthesis weights
 (``telescope.weights``) are made of it:
 
 ===================  =================================================================================================
@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pointing_analysis.requirements.text import Requirement, RequirementError, entries, parse
+from pointing_analysis.requirements.requirement import Requirement, RequirementError, entries, parse
 from titop_plant.interface import MIRROR_STAGES, STAGES
 from titop_plant.telescope.tables.parameter_check import ParameterFile
 

@@ -21,7 +21,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.input_files import read_bytes
 from lftkit.systems.ports import Port
 from lftkit.uncertainty.parameters import RealParameter
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, FORCE_STAGES, FRAME_TICKS, MIRROR_STAGES, STAGES, DesignBasis
 from titop_plant.sensors import Sensor, read_loop_sensors
 from titop_plant.telescope import guide_camera, layout, requirements

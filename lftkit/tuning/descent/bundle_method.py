@@ -19,8 +19,8 @@ from scipy import linalg
 
 from lftkit.arrays import FloatArray, Matrix
 from lftkit.tuning.descent.curvature import LagrangianCurvature
+from lftkit.tuning.descent.linearisation_bundle import LinearisationBundle
 from lftkit.tuning.descent.metric import MetricSource, diagonal_metric
-from lftkit.tuning.descent.minimax.bundle import LinearisationBundle
 from lftkit.tuning.descent.minimax.minimax import DescentOptions
 from lftkit.tuning.descent.minimax.simplex_qp import simplex_minimum
 from lftkit.tuning.pieces import Oracle, OracleResult

@@ -32,7 +32,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import change_names
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import SampledLoopMetrics, sampled_loop_metrics, weighted_gains
-from titop_plant.disturbances.tones import rpe_weight
+from titop_plant.disturbances.wheel_and_drive_tones import rpe_weight
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, ON_AXIS, combined_level

@@ -28,7 +28,7 @@ from los_loop.implemented_loop import ImplementedLoop, loop_metrics
 from los_loop.open_loop import OpenLoop
 from los_loop.sampled_loop_norms import tone_response, weighted_gains
 from los_loop.spec import DISTURBANCE
-from titop_plant.disturbances.tones import no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.simulation.plant_step import step_matrix
 from titop_plant.telescope.weights import weight_amplitudes

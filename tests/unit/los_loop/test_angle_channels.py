@@ -11,7 +11,7 @@ from lftkit.analysis.lft_response import MANY, LftResponse, RepeatedClosed
 from los_loop.angle_channels import half_turn, half_turn_slope, kept_channels
 from los_loop.open_loop import OpenLoop
 from titop_plant.blocks.rotation import rotation
-from titop_plant.disturbances.tones import REFERENCE_CHANNELS
+from titop_plant.disturbances.wheel_and_drive_tones import REFERENCE_CHANNELS
 from titop_plant.interface import COMMANDS
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.layout import ANGLE

@@ -15,7 +15,7 @@ from los_estimator.runtime import LosEstimator
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop import Delays
-from titop_plant.disturbances.tones import no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import CAMERA, FSM_ANGLE
 from titop_plant.simulation.constant_step import ConstantStep
 from titop_plant.simulation.plant import Plant

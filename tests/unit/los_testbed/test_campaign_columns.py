@@ -27,7 +27,7 @@ from rich.console import Console
 from pointing_analysis.image.optics import optics_of
 from pointing_analysis.indices.errors import knowledge_error, performance_error
 from pointing_analysis.read.run import Run
-from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.requirement import Requirement, parse
 from pointing_analysis.requirements.verdict import index_samples
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

@@ -20,7 +20,7 @@ from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from support import axe, headless_browser
 
-from pointing_analysis.requirements.text import parse
+from pointing_analysis.requirements.requirement import parse
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
 REQUIREMENTS = RunParts(BASE).telescope.requirements

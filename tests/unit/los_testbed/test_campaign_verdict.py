@@ -20,7 +20,7 @@ from los_testbed.campaign.campaign_verdict import (
 from los_testbed.campaign.meanings import RequirementColumns
 
 from pointing_analysis.indices.confidence import exceedance_lower, exceedance_upper, samples_needed
-from pointing_analysis.requirements.text import Requirement, parse
+from pointing_analysis.requirements.requirement import Requirement, parse
 
 APE = parse("prob(|APE| < 2 arcsec) >= 0.75 at 75 % confidence", "A")
 RPE = parse("prob(rms RPE(20 ms) < 50 mas) >= 0.997 at 95 % confidence", "R", ["fsm+pma"])

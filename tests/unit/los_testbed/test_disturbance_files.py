@@ -15,7 +15,7 @@ from los_testbed.parts.disturbance_files import entries_of, make_sources
 from los_testbed.parts.run_parts import RunParts
 from scipy import io
 
-from titop_plant.disturbances.kinds import RunConditions
+from titop_plant.disturbances.source_kinds import RunConditions
 from titop_plant.telescope.load import load_telescope
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

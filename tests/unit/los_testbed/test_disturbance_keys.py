@@ -10,7 +10,7 @@ import pytest
 from los_testbed.cli.app import main
 from los_testbed.parts.disturbance_files import entries_of, make_sources
 
-from titop_plant.disturbances.kinds import RunConditions
+from titop_plant.disturbances.source_kinds import RunConditions
 from titop_plant.disturbances.sources import INSTANTS
 from titop_plant.telescope.load import load_telescope
 

@@ -22,9 +22,9 @@ from support.requirement_outputs import page_rows, screen_rows
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import METADATA, summarise
 from pointing_analysis.requirements.summary import requirements_of as recorded
-from pointing_analysis.requirements.text import parse
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

@@ -16,8 +16,8 @@ from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.series import series
 from pointing_analysis.report.report import render
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.text import parse
 
 OMEGA, AMPLITUDE = 2.0 * np.pi * 7.0, 30.0
 WINDOWS = {"5 ms": 0.005, "50 ms": 0.05, "250 ms": 0.25}

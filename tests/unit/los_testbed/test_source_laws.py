@@ -13,9 +13,9 @@ import pytest
 from los_testbed.parts.disturbance_files import entries_of, make_sources
 
 from lftkit.arrays import FloatArray
-from titop_plant.disturbances.kinds import KINDS, RunConditions
 from titop_plant.disturbances.mechanisms import mechanism_sources
 from titop_plant.disturbances.signals import JointSignal, SampledSignal, Signal
+from titop_plant.disturbances.source_kinds import KINDS, RunConditions
 from titop_plant.interface import DT
 from titop_plant.telescope.load import load_telescope
 from titop_plant.telescope.motion_profiles import MotionProfile

@@ -20,8 +20,8 @@ from rich.table import Table
 
 from pointing_analysis.read.series import series
 from pointing_analysis.report.source_share import SourceShare
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise
-from pointing_analysis.requirements.text import parse
 
 APE = parse("prob(|APE| < 10 arcsec) >= 0.997 at 60 % confidence", "APE")
 JITTER = series(None, 5.0 * np.random.default_rng(0).standard_normal((2000, 2)), unit="mas", rate=1000.0, name="mine")

@@ -14,8 +14,8 @@ from pointing_analysis.image.optics import NONE_KNOWN, with_optics
 from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.read.series import Series, series
+from pointing_analysis.requirements.requirement import RequirementError, entries, from_entries, parse
 from pointing_analysis.requirements.rows import RequirementRow, cells, overall
-from pointing_analysis.requirements.text import RequirementError, entries, from_entries, parse
 from pointing_analysis.requirements.verdict import Verdict, decide, index_samples, judge
 from pointing_analysis.units import RAD_PER_MAS
 

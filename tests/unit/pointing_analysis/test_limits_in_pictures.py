@@ -14,8 +14,8 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report import distribution_figure, exposure_figure, figures, moving_tones
 from pointing_analysis.report.report import view
+from pointing_analysis.requirements.requirement import Requirement, entries, parse
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.text import Requirement, entries, parse
 from pointing_analysis.requirements.verdict import judge
 from pointing_analysis.units import RAD_PER_MAS
 

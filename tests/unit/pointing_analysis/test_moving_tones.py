@@ -15,8 +15,8 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.report.moving_tones import PIECES, error_over_time
 from pointing_analysis.report.report import render, view
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.text import parse
 
 MAS = np.pi / 648_000_000
 SECONDS, START, RATE = 12.0, 100.0, 40.0

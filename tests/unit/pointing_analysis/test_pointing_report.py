@@ -21,9 +21,9 @@ from pointing_analysis.report.figures import LaidOutFigure, by_line
 from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
 from pointing_analysis.requirements import verdict as requirements
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.text import parse
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 from pointing_analysis.units import RAD_PER_ARCSEC
 from titop_plant.telescope.load import load_telescope

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pointing_analysis.requirements.guarantee import proven_bound
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.rows import DISTURBED, Beside, overall, rows_of
 from pointing_analysis.requirements.summary import beside_of
-from pointing_analysis.requirements.text import parse
 from pointing_analysis.requirements.verdict import decide
 from pointing_analysis.units import ANGLES
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pointing_analysis.requirements.text import (
+from pointing_analysis.requirements.requirement import (
     INTERPRETATIONS,
     Requirement,
     RequirementError,

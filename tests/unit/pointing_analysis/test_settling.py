@@ -13,9 +13,9 @@ from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import MEASURED
+from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.settling import decay, judge_settled, start_up
 from pointing_analysis.requirements.summary import summarise
-from pointing_analysis.requirements.text import parse
 
 MAS = np.pi / 648e6
 APE = parse("prob(|APE| < 100 mas) >= 0.95 at 90 % confidence")

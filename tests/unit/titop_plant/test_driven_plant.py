@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from lftkit.arrays import FloatArray
-from titop_plant.disturbances.tones import given_tones
+from titop_plant.disturbances.wheel_and_drive_tones import given_tones
 from titop_plant.interface import COMMANDED, COMMANDS, DT, MEASURED, MEASUREMENTS, TRUTH
 from titop_plant.simulation import build as simulation
 from titop_plant.simulation.driven_plant import (

@@ -13,7 +13,7 @@ from scipy import linalg
 from titop_plant.disturbances.mechanisms import mount_matrix
 from titop_plant.disturbances.places import place_matrix, source_ports
 from titop_plant.disturbances.sources import loaded_telescope
-from titop_plant.disturbances.tones import sadm_tones
+from titop_plant.disturbances.wheel_and_drive_tones import sadm_tones
 from titop_plant.telescope.assembly import build_telescope
 from titop_plant.telescope.control_plant import control_plant
 from titop_plant.telescope.load import load_telescope

@@ -11,7 +11,7 @@ import pytest
 
 from lftkit import Port, System
 from lftkit.arrays import FloatArray
-from titop_plant.disturbances.tones import Tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones
 from titop_plant.interface import CAMERA, COMMANDS, FORCES, MEASUREMENTS, MIRROR, TRUTH
 from titop_plant.sensors import Sensor
 from titop_plant.simulation.constant_step import ConstantStep

@@ -11,7 +11,7 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from lftkit import Port, System
-from titop_plant.disturbances.tones import imbalance_tones, no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import imbalance_tones, no_tones
 from titop_plant.interface import COMMANDS, DT
 from titop_plant.simulation.build import PlantConfig, PlantFamily, build_plant
 from titop_plant.simulation.constant_step import ConstantStep

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from titop_plant.disturbances.tones import imbalance_tones, no_tones, sadm_tones
+from titop_plant.disturbances.wheel_and_drive_tones import imbalance_tones, no_tones, sadm_tones
 from titop_plant.interface import COMMANDED, DT, MEASURED
 from titop_plant.simulation.build import (
     DISTURBANCES,

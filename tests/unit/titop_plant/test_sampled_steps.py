@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from lftkit import Port, System
-from titop_plant.disturbances.tones import Tones, joined, no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import Tones, joined, no_tones
 from titop_plant.interface import CAMERA, DT
 from titop_plant.simulation.compilation import kernel
 from titop_plant.simulation.constant_step import ConstantStep

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pointing_analysis.requirements.text import IMAGE_INDICES, INDICES, Requirement, entries, from_entries, parse
+from pointing_analysis.requirements.requirement import IMAGE_INDICES, INDICES, Requirement, entries, from_entries, parse
 from pointing_analysis.units import ANGLES
 from titop_plant.telescope.load import differences, load_telescope
 from titop_plant.telescope.requirements import design_limits

@@ -27,7 +27,7 @@ from pointing_analysis.image.optics import PUPIL
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE, METADATA_NAME
 from pointing_analysis.read.recorded_sensors import RecordedSensor
 from pointing_analysis.requirements.conditions import MEASURED, START_UP
-from pointing_analysis.requirements.text import entries
+from pointing_analysis.requirements.requirement import entries
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, RATE
 from titop_plant.telescope.guide_camera import NOISE_CURVE, TABLE

@@ -35,7 +35,7 @@ from pointing_analysis.indices.confidence import exceedance_lower, exceedance_up
 from pointing_analysis.indices.exceedances import pooled_number
 from pointing_analysis.read.mapped_arrays import SortedValues
 from pointing_analysis.requirements.exposure import USUAL, exposure_of
-from pointing_analysis.requirements.text import Requirement, time_text
+from pointing_analysis.requirements.requirement import Requirement, time_text
 from pointing_analysis.requirements.verdict import refusal, status_of
 from titop_plant.interface import DT
 from titop_plant.telescope.requirements import window_length, window_probability

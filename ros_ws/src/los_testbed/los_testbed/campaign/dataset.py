@@ -30,7 +30,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run_settings import with_scenario
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.exposure import exposure_of
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
 
 MANIFEST, ROWS = "campaign.json", "rows"

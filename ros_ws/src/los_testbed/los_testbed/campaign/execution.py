@@ -60,7 +60,7 @@ def identity(base: RunConfig) -> dict[str, str]:
     ValueError
         A file that cannot be read.
     """
-    from pointing_analysis.requirements.text import entries
+    from pointing_analysis.requirements.requirement import entries
     from titop_plant.telescope.load import load_telescope
 
     parts = RunParts(base)

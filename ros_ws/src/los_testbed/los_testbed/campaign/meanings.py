@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.requirements.exposure import USUAL
-from pointing_analysis.requirements.text import NYQUIST, Requirement, SpatialFrequency
+from pointing_analysis.requirements.requirement import NYQUIST, Requirement, SpatialFrequency
 
 MEANINGS = {
     "ape_max_arcsec": "largest absolute error [arcsec]",
@@ -121,7 +121,7 @@ class RequirementColumns:
 
     Examples
     --------
-    >>> from pointing_analysis.requirements.text import parse
+    >>> from pointing_analysis.requirements.requirement import parse
     >>> drift = RequirementColumns.of(parse("prob(|PDE_x(1 s, 10 s)| < 1 arcsec) >= 95 % at 90 % confidence"))
     >>> drift.worst, drift.quantile, drift.share
     ('pde_1s_10s_x_max_mas', 'pde_1s_10s_x_p95_mas', 'pde_1s_10s_x_above_1000_mas')

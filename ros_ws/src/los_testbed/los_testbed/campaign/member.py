@@ -38,8 +38,8 @@ from pointing_analysis.indices.errors import ErrorSeries, default_transient
 from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.mapped_arrays import SortedValues, by_parts, parts
 from pointing_analysis.requirements.exposure import USUAL, exposure_of
+from pointing_analysis.requirements.requirement import Requirement, parse, time_text
 from pointing_analysis.requirements.summary import Knowledge, Performance
-from pointing_analysis.requirements.text import Requirement, parse, time_text
 from pointing_analysis.requirements.verdict import IndexSamples, beyond_limit, run_samples
 from titop_plant.interface import DT, FORCES, FSM_ANGLE, MIRROR
 from titop_plant.simulation.build import PlantFamily

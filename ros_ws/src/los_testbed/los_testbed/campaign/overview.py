@@ -16,8 +16,8 @@ from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_t
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import COLUMNS, RANDOM
 from los_testbed.run.summary.screen import numbers
+from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.rows import with_unit
-from pointing_analysis.requirements.text import Requirement
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
 PAIRS = 6

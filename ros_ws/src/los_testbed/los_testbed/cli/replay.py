@@ -104,8 +104,8 @@ def _through(
 ) -> dict[str, Any]:
     from los_testbed.run import replay as replay_run
     from pointing_analysis.replay.replay import compare
+    from pointing_analysis.requirements.requirement import time_text
     from pointing_analysis.requirements.summary import exposure_of_run
-    from pointing_analysis.requirements.text import time_text
 
     chosen = replay_run.controllers(run, *others)
     warn(chosen.warnings)

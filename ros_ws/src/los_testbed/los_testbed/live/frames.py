@@ -15,7 +15,7 @@ from los_testbed.config import RunConfig
 from los_testbed.live.history import URAD, History, indices
 from los_testbed.run_settings import with_scenario
 from los_testbed.topics import IMAGE_NAME, image_topic
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 
 COMPUTED_S = 0.5
 """Time from one computation of indices and spectrum to the next."""

@@ -16,7 +16,7 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from titop_plant.disturbances.tones import no_tones
+from titop_plant.disturbances.wheel_and_drive_tones import no_tones
 from titop_plant.interface import (
     COMMANDS,
     DT,

@@ -34,7 +34,7 @@ from los_testbed.config import RunConfig
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit
-from titop_plant.disturbances.kinds import KINDS, DisturbanceTable, RunConditions
+from titop_plant.disturbances.source_kinds import KINDS, DisturbanceTable, RunConditions
 from titop_plant.telescope.load import FOLDER
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from los_loop.worst_tone import WorstTone
     from pointing_analysis.image.optics import Optics
     from pointing_analysis.image.star_camera import StarCamera
-    from titop_plant.disturbances.kinds import DisturbanceTable
+    from titop_plant.disturbances.source_kinds import DisturbanceTable
     from titop_plant.disturbances.sources import PlacedSource
     from titop_plant.simulation.build import PlantFamily
     from titop_plant.simulation.plant import Plant
@@ -460,8 +460,8 @@ class RunParts:
         if not (self._entries or self._mechanisms):
             return ()
         from los_testbed.parts.disturbance_files import make_sources
-        from titop_plant.disturbances.kinds import RunConditions
         from titop_plant.disturbances.mechanisms import mechanism_sources
+        from titop_plant.disturbances.source_kinds import RunConditions
 
         profile = motion(self.settings, self.telescope)
         names = tuple(wheel.name for wheel in self.telescope.wheels)

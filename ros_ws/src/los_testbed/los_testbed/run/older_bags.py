@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.requirement import entries
 from pointing_analysis.requirements.summary import METADATA
-from pointing_analysis.requirements.text import entries
 from titop_plant.telescope.load import load_telescope
 
 OF_TELESCOPE = ("plant_hash", "parameters_hash", "plant_parameters_hash")

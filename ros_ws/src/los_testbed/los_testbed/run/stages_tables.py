@@ -14,9 +14,9 @@ from los_testbed.run.summary import worst_case_rows
 from los_testbed.run.summary.screen import numbers
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.exposure import exposure_of
+from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import HEADS as ROW_HEADS
 from pointing_analysis.requirements.rows import cells
-from pointing_analysis.requirements.text import time_text
 
 TONES_SHOWN = 12
 SETTLED = 0.02

@@ -12,7 +12,7 @@ from los_testbed.cli.output import chunk_limit
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
-    from pointing_analysis.requirements.text import Requirement
+    from pointing_analysis.requirements.requirement import Requirement
 
 R = TypeVar("R", bound="Recording")
 
@@ -110,7 +110,7 @@ def check_bag(path: Path) -> None:
 
 def requirements_in(file: Path | None) -> tuple[Requirement, ...] | None:
     """Requirements of ``--requirements``; None where none is given: those of each recording hold."""
-    from pointing_analysis.requirements.text import load
+    from pointing_analysis.requirements.requirement import load
 
     return None if file is None else load(file)
 

@@ -87,9 +87,9 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
+    from pointing_analysis.requirements.requirement import time_text
     from pointing_analysis.requirements.rows import digits
     from pointing_analysis.requirements.summary import UNKNOWN
-    from pointing_analysis.requirements.text import time_text
 
     texts = (Column("run", overflow="fold"), Column("verdict", no_wrap=True))
     heads = (*texts, *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"))

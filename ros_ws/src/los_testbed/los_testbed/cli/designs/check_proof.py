@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 CHECK_PROOF_EXAMPLES = """Verify a proof of a worst-case gain or of robust stability.
 
-The check has its own short code, `lftkit/proofs/trusted` and nothing else: it optimises nothing. Exit code 1 if the
-proof is refused, 2 if its texts have control characters or line breaks, which could look like lines of this command.
+The inequalities are verified by `lftkit/proofs/trusted`, which imports nothing else and optimises nothing. Exit code
+1 if the proof is refused, 2 if its texts have control characters or line breaks, which could look like lines of this
+command.
 
 A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
 proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--of FOLDER`; the

@@ -25,7 +25,7 @@ from los_testbed.parts.run_parts import RunParts
 from los_testbed.run_settings import of_designs
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
-from pointing_analysis.requirements.text import Requirement
+from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import DT, MIRROR_STAGES, STAGES
 from titop_plant.sensors import MEASURED_SENSORS
 from titop_plant.telescope.loop_ports import LoopPorts

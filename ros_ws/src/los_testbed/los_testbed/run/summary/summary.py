@@ -31,9 +31,9 @@ from pointing_analysis.requirements.conditions import differences
 from pointing_analysis.requirements.guarantee import NOISE as PROOF_NOISE
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
+from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import HEADS, cells
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
-from pointing_analysis.requirements.text import time_text
 from pointing_analysis.requirements.verdict import Requirement
 
 if TYPE_CHECKING:

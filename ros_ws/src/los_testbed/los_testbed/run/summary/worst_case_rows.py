@@ -20,8 +20,8 @@ from scipy import linalg, special
 from los_testbed.parts.start import START_FILE, RunStart
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
+from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.summary import Summary, exposure_of_run
-from pointing_analysis.requirements.text import Requirement
 from titop_plant.interface import DT
 from titop_plant.telescope.error_budget import combined_level
 from titop_plant.telescope.weights import rpe_weight
