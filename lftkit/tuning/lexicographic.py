@@ -83,8 +83,8 @@ def tuned_in_order(
     begin = time.monotonic()
     share = replace(plain, wall_limit=FIRST_SHARE * plain.wall_limit)
     first = run(requirements, structure, initial=initial, options=share)
-    stops = first.status not in GOES_ON or not first.feasible or first.soft <= plain.target
-    if stops or not structure.size:
+    goes_on = first.status in GOES_ON and first.certificate is not None and first.feasible
+    if not goes_on or first.soft <= plain.target or not structure.size:
         return first
     plain = replace(plain, target=-np.inf)
     levels = _Levels(run, list(requirements), structure, plain, slack, begin + plain.wall_limit, first, [first])

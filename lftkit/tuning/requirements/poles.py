@@ -21,7 +21,10 @@ P = TypeVar("P", bound="Poles")
 
 @dataclass(frozen=True)
 class Poles(TuningRequirement):
-    """Common fields of the two pole requirements; with a `period` [s] the poles are those of an image."""
+    """Common fields of the two pole requirements.
+
+    With a `period` [s] the poles are those of an image; values count over the `level` of a requirement that is held.
+    """
 
     min_decay: float = 0.0
     min_damping: float = 0.0
@@ -29,6 +32,7 @@ class Poles(TuningRequirement):
     hard: bool = True
     name: str = ""
     period: float = field(default=0.0, kw_only=True, repr=False)
+    level: float = field(default=1.0, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         if not self.min_decay >= 0:
@@ -46,18 +50,8 @@ class Poles(TuningRequirement):
         """Nothing: every model has poles."""
 
     def held(self: P, level: float) -> P:
-        """The hard requirement that is just met where this one has the value `level`, above 0.
-
-        Raises
-        ------
-        ValueError
-            A level of 2 or more, that of poles which do not decay.
-        """
-        if level >= 2.0 and (self.min_decay or self.min_damping):
-            raise ValueError(f"{self.name}: a level that is held must be below 2, got {level:g}")
-        decay, damping = (2.0 - level) * self.min_decay, (2.0 - level) * self.min_damping
-        largest = level * self.max_frequency
-        return replace(self, min_decay=decay, min_damping=damping, max_frequency=largest, hard=True)
+        """The hard requirement that is just met where this one has the value `level`, above 0."""
+        return replace(self, level=level * self.level, hard=True)
 
     def softened(self: P) -> P:
         """The same requirement, minimised."""
@@ -71,7 +65,8 @@ class Poles(TuningRequirement):
         """Values, derivatives and pole numbers of all bounds.
 
         A value v of pole s changes by ``Re(conj(derivative) ds)``. Bounds: 2 + Re s / min_decay,
-        2 - damping / min_damping, |s| / max_frequency; each is 1 on its boundary. With a `period` s is ``log(z) / T``.
+        2 - damping / min_damping, |s| / max_frequency; each is 1 on its boundary, and counts over the `level`. With a
+        `period` s is ``log(z) / T``.
         """
         if not self.period:
             return self._pieces(poles)
@@ -100,7 +95,7 @@ class Poles(TuningRequirement):
             values.append(size / self.max_frequency)
             slopes.append(poles / size / self.max_frequency)
         number = np.tile(np.arange(len(poles)), len(values))
-        return np.concatenate(values), np.concatenate(slopes), number
+        return np.concatenate(values) / self.level, np.concatenate(slopes) / self.level, number
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ from lftkit.tuning import (
     TuningRequirement,
     TuningResult,
     WorstCaseOptions,
+    certify,
     gain,
+    state_space,
     tune,
     tune_discrete,
     tune_robust,
@@ -165,9 +167,47 @@ def test_over_a_box_of_parameters() -> None:
         assert worst[name].parameters["a"] == pytest.approx(0.5)
 
 
-def test_levels_of_pole_requirements_that_no_requirement_can_ask_for_are_refused() -> None:
-    with pytest.raises(ValueError, match="must be below 2, got 2"):
-        ControllerPoles(min_decay=1.0).held(2.0)
+@pytest.mark.parametrize("level", [0.4, 1.0, 1.7, 3.0])
+def test_a_held_requirement_is_just_met_at_its_level(level: float) -> None:
+    """Values of the same loop: those of the held one are in units of the level."""
+    plant, K = lags(), System.static(-np.eye(2), [("y", 2)], [("u", 2)])
+    for asked in (
+        HinfGain("w0", "z0", bound=0.3),
+        H2Gain("w0", "z0", bound=0.2),
+        ClosedLoopPoles(min_decay=5.0, min_damping=0.9, max_frequency=3.0),
+        ControllerPoles(min_decay=1.0),
+        Passivity("w0", "z0", input_index=-0.5).requirements_on(plant)[0],
+    ):
+        law = System([[0.5]], [[1.0, 0.0]], [[1.0], [0.0]], -np.eye(2), [("y", 2)], [("u", 2)])
+        controller = law if isinstance(asked, ControllerPoles) else K
+        given, held = (certify([plant], controller, [one]).values.item() for one in (asked, asked.held(level)))
+        assert held == pytest.approx(given / level, rel=1e-6) and asked.held(level).hard
+
+
+def test_an_unstable_loop_at_the_end_of_the_time_has_no_level() -> None:
+    """Nothing can be held of a loop without a certificate."""
+    unstable = lags(pole=2.0)
+    asked = [HinfGain("w0", "z0"), HinfGain("w1", "z1")]
+    options = replace(IN_ORDER, wall_limit=1e-9)
+    found = tune([unstable], asked, law(), initial=[[0.0, 0.0]], options=options)
+    assert found.levels == () and found.certificate is None and found.status in ("out_of_time", "not_stabilised")
+
+
+def test_soft_poles_of_a_controller_that_has_to_be_unstable_are_a_level() -> None:
+    """(s - 1) / (s (s - 2)) has one unstable pole between its zeros at 1 and infinity: no stable controller holds it.
+
+    -(14 s - 1) / (s - 9) brings all poles of the loop to -1.
+    """
+    A, B, C = np.array([[2.0, 0.0], [1.0, 0.0]]), np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([[1.0, -1.0]])
+    inputs, outputs = [("w", 1), ("u", 1)], [("z", 1), ("y", 1)]
+    plant = System(A, B, np.vstack([C, C]), np.zeros((2, 2)), inputs, outputs, "interlaced")
+    structure = state_space([("y", 1)], [("u", 1)], 1)
+    start = structure.parameters_of(System([[9.0]], [[1.0]], [[-125.0]], [[-14.0]], [("y", 1)], [("u", 1)]))
+    needs = [HinfGain("w", "z", bound=100.0, name="gain"), ControllerPoles(min_decay=1.0, hard=False, name="own poles")]
+    found = tune([plant], needs, structure, initial=[start], options=IN_ORDER)
+    assert found.certificate is not None and found.certificate.stable
+    assert found.levels[0].requirements == ("own poles",) and found.levels[0].value > 2.0
+    assert [name for level in found.levels for name in level.requirements] == ["own poles", "gain"]
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
