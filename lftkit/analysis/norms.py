@@ -7,10 +7,11 @@ matrices on the unit circle; a map to continuous time tests the level of few sta
 
 from __future__ import annotations
 
+from cmath import exp
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from math import isfinite
+from math import isfinite, pi
 from types import ModuleType
 
 import numpy as np
@@ -22,6 +23,7 @@ from lftkit.analysis.circle.circle_h2 import discrete_h2
 from lftkit.analysis.circle.circle_norm import discrete_norm
 from lftkit.analysis.eigenvectors import EPS, balanced
 from lftkit.analysis.frequency_response import FrequencyResponse
+from lftkit.analysis.hinf.direct_gain import largest_gain, response_at
 from lftkit.analysis.hinf.half_plane import HalfPlane
 from lftkit.analysis.hinf.hamiltonian_norm import HamiltonianModel
 from lftkit.analysis.hinf.interval_norm import InexactModesError, IntervalModel
@@ -30,6 +32,7 @@ from lftkit.analysis.hinf.small_norm import COMPILED_STATES, MAX_STATES, Origin,
 from lftkit.arrays import FloatArray, Matrices
 from lftkit.support.scalars import is_number
 from lftkit.systems.matrices import checked_matrices
+from lftkit.systems.sampled.bilinear import to_continuous, unwarped_frequency, warped_frequency
 
 SCHUR_ROUNDING = 1e-6  # relative error of the slowest decay in a Schur form, from which on modes give the H2 norm
 ON_AXIS = 1e-14  # distance of a pole from the imaginary axis over the largest magnitude of a pole
@@ -142,6 +145,7 @@ def band_gain(
     D: ArrayLike,
     band: tuple[float, float],
     *,
+    dt: float | None = None,
     rtol: float = 1e-6,
     stable: bool = True,
 ) -> HInfNorm:
@@ -153,15 +157,18 @@ def band_gain(
         Shapes (n, n), (n, m), (p, n), (p, m).
     band : tuple of float
         Lowest and highest frequency [rad/s], the latter may be infinite.
+    dt : float, optional
+        Sampling period [s] of a discrete-time system, whose frequencies end at pi / dt. The level is that of its map to
+        continuous time; a pole at z = -1, which has no map, gives an infinite gain.
     rtol : float
         Relative distance of the two sides.
     stable : bool
-        Infinite for an unstable system; without, for poles on the imaginary axis only.
+        Infinite for an unstable system; without, for poles on the imaginary axis or the unit circle only.
 
     Raises
     ------
     ValueError
-        Shapes that do not fit, numbers that are not finite.
+        Shapes that do not fit, numbers that are not finite, a band that is empty.
     ArithmeticError
         The iteration did not settle, or eigenvalues did not converge.
 
@@ -174,8 +181,13 @@ def band_gain(
     (0.332595, 2.0)
     """
     a, b, c, d = checked_matrices(A, B, C, D)
+    last = pi / dt if dt is not None and _is_discrete(dt) else np.inf
+    if not (0.0 <= band[0] < band[1] and band[0] < last):
+        raise ValueError(f"band must be a lower and a higher frequency [rad/s] from 0 to {last:g}, got {band}")
     if not len(a):
         return replace(_norm_of_feedthrough(a, d), omega=float(band[0]))
+    if dt is not None and last < np.inf:
+        return _discrete_band_gain((a, b, c, d), band, dt, rtol, stable=stable)
     system = *balanced(a, b, c), d
     response = FrequencyResponse.of(*system, rounding=0.1 * rtol)
     poles = response.poles
@@ -184,6 +196,23 @@ def band_gain(
     if (stable and poles[worst].real >= 0.0) or (not stable and on_axis):
         return HInfNorm(np.inf, np.inf, float(abs(poles[worst].imag)), "unstable")
     return HInfNorm(*bracketed_norm(HamiltonianModel(system, response, rtol, band)), "hamiltonian")
+
+
+def _discrete_band_gain(
+    system: Matrices, band: tuple[float, float], dt: float, rtol: float, *, stable: bool
+) -> HInfNorm:
+    """By a map to continuous time, which keeps every gain; the lower side is the gain of the system itself."""
+    try:
+        mapped = to_continuous(*system, dt)
+    except ValueError:
+        return HInfNorm(np.inf, np.inf, pi / dt, "unstable")
+    low, high = (warped_frequency(omega, dt) for omega in band)
+    norm = band_gain(*mapped, (low, high), rtol=rtol, stable=stable)
+    omega = unwarped_frequency(norm.omega, dt)
+    if not norm.value < np.inf:
+        return replace(norm, omega=omega)
+    value = largest_gain(response_at(system, exp(1j * omega * dt)))
+    return replace(norm, value=value, upper=max(norm.upper, value), omega=omega)
 
 
 def h2_norm(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, *, dt: float | None = None) -> float:

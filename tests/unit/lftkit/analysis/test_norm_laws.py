@@ -150,3 +150,32 @@ def test_bands_add_up_to_the_whole_axis(shape: tuple[int, int, int], unstable: b
         inside = np.clip(np.linspace(low, min(high, 1e3), 2000), low, high)
         assert gains((A, B, C, D), False, inside).max() <= part.upper and low <= part.omega <= high
         assert part.upper <= part.value * (1.0 + RTOL * (1 + 1e-6))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_gain_in_a_band_of_the_circle_is_above_every_gain_there_and_reached(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(5, 5))
+    A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
+    B, C, D, dt = rng.normal(size=(5, 2)), rng.normal(size=(2, 5)), rng.normal(size=(2, 2)), 0.05
+
+    def gain(omega: float) -> float:
+        return float(np.linalg.norm(C @ np.linalg.solve(np.exp(1j * omega * dt) * np.eye(5) - A, B) + D, 2))
+
+    low, high = np.sort(rng.uniform(0.0, np.pi / dt, 2))
+    for band in ((low, high), (0.0, high), (low, np.inf)):
+        found = band_gain(A, B, C, D, band, dt=dt, rtol=1e-7)
+        grid = [gain(omega) for omega in np.linspace(band[0], min(band[1], np.pi / dt), 2000)]
+        assert found.value <= found.upper <= found.value * (1.0 + 1e-6)
+        assert max(grid) <= found.upper * (1.0 + 1e-12) and max(grid) >= found.value * 0.999
+        assert gain(found.omega) == pytest.approx(found.value, rel=1e-9)
+    whole = band_gain(A, B, C, D, (0.0, np.inf), dt=dt, rtol=RTOL)
+    assert whole.value == pytest.approx(hinf_norm(A, B, C, D, dt=dt).value, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("band", "dt"), [((2.0, 1.0), None), ((-1.0, 1.0), None), ((1.0, 1.0), 0.1), ((40.0, 50.0), 0.1)]
+)
+def test_bands_without_a_frequency_are_refused(band: tuple[float, float], dt: float | None) -> None:
+    with pytest.raises(ValueError, match="band must be a lower and a higher frequency"):
+        band_gain([[-0.5]], [[1.0]], [[1.0]], [[0.0]], band, dt=dt)
