@@ -39,7 +39,7 @@ from lftkit.proofs.trusted.entries import (
 )
 from lftkit.proofs.trusted.loop import Loop
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof
-from lftkit.proofs.trusted.proof import require
+from lftkit.proofs.trusted.proof import Strip, require
 from lftkit.proofs.trusted.sampled_loop import LoopProof
 
 LOOP, NOISE = "sampled loop", "noise"
@@ -62,44 +62,17 @@ GAIN_CLAIM = record({"property": text, "level": number, "band": pair, "box": map
 NOISE_CLAIM = record({"property": text, "parts": each(PART), "box": mapping(pair)})
 
 
-def loop_content(proof: LoopProof) -> Content:
-    """Content of the file of a proof."""
-    box = named_box(proof.names, proof.box)
-    claim = {"property": "gain", "level": proof.level, "band": proof.band, "box": box}
-    plant, arrays = _plant(proof.model, proof.names)
-    header = header_entries(LOOP, claim, plant, about=dict(proof.about))
-    return header, arrays | packed(proof.strips, len(proof.names))
-
-
 def loop_proof(content: Content) -> LoopProof:
     """The proof of a file's content; a ProofError where it is none."""
-    header, arrays = content
-    header = header_of(header, LOOP, {"claim": GAIN_CLAIM, **OTHERS})
+    header, model, strips = _read(content, LOOP, GAIN_CLAIM, "gain")
     claim, names = header["claim"], header["plant"]["parameters"]
-    require(claim["property"] == "gain", f"a proof of a loop must be one of a gain, got {claim['property']!r}")
-    arrays = arrays_of(arrays, ARRAYS, len(names))
-    model, strips = _model(header["plant"], arrays), unpacked(arrays, len(names))
     return LoopProof(model, names, box_of_claim(header), claim["band"], claim["level"], strips, header["about"])
-
-
-def noise_content(proof: NoiseProof) -> Content:
-    """Content of the file of a proof of noise."""
-    parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in proof.parts]
-    claim = {"property": "noise", "parts": parts, "box": named_box(proof.names, proof.box)}
-    plant, arrays = _plant(proof.model, proof.names)
-    header = header_entries(NOISE, claim, plant, about=dict(proof.about))
-    strips = [strip for part in proof.parts for strip in part.strips]
-    return header, arrays | packed(strips, len(proof.names))
 
 
 def noise_proof(content: Content) -> NoiseProof:
     """The proof of noise of a file's content; a ProofError where it is none."""
-    header, arrays = content
-    header = header_of(header, NOISE, {"claim": NOISE_CLAIM, **OTHERS})
+    header, model, found = _read(content, NOISE, NOISE_CLAIM, "noise")
     claim, names = header["claim"], header["plant"]["parameters"]
-    require(claim["property"] == "noise", f"a proof of noise must say so, got {claim['property']!r}")
-    arrays = arrays_of(arrays, ARRAYS, len(names))
-    found = unpacked(arrays, len(names))
     own = sum(count for *_, count in claim["parts"]) == len(found)
     require(own, f"parts must have {len(found)} strips in all, got another number")
     strips = iter(found)
@@ -107,12 +80,12 @@ def noise_proof(content: Content) -> NoiseProof:
         NoisePart(rows, (low, high), level, tuple(itertools.islice(strips, count)))
         for rows, low, high, level, count in claim["parts"]
     )
-    return NoiseProof(_model(header["plant"], arrays), names, box_of_claim(header), parts, header["about"])
+    return NoiseProof(model, names, box_of_claim(header), parts, header["about"])
 
 
 def write_loop_proof(proof: LoopProof | NoiseProof, path: Path) -> None:
     """Write a proof of a loop, or of noise in one, as a compressed ``.npz``."""
-    write_content(path, noise_content(proof) if isinstance(proof, NoiseProof) else loop_content(proof))
+    write_content(path, _content(proof))
 
 
 def read_loop_proof(path: Path) -> LoopProof:
@@ -123,6 +96,33 @@ def read_loop_proof(path: Path) -> LoopProof:
 def read_noise_proof(path: Path) -> NoiseProof:
     """Read a proof of noise; errors as of :func:`read_loop_proof`."""
     return noise_proof(read_content(path))
+
+
+def _content(proof: LoopProof | NoiseProof) -> Content:
+    """Content of the file of a proof."""
+    claim: dict[str, Any] = {"box": named_box(proof.names, proof.box)}
+    if isinstance(proof, NoiseProof):
+        kind, strips = NOISE, [strip for part in proof.parts for strip in part.strips]
+        parts = [[part.rows, *part.band, part.level, len(part.strips)] for part in proof.parts]
+        claim = {"property": "noise", "parts": parts, **claim}
+    else:
+        kind, strips = LOOP, list(proof.strips)
+        claim = {"property": "gain", "level": proof.level, "band": proof.band, **claim}
+    plant, arrays = _plant(proof.model, proof.names)
+    header = header_entries(kind, claim, plant, about=dict(proof.about))
+    return header, arrays | packed(strips, len(proof.names))
+
+
+def _read(
+    content: Content, kind: str, claim: Form, property_of: str
+) -> tuple[dict[str, Any], LoopModel, tuple[Strip, ...]]:
+    """Header, model and strips of a proof of a kind that claims a property."""
+    given, found = content
+    header = header_of(given, kind, {"claim": claim, **OTHERS})
+    got, names = header["claim"]["property"], header["plant"]["parameters"]
+    require(got == property_of, f"the property of a proof of kind {kind!r} must be {property_of!r}, got {got!r}")
+    arrays = arrays_of(found, ARRAYS, len(names))
+    return header, _model(header["plant"], arrays), unpacked(arrays, len(names))
 
 
 def _plant(model: Loop, names: tuple[str, ...]) -> Content:
