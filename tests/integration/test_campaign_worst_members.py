@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import MemberEvaluator
-from los_testbed.campaign.sampling import COLUMNS, DELTA, members
+from los_testbed.campaign.sampling import MemberParameters, members
 from los_testbed.config import RunConfig
 
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import weighted_gains
 from titop_plant.interface import FRAME_TICKS
+
+REFERENCE = MemberParameters.of()
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 OLD = RunConfig(
@@ -27,7 +29,7 @@ OLD = RunConfig(
 
 
 def rows_of(evaluator: MemberEvaluator, points: np.ndarray) -> list[dict[str, Any]]:
-    rows = [evaluator.row(k, {**dict(zip(COLUMNS, p)), "seed": 1}, "model") for k, p in enumerate(points)]
+    rows = [evaluator.row(k, {**dict(zip(REFERENCE.columns, p)), "seed": 1}, "model") for k, p in enumerate(points)]
     assert {row["status"] for row in rows} == {"ok"}
     return rows
 
@@ -47,7 +49,7 @@ def test_adversarial_members_reach_the_known_worst_case_and_random_ones_do_not()
     random = np.array([row["rpe_fine_gain"] for row in rows])
     assert 1.0 < random.max() < found[0] and np.median(random) < 1.0
     worst = int(random.argmax())
-    plant = evaluator.family.control_loop.at(dict(zip(DELTA, points[worst])))
+    plant = evaluator.family.control_loop.at(dict(zip(REFERENCE.ranges, points[worst])))
     pair, telescope = (evaluator.controllers["k_fsm"], evaluator.controllers["k_pma"]), evaluator.family.telescope
     closed = sampled_loop(plant, ControlLaws(*pair, "fsm+pma"), frame_ticks=FRAME_TICKS)
     near = rows[worst]["rpe_peak_rad_s"] * (1.0 + np.linspace(-2e-3, 2e-3, 81))

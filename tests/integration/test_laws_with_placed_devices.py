@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
-from los_testbed.campaign.sampling import COLUMNS, members, settings
+from los_testbed.campaign.sampling import MemberParameters, members
 from los_testbed.cli import app
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
@@ -322,7 +322,8 @@ def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(base: RunC
     for name, law in zip(("k_fsm", "k_pma"), twin_pair(load_telescope("twins.toml"))):
         law.to_file(tmp_path / f"{name}.json")
     own = replace(base, k_fsm="k_fsm.json", k_pma="k_pma.json")
-    member = dict(zip(COLUMNS, map(float, members("uniform", 1, 4)[0]))) | {"seed": 7}
+    parameters = MemberParameters.of("twins.toml")
+    member = dict(zip(parameters.columns, map(float, members("uniform", 1, 4, "twins.toml")[0]))) | {"seed": 7}
     for depth in ("time", "model"):
         rows = [MemberEvaluator.of(one).row(0, member, depth) for one in (base, own)]
         names = [name for name in metric_columns(depth, RunParts(base).telescope.requirements) if rows[0][name]]
@@ -331,7 +332,7 @@ def test_a_campaign_gives_such_a_pair_the_figures_of_the_standard_one(base: RunC
         assert rows[1]["status"] == "ok" and len(figures) > 6
         np.testing.assert_allclose(found, expected, rtol=1e-6)
     noisy = replace(own, noise=True)
-    run_in_process(replace(noisy, **settings(member)), tmp_path / "bag")
+    run_in_process(replace(noisy, **parameters.settings(member)), tmp_path / "bag")
     summary = summarise(Run.open(tmp_path / "bag"))
     row = MemberEvaluator.of(noisy).row(0, member, "time")
     assert (row["rpe_rms_mas"], row["ape_max_arcsec"]) == (summary.rpe_rms, summary.ape_max)

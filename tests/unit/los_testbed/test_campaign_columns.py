@@ -17,7 +17,7 @@ from los_testbed.campaign.meanings import RequirementColumns, meaning
 from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
 from los_testbed.campaign.page import write_page
-from los_testbed.campaign.sampling import COLUMNS, command, member_seeds, members
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.cli.app import main
 from los_testbed.cli.campaign import _show
 from los_testbed.config import RunConfig
@@ -29,6 +29,8 @@ from pointing_analysis.indices.errors import knowledge_error, performance_error
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.requirement import Requirement, parse
 from pointing_analysis.requirements.verdict import index_samples
+
+REFERENCE = MemberParameters.of()
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -232,10 +234,10 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("columns")
     file = telescope(folder / "mine.toml", {**JUDGED, **OTHERS})
     base = base_of(file)
-    row = {**dict(zip(COLUMNS, map(float, members("uniform", 1, 7)[0]))), "seed": int(member_seeds(1, 7)[0])}
+    row = {**dict(zip(REFERENCE.columns, map(float, members("uniform", 1, 7)[0]))), "seed": int(member_seeds(1, 7)[0])}
     found = MemberEvaluator.of(base).row(0, row, "time")
     paths = f"--parameters {shlex.quote(file)} --output {shlex.quote(str(folder / 'bag'))}"
-    line = command(row, f" --duration 2 --loop fsm+pma --scenario design {paths}")
+    line = REFERENCE.command(row, f" --duration 2 --loop fsm+pma --scenario design {paths}")
     assert main([*shlex.split(line)[1:], "--no-report", "--json"]) == 0
     return {"base": base, "row": found, "bag": folder / "bag"}
 

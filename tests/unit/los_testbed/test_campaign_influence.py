@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign.influence import bins_of, first_order_index, influences, pair_effects
-from los_testbed.campaign.sampling import COLUMNS, members
+from los_testbed.campaign.sampling import members
+
+COLUMNS = tuple("abcdefg")
+"""Seven parameters."""
 
 CORNERS = members("corners", 0, 0)
 SIGNS = np.sign(CORNERS - CORNERS.mean(axis=0))
@@ -16,12 +19,14 @@ SIGNS = np.sign(CORNERS - CORNERS.mean(axis=0))
 
 def shares(telescope: Any, metric: Any) -> dict[str, float]:
     """First-order shares by parameter."""
-    return {one.parameter: one.first_order for one in influences(telescope, metric)}
+    return {one.parameter: one.first_order for one in influences(dict(zip(COLUMNS, telescope.T)), metric)}
 
 
 def pairs(telescope: Any, metric: Any) -> dict[tuple[str, str], float]:
     """Shares of the pairs that have one."""
-    return {one.parameters: one.share for one in pair_effects(telescope, metric) if one.share > 0.0}
+    return {
+        one.parameters: one.share for one in pair_effects(dict(zip(COLUMNS, telescope.T)), metric) if one.share > 0.0
+    }
 
 
 def test_corners_have_the_shares_of_a_two_level_design() -> None:

@@ -12,7 +12,7 @@ import los_testbed.loop.compiled_loop
 import numpy as np
 import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
-from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.contract import RunFailedError
@@ -25,12 +25,14 @@ from pointing_analysis.read import mapped_arrays
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
 
+REFERENCE = MemberParameters.of()
+
 BASE = RunConfig(mode="inprocess", duration=2.0)
 TIME_METRICS = metric_columns("time", RunParts(BASE).telescope.requirements)
 
 
 def member(index: int) -> dict[str, Any]:
-    values = dict(zip(COLUMNS, map(float, members("uniform", index + 1, 4)[index])))
+    values = dict(zip(REFERENCE.columns, map(float, members("uniform", index + 1, 4)[index])))
     return {**values, "seed": int(member_seeds(index + 1, 4)[index])}
 
 
@@ -43,7 +45,7 @@ def evaluator() -> MemberEvaluator:
 def test_metrics_are_those_of_the_bag(loop: str, scenario: str, tmp_path: Path) -> None:
     base = replace(BASE, loop=loop, scenario=scenario)
     row = MemberEvaluator.of(base).row(0, member(0), "time")
-    run_in_process(replace(base, **settings(member(0))), tmp_path / "bag")
+    run_in_process(replace(base, **REFERENCE.settings(member(0))), tmp_path / "bag")
     run = Run.open(tmp_path / "bag")
     summary = summarise(run)
     assert row["status"] == "ok"
@@ -107,7 +109,7 @@ def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
     k_fsm = evaluator.controllers["k_fsm"]
     pair = {**evaluator.controllers, "k_fsm": replace(k_fsm, A=k_fsm.A + growth * np.eye(k_fsm.order))}
     evaluator = replace(evaluator, controllers=pair)
-    given = replace(base, **settings(member(1)))
+    given = replace(base, **REFERENCE.settings(member(1)))
     row = evaluator.row(1, member(1), "time")
     with monkeypatch.context() as patched:
         patched.setattr(los_testbed.loop.compiled_loop, "kernel_for", lambda ticks: None)

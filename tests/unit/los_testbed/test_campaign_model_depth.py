@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
-from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
@@ -24,6 +24,8 @@ from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import FRAME_TICKS
 from titop_plant.telescope.error_budget import combined_level
 
+REFERENCE = MemberParameters.of()
+
 BASE = RunConfig(mode="inprocess")
 DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")
 
@@ -33,7 +35,7 @@ def point(index: int) -> dict[str, float]:
 
 
 def row(evaluator: MemberEvaluator, index: int) -> dict[str, Any]:
-    values = dict(zip(COLUMNS, map(float, members("uniform", index + 1, 4)[index])))
+    values = dict(zip(REFERENCE.columns, map(float, members("uniform", index + 1, 4)[index])))
     return evaluator.row(index, {**values, "seed": int(member_seeds(index + 1, 4)[index])}, "model")
 
 

@@ -15,12 +15,15 @@ from los_testbed.campaign.influence import first_order_index, influences, pair_e
 from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
-from los_testbed.campaign.sampling import COLUMNS
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from support import axe, headless_browser
 
+from lftkit.arrays import FloatArray
 from pointing_analysis.requirements.requirement import parse
+
+REFERENCE = MemberParameters.of()
 
 BASE = RunConfig(mode="inprocess", loop="fsm+pma", scenario="design")
 REQUIREMENTS = RunParts(BASE).telescope.requirements
@@ -75,26 +78,31 @@ def test_requirements_are_those_of_the_stage() -> None:
     assert "RPE, finest" not in names and {"APE", "RPE, fine"} <= names
 
 
+def named(x: FloatArray) -> dict[str, FloatArray]:
+    """Columns of the reference's parameters."""
+    return dict(zip(REFERENCE.columns, x.T))
+
+
 def test_influence_finds_the_parameters_of_a_known_function() -> None:
     rng = np.random.default_rng(1)
     x = rng.uniform(-1.0, 1.0, (3000, 7))
-    found = influences(x, 3.0 * x[:, 1] + x[:, 4] ** 2)
-    assert found[0].parameter == COLUMNS[1] and found[0].rank_correlation > 0.9
-    squared = next(i for i in found if i.parameter == COLUMNS[4])
+    found = influences(named(x), 3.0 * x[:, 1] + x[:, 4] ** 2)
+    assert found[0].parameter == REFERENCE.columns[1] and found[0].rank_correlation > 0.9
+    squared = next(i for i in found if i.parameter == REFERENCE.columns[4])
     assert abs(squared.rank_correlation) < 0.1
     assert squared.first_order == pytest.approx((4 / 45) / (4 / 45 + 3.0), abs=0.02)
-    assert influences(x[:4], x[:4, 0]) == [] and first_order_index(x[:5, 0], x[:5, 0]) != 0.0
+    assert influences(named(x[:4]), x[:4, 0]) == [] and first_order_index(x[:5, 0], x[:5, 0]) != 0.0
 
 
 def test_effects_of_pairs_are_what_neither_parameter_does_alone() -> None:
     rng = np.random.default_rng(1)
     x = rng.uniform(-1.0, 1.0, (3000, 7))
-    found = pair_effects(x, x[:, 3] + 1.5 * x[:, 1] * x[:, 5] + 0.3 * rng.standard_normal(3000))
+    found = pair_effects(named(x), x[:, 3] + 1.5 * x[:, 1] * x[:, 5] + 0.3 * rng.standard_normal(3000))
     whole = 1 / 3 + 1.5**2 / 9 + 0.09
-    assert found[0].parameters == (COLUMNS[1], COLUMNS[5])
+    assert found[0].parameters == (REFERENCE.columns[1], REFERENCE.columns[5])
     assert found[0].share == pytest.approx(1.5**2 / 9 / whole, abs=0.06)
     assert max(effect.share for effect in found[1:]) < 0.03
-    assert pair_effects(x[:50], x[:50, 0]) == []
+    assert pair_effects(named(x[:50]), x[:50, 0]) == []
 
 
 def test_yield_is_the_share_below_and_its_bound_is_lower() -> None:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.campaign.sampling import COLUMNS, box, command, member_seeds, members, settings
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.members import check_ranges
 
 from titop_plant.telescope.load import load_telescope
 
-RANGES = np.array(list(box().values()))
+REFERENCE = MemberParameters.of()
+COLUMNS, RANGES = REFERENCE.columns, REFERENCE.limits
 
 
 @pytest.mark.parametrize("sampling", ["uniform", "lhs"])
@@ -48,7 +49,10 @@ def test_corners_are_all_ends_of_all_ranges() -> None:
 def test_list_from_a_file_in_any_order_of_columns(tmp_path: Path) -> None:
     points = members("uniform", 3, 2)
     order = [6, 0, 1, 2, 3, 4, 5]
-    lines = [",".join(COLUMNS[k] for k in order), *(",".join(repr(float(p[k])) for k in order) for p in points)]
+    lines = [
+        ",".join(COLUMNS[k] for k in order),
+        *(",".join(repr(float(p[k])) for k in order) for p in points),
+    ]
     (tmp_path / "list.csv").write_text("\n".join(lines), "utf-8")
     assert np.array_equal(members(str(tmp_path / "list.csv"), 0, 1), points)
     assert np.array_equal(members(str(tmp_path / "list.csv"), 2, 1), points[:2])
@@ -61,8 +65,11 @@ def test_list_from_a_file_in_any_order_of_columns(tmp_path: Path) -> None:
     [
         ("tau,omega_1", r"the header must be tau,wheel_speed_1,.*, got tau,omega_1"),
         ("", "the header must be .*, got nothing"),
-        (",".join(COLUMNS) + "\n0,0,0,0,0,0.74,9", r"line 2: omega_2 must be between .*, got '9'"),
-        (",".join(COLUMNS) + "\n0,0,0,0,0,0.74,2.6\n0,0,0,x,0,0.74,2.6", r"line 3: wheel_speed_3 must be .*, got 'x'"),
+        (",".join(COLUMNS) + "\n0,0,0,0,0,0.74,9", r"line 2: omega_2 must be between .*, got 9"),
+        (
+            ",".join(COLUMNS) + "\n0,0,0,0,0,0.74,2.6\n0,0,0,x,0,0.74,2.6",
+            r"line 3: wheel_speed_3 must be .*, got 'x'",
+        ),
         (",".join(COLUMNS) + "\n0,0,0", r"line 2: wheel_speed_3 must be between .*, got ''"),
         (",".join(COLUMNS), "samples must be 1 or more, got 0"),
     ],
@@ -90,8 +97,8 @@ def test_bad_samplings_are_refused(arguments: tuple, message: str) -> None:
 
 def test_command_of_a_member_names_its_settings_to_the_last_bit() -> None:
     row = dict(zip(COLUMNS, members("uniform", 1, 5)[0]), seed=7)
-    words = shlex.split(command(row))
+    words = shlex.split(REFERENCE.command(row))
     speeds = words.index("--wheel-speed")
-    assert [float(w) for w in words[speeds + 1 : speeds + 5]] == settings(row)["wheel_speed"]
+    assert [float(w) for w in words[speeds + 1 : speeds + 5]] == REFERENCE.settings(row)["wheel_speed"]
     assert float(words[words.index("--tau") + 1]) == row["tau"]
-    check_ranges(RunConfig(**settings(row)), load_telescope())
+    check_ranges(RunConfig(**REFERENCE.settings(row)), load_telescope())

@@ -13,7 +13,7 @@ import pytest
 from los_testbed.campaign.campaign_verdict import judged, model_verdicts, not_judged, verdicts
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
-from los_testbed.campaign.sampling import COLUMNS
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.cli.app import main
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
@@ -25,6 +25,8 @@ from pointing_analysis.read.series import series
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import METADATA, summarise
 from pointing_analysis.requirements.summary import requirements_of as recorded
+
+REFERENCE = MemberParameters.of()
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -102,7 +104,7 @@ def test_a_campaign_is_judged_by_its_telescope(own: Path) -> None:
     assert asked.metrics == names
     evaluator = MemberEvaluator.of(base)
     rows = evaluator.rows([member for _, chunk in asked.chunks() for member in chunk], "time")
-    assert all(set(names) | set(COLUMNS) <= set(row) and row["status"] == "ok" for row in rows)
+    assert all(set(names) | set(REFERENCE.columns) <= set(row) and row["status"] == "ok" for row in rows)
     columns = {name: np.array([row[name] for row in rows]) for name in names}
     found = {(v.requirement, v.interpretation): v for v in verdicts(columns, ["ok"] * 2, "fsm+pma", requirements)}
     fine = found["RPE, finest", "temporal"]

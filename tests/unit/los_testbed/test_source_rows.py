@@ -10,7 +10,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.meanings import scenario_text
 from los_testbed.campaign.member import MemberEvaluator, source_columns
-from los_testbed.campaign.sampling import COLUMNS, member_seeds, members, settings
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts.run_parts import RunParts
@@ -19,6 +19,8 @@ from los_testbed.run.summary.source_shares import source_shares
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise
+
+REFERENCE = MemberParameters.of()
 
 SOURCES = """
 [[disturbance]]
@@ -46,11 +48,11 @@ def base(tmp_path: Path) -> RunConfig:
 
 
 def test_a_member_has_the_sources_of_its_run_and_a_row_for_each(base: RunConfig, tmp_path: Path) -> None:
-    values = dict(zip(COLUMNS, map(float, members("uniform", 1, 4)[0])))
+    values = dict(zip(REFERENCE.columns, map(float, members("uniform", 1, 4)[0])))
     member = {**values, "seed": int(member_seeds(1, 4)[0])}
     row = MemberEvaluator.of(base).row(0, member, "time")
     assert row["status"] == "ok", row["reason"]
-    run_in_process(replace(base, **settings(member)), tmp_path / "bag")
+    run_in_process(replace(base, **REFERENCE.settings(member)), tmp_path / "bag")
     run = Run.open(tmp_path / "bag")
     summary = summarise(run)
     assert (row["ape_max_arcsec"], row["rpe_rms_mas"]) == (summary.ape_max, summary.rpe_rms)

@@ -61,6 +61,25 @@ def of_designs(designs: str) -> dict[str, Any]:
     return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
 
 
+def with_stage(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings with the last stage of their telescope where they name no loop.
+
+    Raises
+    ------
+    ValueError
+        The parameter file cannot be read.
+
+    Examples
+    --------
+    >>> with_stage({"seed": 1})
+    {'seed': 1}
+    """
+    parameters = settings.get("parameters")
+    if not parameters or "loop" in settings:
+        return {**settings}
+    return {**settings, "loop": load_telescope(parameters).stages[-1]}
+
+
 def chosen_member(
     case: str | None, cases: Path | None, sample: str | None, before: Mapping[str, Any], after: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -9,7 +9,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
-from los_testbed.campaign.sampling import DELTA, members
+from los_testbed.campaign.sampling import MemberParameters, members
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
@@ -75,7 +75,7 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
 
     Returns
     -------
-    ndarray, shape (samples, 7)
+    ndarray, shape (samples, parameters)
 
     Raises
     ------
@@ -84,10 +84,11 @@ def adversarial_members(base: RunConfig, samples: int, seed: int, workers: Worke
     """
     uniform = members("uniform", samples, seed, base.parameters)
     ascents = min(MOST_ASCENTS, 10 * samples)
-    width = np.ptp(members("corners", 0, seed, base.parameters), axis=0)
+    own = MemberParameters.of(base.parameters)
+    width = np.ptp(own.limits, axis=1)
     chosen: list[FloatArray] = []
     for _, values in _worst(base, ascents, seed, workers):
-        point = np.array([values[name] for name in DELTA])
+        point = np.array([values[name] for name in own.ranges])
         if all(np.abs((point - other) / width).max() > APART for other in chosen):
             chosen.append(point)
     return np.vstack([*chosen, uniform])[:samples]

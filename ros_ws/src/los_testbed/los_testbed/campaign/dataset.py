@@ -24,7 +24,7 @@ from lftkit.support.structured_text import load_json
 from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
-from los_testbed.campaign.sampling import COLUMNS, member_seeds, members
+from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run_settings import with_scenario
@@ -57,8 +57,8 @@ class Campaign:
         Of the members' parameters and seeds.
     identity : mapping
         Version of the package, hashes of the parameter file and of the controllers.
-    points : ndarray, shape (samples, 7)
-        Parameters of the members in the order of `COLUMNS`.
+    points : ndarray, shape (samples, parameters)
+        Of the members, in the order of :attr:`parameters`.
     """
 
     base: RunConfig
@@ -103,7 +103,7 @@ class Campaign:
 
     def chunks(self, skip: frozenset[int] = frozenset()) -> Iterator[tuple[int, list[dict[str, Any]]]]:
         """Number of each chunk that is not in `skip`, and its members: index, seed and parameters."""
-        points = self.points
+        points, columns = self.points, self.parameters.columns
         seeds = member_seeds(self.samples, self.seed)
         size = CHUNK[self.depth]
         for number in range(self.chunk_count):
@@ -111,10 +111,15 @@ class Campaign:
                 yield (
                     number,
                     [
-                        {"index": k, "seed": int(seeds[k]), **dict(zip(COLUMNS, map(float, points[k])))}
+                        {"index": k, "seed": int(seeds[k]), **dict(zip(columns, map(float, points[k])))}
                         for k in range(number * size, min((number + 1) * size, self.samples))
                     ],
                 )
+
+    @property
+    def parameters(self) -> MemberParameters:
+        """What the members differ in."""
+        return MemberParameters.of(self.base.parameters)
 
     @property
     def requirements(self) -> tuple[Requirement, ...]:

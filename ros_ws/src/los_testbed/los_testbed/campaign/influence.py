@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from lftkit.arrays import FloatArray, IntArray
-from los_testbed.campaign.sampling import COLUMNS
 from pointing_analysis.indices.confidence import exceedance_upper
 
 FEWEST, MOST_BINS = 8, 20
@@ -38,17 +38,18 @@ class Influence:
     first_order: float
 
 
-def influences(parameters: FloatArray, metric: FloatArray) -> list[Influence]:
-    """Influence of each of `COLUMNS` (members, 7) on a metric (members,), the strongest first; none for few members."""
+def influences(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list[Influence]:
+    """Influence of each parameter (members,) on a metric (members,), the strongest first; none for few members."""
     from scipy import stats  # a large import, which members need not wait for
 
     known = np.isfinite(metric)
-    x, y = parameters[known], metric[known]
+    y = metric[known]
     if len(y) < FEWEST or np.ptp(y) == 0.0:
         return []
 
     found = []
-    for name, values in zip(COLUMNS, x.T):
+    for name, column in parameters.items():
+        values = column[known]
         rank = float(stats.spearmanr(values, y).statistic) if np.ptp(values) > 0.0 else 0.0
         found.append(Influence(name, rank, first_order_index(values, y)))
     return sorted(found, key=lambda i: -max(abs(i.rank_correlation), 0.0 if np.isnan(i.first_order) else i.first_order))
@@ -105,31 +106,32 @@ class PairEffect:
     share: float
 
 
-def pair_effects(parameters: FloatArray, metric: FloatArray) -> list[PairEffect]:
-    """Effect of each pair of `COLUMNS` (members, 7) on a metric (members,), the strongest first; none for few members.
+def pair_effects(parameters: Mapping[str, FloatArray], metric: FloatArray) -> list[PairEffect]:
+    """Effect of each pair of parameters (members,) on a metric (members,), the strongest first; none for few members.
 
     Examples
     --------
     >>> x = np.random.default_rng(0).uniform(-1, 1, (4000, 7))
-    >>> found = pair_effects(x, x[:, 0] + 2.0 * x[:, 1] * x[:, 2])  # variances 1/3 and 4/9
-    >>> found[0].parameters == COLUMNS[1:3], round(found[0].share, 1), max(e.share for e in found[1:]) < 0.03
+    >>> metric = x[:, 0] + 2.0 * x[:, 1] * x[:, 2]  # variances 1/3 and 4/9
+    >>> found = pair_effects(dict(zip("abcdefg", x.T)), metric)
+    >>> found[0].parameters == ("b", "c"), round(found[0].share, 1), max(e.share for e in found[1:]) < 0.03
     (True, 0.6, True)
     """
     known = np.isfinite(metric)
-    x, y = parameters[known], metric[known]
+    y, names = metric[known], list(parameters)
     bins = min(MOST_CELLS, int(np.sqrt(len(y) / PER_BIN)))
-    if bins < 3 or np.ptp(y) == 0.0:
+    if bins < 3 or np.ptp(y) == 0.0 or not names:
         return []
-    places = np.stack([bins_of(column, bins) for column in x.T], axis=1)
-    alone = [_share(places[:, i], y) for i in range(x.shape[1])]
+    places = np.stack([bins_of(column[known], bins) for column in parameters.values()], axis=1)
+    alone = [_share(places[:, i], y) for i in range(len(names))]
     chance = 2.0 * np.sqrt(2.0) / len(y)  # twice the scatter of a share of nothing, for a single cell
     filled = 1.0 + places.max(axis=0)
     found = []
-    for i, j in combinations(range(x.shape[1]), 2):
+    for i, j in combinations(range(len(names)), 2):
         both = _share(places[:, i] * bins + places[:, j], y)
         share = both - alone[i] - alone[j]
         found.append(
-            PairEffect((COLUMNS[i], COLUMNS[j]), share if share > chance * np.sqrt(filled[i] * filled[j]) else 0.0)
+            PairEffect((names[i], names[j]), share if share > chance * np.sqrt(filled[i] * filled[j]) else 0.0)
         )
     return sorted(found, key=lambda effect: -effect.share)
 

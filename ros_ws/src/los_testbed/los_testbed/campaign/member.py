@@ -26,7 +26,7 @@ from lftkit.support.threads import one_thread
 from los_loop.member_metrics import MemberMetrics, metric_names
 from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
-from los_testbed.campaign.sampling import COLUMNS, DELTA, box, settings
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
 from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
 from los_testbed.loop.compiled_loop import Signals
@@ -180,11 +180,12 @@ class MemberEvaluator:
         index : int
             Number of the member.
         values : mapping
-            ``seed`` and `COLUMNS`.
+            ``seed`` and the columns of :class:`~los_testbed.campaign.sampling.MemberParameters`.
         depth : {"time", "model"}
         """
         if depth == "time":
-            return self._row(index, values, depth, lambda: self._simulated(replace(self.base, **settings(values))))
+            settings = self._parameters.settings(values)
+            return self._row(index, values, depth, lambda: self._simulated(replace(self.base, **settings)))
         return self._row(index, values, depth, lambda: self._modelled(values))
 
     def rows(self, members: Sequence[Mapping[str, Any]], depth: str) -> list[dict[str, Any]]:
@@ -193,7 +194,7 @@ class MemberEvaluator:
         Parameters
         ----------
         members : sequence of mappings
-            ``index``, ``seed`` and `COLUMNS`.
+            ``index``, ``seed`` and the columns of :class:`~los_testbed.campaign.sampling.MemberParameters`.
         depth : {"time", "model"}
         """
         return [self.row(member["index"], member, depth) for member in members]
@@ -256,18 +257,12 @@ class MemberEvaluator:
         return MemberMetrics.of(self.family.telescope, *pair, self.base.loop)
 
     @cached_property
-    def _ranges(self) -> dict[str, tuple[float, float]]:
-        return box(self.base.parameters)
+    def _parameters(self) -> MemberParameters:
+        return MemberParameters.of(self.base.parameters)
 
     def _modelled(self, row: Mapping[str, Any]) -> dict[str, float]:
         """Metrics of the sampled loop, from its matrices."""
-        values = {}
-        for column, name in zip(COLUMNS, DELTA):
-            value, (low, high) = float(row[column]), self._ranges[column]
-            if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
-                raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
-            values[name] = value
-        return self._model.metrics(values)
+        return self._model.metrics(self._parameters.checked(row))
 
 
 @dataclass
@@ -363,7 +358,7 @@ def finished_row(
 ) -> dict[str, Any]:
     """A row with the hash of its content."""
     row: dict[str, Any] = {"index": int(index), "seed": int(values["seed"])}
-    row |= {name: float(values[name]) for name in COLUMNS}
+    row |= {name: float(value) for name, value in values.items() if name not in row}
     row |= {name: float(value) for name, value in metrics.items()}
     row |= {"status": status, "reason": reason}
     return {**row, "hash": row_hash(row)}

@@ -14,7 +14,7 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import Influence, PairEffect, influences, pair_effects
 from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_text
 from los_testbed.campaign.reproduction import figure_text, member_command
-from los_testbed.campaign.sampling import COLUMNS, RANDOM
+from los_testbed.campaign.sampling import RANDOM
 from los_testbed.run.summary.screen import numbers
 from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.rows import with_unit
@@ -88,16 +88,16 @@ def _verdicts(campaign: Campaign, table: Any) -> list[CampaignVerdict]:
     return verdicts(columns, status, campaign.base.loop, campaign.judged, random, campaign.exposure)
 
 
-def _points(table: Any) -> FloatArray:
-    return np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
+def _points(campaign: Campaign, table: Any) -> dict[str, FloatArray]:
+    return {name: table.column(name).to_numpy() for name in campaign.parameters.columns}
 
 
 def _influences(campaign: Campaign, table: Any) -> list[Influence]:
-    return influences(_points(table), table.column(RANKED[campaign.depth]).to_numpy())
+    return influences(_points(campaign, table), table.column(RANKED[campaign.depth]).to_numpy())
 
 
 def _pairs(campaign: Campaign, table: Any) -> list[PairEffect]:
-    return pair_effects(_points(table), table.column(RANKED[campaign.depth]).to_numpy())
+    return pair_effects(_points(campaign, table), table.column(RANKED[campaign.depth]).to_numpy())
 
 
 def _shown(values: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import MOST_BINS, PER_BIN, yield_curve
 from los_testbed.campaign.meanings import MEANINGS, RANKED, meaning
 from los_testbed.campaign.overview import quantile_heads
-from los_testbed.campaign.sampling import COLUMNS
 from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
@@ -44,13 +43,14 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
     path : Path
         An existing file is replaced.
     """
-    table = folder.table([*COLUMNS, RANKED[campaign.depth], "status"])
+    columns = campaign.parameters.columns
+    table = folder.table([*columns, RANKED[campaign.depth], "status"])
     metric = table.column(RANKED[campaign.depth]).to_numpy()
     lost = np.array([s in LOST for s in table.column("status").to_pylist()])
     metric = np.where(lost, np.inf, metric)
-    points = np.column_stack([table.column(name).to_numpy() for name in COLUMNS])
+    points = {name: table.column(name).to_numpy() for name in columns}
     known = ~np.isnan(metric)
-    pictures = _pictures(summary, points[known], metric[known])
+    pictures = _pictures(summary, {name: values[known] for name, values in points.items()}, metric[known])
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -72,7 +72,7 @@ def write_page(campaign: Campaign, folder: ResultFolder, summary: dict[str, Any]
     return path
 
 
-def _pictures(summary: dict[str, Any], points: FloatArray, metric: FloatArray) -> list[Picture]:
+def _pictures(summary: dict[str, Any], points: Mapping[str, FloatArray], metric: FloatArray) -> list[Picture]:
     finite = metric[np.isfinite(metric)]
     if not finite.size:
         return []
@@ -162,7 +162,9 @@ def _words(parameter: str) -> str:
     return parameter.replace("_", " ")
 
 
-def _main_effects(name: str, parameters: Sequence[str], points: FloatArray, metric: FloatArray) -> Picture:
+def _main_effects(
+    name: str, parameters: Sequence[str], points: Mapping[str, FloatArray], metric: FloatArray
+) -> Picture:
     """Median and the middle 80 % of the members over each parameter, in equally filled bins."""
     finite = np.isfinite(metric)
     bins = min(MOST_BINS, int(np.count_nonzero(finite)) // PER_BIN)
@@ -170,7 +172,7 @@ def _main_effects(name: str, parameters: Sequence[str], points: FloatArray, metr
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, len(parameters), sharey=True, squeeze=False)[0]
         for axis, parameter in zip(axes, parameters):
-            x, y = points[finite, COLUMNS.index(parameter)], metric[finite]
+            x, y = points[parameter][finite], metric[finite]
             groups = np.array_split(np.argsort(x, kind="stable"), bins)
             centre = [float(x[group].mean()) for group in groups]
             low, middle, high = np.array([np.quantile(y[group], (0.1, 0.5, 0.9)) for group in groups]).T

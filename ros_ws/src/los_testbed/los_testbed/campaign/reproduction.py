@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from los_testbed.campaign.meanings import RANKED
-from los_testbed.campaign.sampling import COLUMNS, box, command
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
 from pointing_analysis.requirements.rows import digits, with_unit
 
@@ -35,17 +35,18 @@ def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
 
     Examples
     --------
-    >>> row = {"seed": 3, **dict.fromkeys(COLUMNS, 0.5)}
+    >>> row = {"seed": 3, **dict.fromkeys(MemberParameters.of().columns, 0.5)}
     >>> member_command(row, RunConfig(mode="inprocess", loop="fsm"), "model")
     'los-testbed campaign --depth model --loop fsm --member=0.5,0.5,0.5,0.5,0.5,0.5,0.5'
     """
     files = {name: getattr(base, name) for name in FILES}
     options = "".join(f" --{name.replace('_', '-')} {shlex.quote(value)}" for name, value in files.items() if value)
+    own = MemberParameters.of(base.parameters)
     if depth == "model":
-        values = ",".join(repr(float(row[name])) for name in COLUMNS)
+        values = ",".join(repr(float(row[name])) for name in own.columns)
         return f"los-testbed campaign --depth model --loop {base.loop}{options} --member={values}"
     length = f"{base.duration!r}".removesuffix(".0")
-    return command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{options}")
+    return own.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{options}")
 
 
 def member_of(text: str, parameters: str | None) -> dict[str, float]:
@@ -54,17 +55,17 @@ def member_of(text: str, parameters: str | None) -> dict[str, float]:
     Raises
     ------
     ValueError
-        Other than seven numbers, or one outside its range.
+        Another number of values than there are parameters, or one outside its range.
     """
-    parts = text.split(",")
+    own = MemberParameters.of(parameters)
     try:
-        values = dict(zip(COLUMNS, map(float, parts), strict=True))
+        values = dict(zip(own.columns, map(float, text.split(",")), strict=True))
     except ValueError:
-        raise ValueError(f"--member must be {','.join(COLUMNS)}, got {text!r}") from None
-    for name, (low, high) in box(parameters).items():
-        slack = 1e-9 * (high - low)
-        if not low - slack <= values[name] <= high + slack:
-            raise ValueError(f"--member: {name} must be between {low:g} and {high:g}, got {values[name]:g}")
+        raise ValueError(f"--member must be {','.join(own.columns)}, got {text!r}") from None
+    try:
+        own.checked(values)
+    except ValueError as error:
+        raise ValueError(f"--member: {error}") from None
     return values
 
 

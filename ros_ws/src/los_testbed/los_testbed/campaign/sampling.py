@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +13,104 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
-from los_testbed.members import family
+from los_testbed.members import family, member_settings
 from titop_plant.telescope.motion_profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")
 RANDOM = SAMPLINGS[:2]
 """Samplings whose members are random draws: of these alone is there a probability."""
 
-COLUMNS = ("tau", "wheel_speed_1", "wheel_speed_2", "wheel_speed_3", "wheel_speed_4", "omega_1", "omega_2")
-"""Parameters of a member: tan(theta/4), wheel speeds [rad/s], first two frequencies of the arrays [rad/s]."""
+REFERENCE_FREQUENCIES = ("solar_array.omega_1", "solar_array.omega_2")
+"""Columns of these are ``omega_1`` and ``omega_2``, as the options of a run."""
 
-DELTA = ("solar_array.tau", *(f"wheel_{i}.speed" for i in range(1, 5)), "solar_array.omega_1", "solar_array.omega_2")
-"""The same as names of the telescope's uncertain parameters."""
+MOST_CORNERS = 1_000_000
 
 _SEEDS = 2**31 - 1
 
 
-def box(parameters: str | None = None) -> dict[str, tuple[float, float]]:
-    """Range of each of `COLUMNS` for a parameter file, or for the reference telescope."""
-    table = family(parameters)
-    if set(table) != set(DELTA):
-        raise ValueError(
-            f"a campaign must be of a telescope with the parameters {', '.join(DELTA)}, got {', '.join(table)}"
-        )
-    return {column: (table[name].lower, table[name].upper) for column, name in zip(COLUMNS, DELTA)}
+@dataclass(frozen=True)
+class MemberParameters:
+    """What the members of a campaign differ in: the uncertain parameters of a telescope, a column each.
+
+    Columns are ``tau`` = tan(theta/4) of the arrays that turn, ``wheel_speed_1`` and so on [rad/s], then the
+    frequencies [rad/s]: ``omega_1`` and ``omega_2`` where they are those of the reference telescope, else the name of
+    the parameter, for instance ``panel.omega_1``.
+
+    Parameters
+    ----------
+    ranges : mapping of str to (float, float)
+        Range of each parameter by its name in the telescope.
+    """
+
+    ranges: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, parameters: str | None = None) -> MemberParameters:
+        """Those of a parameter file, or of the reference telescope.
+
+        Raises
+        ------
+        ValueError
+            The file cannot be read or is no parameter file.
+
+        Examples
+        --------
+        >>> MemberParameters.of().columns[:2], MemberParameters.of().columns[-2:]
+        (('tau', 'wheel_speed_1'), ('omega_1', 'omega_2'))
+        """
+        table = family(parameters)
+
+        def place(name: str) -> int:
+            return 0 if name.endswith(".tau") else 1 if name.endswith(".speed") else 2
+
+        return cls({name: (table[name].lower, table[name].upper) for name in sorted(table, key=place)})
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the data set, in the order of `ranges`."""
+        frequencies = tuple(name for name in self.ranges if ".omega_" in name)
+
+        def column(name: str) -> str:
+            stem, _, quantity = name.rpartition(".")
+            if quantity == "speed":
+                return f"wheel_speed_{stem.removeprefix('wheel_')}"
+            return quantity if quantity == "tau" or frequencies == REFERENCE_FREQUENCIES else name
+
+        return tuple(column(name) for name in self.ranges)
+
+    @cached_property
+    def limits(self) -> FloatArray:
+        """Lower and upper ends, shape (parameters, 2)."""
+        return np.array(list(self.ranges.values())).reshape(len(self.ranges), 2)
+
+    def checked(self, row: Mapping[str, float]) -> dict[str, float]:
+        """Values by the names of the parameters, of a member given by columns.
+
+        Raises
+        ------
+        ValueError
+            One is outside its range.
+        """
+        found = {}
+        for column, (name, (low, high)) in zip(self.columns, self.ranges.items()):
+            value, slack = float(row[column]), 1e-9 * (high - low)
+            if not low - slack <= value <= high + slack:
+                raise ValueError(f"{column} must be between {low:g} and {high:g}, got {value:g}")
+            found[name] = value
+        return found
+
+    def settings(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Settings of a run from a member; a row of a campaign's data set will do."""
+        values = {name: float(row[column]) for column, name in zip(self.columns, self.ranges)}
+        return {"seed": int(row["seed"]), **member_settings(values)}
+
+    def command(self, row: Mapping[str, Any], options: str = "") -> str:
+        """Command line that runs a member again and records it."""
+        words = ["los-testbed run --mode inprocess"]
+        for name, value in self.settings(row).items():
+            numbers = value if isinstance(value, list) else [value]
+            words += [f"--{name.replace('_', '-')}", *(repr(v) for v in numbers)]
+        return " ".join(words) + options
 
 
 def members(sampling: str, samples: int, seed: int, parameters: str | None = None) -> FloatArray:
@@ -44,8 +120,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     ----------
     sampling : str
         ``uniform``: independent, so that more samples of the same seed continue the list; ``lhs``: Latin hypercube;
-        ``corners``: the corners of the box; else the path of a CSV file with the header `COLUMNS`. For ``adversarial``
-        see :func:`los_testbed.campaign.adversarial.adversarial_members`, which needs controllers.
+        ``corners``: the corners of the box; else the path of a CSV file whose header is the columns. For
+        ``adversarial`` see :func:`los_testbed.campaign.adversarial.adversarial_members`, which needs controllers.
     samples : int
         Number of members; 0 for all corners or all lines of a file.
     seed : int
@@ -54,8 +130,8 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
 
     Returns
     -------
-    ndarray, shape (samples, 7)
-        In the order of `COLUMNS`.
+    ndarray, shape (samples, parameters)
+        In the order of :attr:`MemberParameters.columns`.
 
     Raises
     ------
@@ -68,13 +144,17 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
     >>> bool((more[:2] == first).all()), members("corners", 0, 0).shape
     (True, (128, 7))
     """
-    ranges: FloatArray = np.array(list(box(parameters).values()))
+    own = MemberParameters.of(parameters)
+    ranges, count = own.limits, len(own.columns)
     if sampling == "adversarial":
         raise ValueError("sampling must be one that needs no controllers here, got 'adversarial'")
     if sampling not in SAMPLINGS:
-        return _listed(Path(sampling), samples, ranges)
+        return _listed(Path(sampling), samples, own)
     if sampling == "corners":
-        bits = (np.arange(2 ** len(COLUMNS))[:, None] >> np.arange(len(COLUMNS))) & 1
+        wanted = samples or 2**count
+        if wanted > MOST_CORNERS:
+            raise ValueError(f"samples must be 1 to {MOST_CORNERS} of the 2^{count} corners, got {wanted}")
+        bits = (np.arange(min(2**count, MOST_CORNERS))[:, None] >> np.arange(count)) & 1
         return _first(np.where(bits, ranges[:, 1], ranges[:, 0]), samples, "corners")
     if samples < 1:
         raise ValueError(f"samples must be 1 or more, got {samples}")
@@ -82,36 +162,15 @@ def members(sampling: str, samples: int, seed: int, parameters: str | None = Non
         from scipy.stats import qmc
 
         rng = np.random.default_rng(_sequence(seed, 0))
-        unit: FloatArray = qmc.LatinHypercube(len(COLUMNS), seed=rng).random(samples)
+        unit: FloatArray = qmc.LatinHypercube(count, seed=rng).random(samples)
     else:
-        unit = np.asarray(np.random.default_rng(_sequence(seed, 0)).random((samples, len(COLUMNS))))
+        unit = np.asarray(np.random.default_rng(_sequence(seed, 0)).random((samples, count)))
     return np.asarray(ranges[:, 0] + unit * (ranges[:, 1] - ranges[:, 0]))
 
 
 def member_seeds(samples: int, seed: int) -> NDArray[np.int64]:
     """Seed of the noise and of the disturbance's phases of each member, shape (samples,); more continue the list."""
     return np.random.default_rng(_sequence(seed, 1)).integers(0, _SEEDS, size=samples)
-
-
-def settings(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run from the parameters of a member; a row of a campaign's data set will do."""
-    return {
-        "seed": int(row["seed"]),
-        "tau": float(row["tau"]),
-        "wheel_speed": [float(row[f"wheel_speed_{i}"]) for i in range(1, 5)],
-        "omega_1": float(row["omega_1"]),
-        "omega_2": float(row["omega_2"]),
-    }
-
-
-def command(row: Mapping[str, Any], options: str = "") -> str:
-    """Command line that runs a member again and records it."""
-    chosen = settings(row)
-    speeds = " ".join(repr(v) for v in chosen["wheel_speed"])
-    return (
-        f"los-testbed run --mode inprocess --seed {chosen['seed']} --tau {chosen['tau']!r} --wheel-speed {speeds} "
-        f"--omega-1 {chosen['omega_1']!r} --omega-2 {chosen['omega_2']!r}{options}"
-    )
 
 
 def _sequence(seed: int, stream: int) -> np.random.SeedSequence:
@@ -128,20 +187,22 @@ def _first(points: FloatArray, samples: int, what: str) -> FloatArray:
     return np.asarray(points[: samples or len(points)], dtype=float)
 
 
-def _listed(path: Path, samples: int, ranges: FloatArray) -> FloatArray:
+def _listed(path: Path, samples: int, own: MemberParameters) -> FloatArray:
     header, lines = read_csv(path, "sampling", SAMPLINGS)
-    if sorted(header) != sorted(COLUMNS):
-        raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header) or 'nothing'}")
-    points = np.empty((len(lines), len(COLUMNS)))
+    if sorted(header) != sorted(own.columns):
+        raise ValueError(f"{path}: the header must be {','.join(own.columns)}, got {','.join(header) or 'nothing'}")
+    points = np.empty((len(lines), len(own.columns)))
     for number, line in enumerate(lines, start=2):
-        values = dict(zip(header, line))
-        for k, (name, (low, high)) in enumerate(zip(COLUMNS, ranges)):
-            text = values.get(name, "").strip()
-            value = _number(text)
-            slack = 1e-9 * (high - low)
-            if not low - slack <= value <= high + slack:
-                raise ValueError(f"{path}, line {number}: {name} must be between {low:g} and {high:g}, got {text!r}")
-            points[number - 2, k] = value
+        texts = {name: text.strip() for name, text in zip(header, line)}
+        values = {name: _number(texts.get(name, "")) for name in own.columns}
+        for column, (low, high) in zip(own.columns, own.limits):
+            if math.isnan(values[column]):
+                got = texts.get(column, "")
+                raise ValueError(f"{path}, line {number}: {column} must be between {low:g} and {high:g}, got {got!r}")
+        try:
+            points[number - 2] = list(own.checked(values).values())
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: {error}") from None
     return _first(points, samples, "lines")
 
 

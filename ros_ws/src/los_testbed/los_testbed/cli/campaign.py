@@ -94,7 +94,7 @@ def campaign(
     output: NewFolder = None,
     member: Annotated[
         str | None,
-        typer.Option(metavar="TAU,...,OMEGA_2", help="Evaluate this one member alone; its noise has the seed --seed."),
+        typer.Option(metavar="VALUE,...", help="Evaluate this one member alone; its noise has the seed --seed."),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -106,7 +106,7 @@ def campaign(
     from los_testbed.campaign.page import write_page
     from los_testbed.config import RunConfig
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run_settings import with_scenario
+    from los_testbed.run_settings import with_scenario, with_stage
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)
@@ -116,9 +116,8 @@ def campaign(
         raise ValueError("--output must be given with --resume, got none")
     settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
     given = {"mode": "inprocess", "scenario": scenario, "loop": loop, "duration": duration, **settings}
-    base = with_scenario(
-        RunConfig.from_mapping({name: value for name, value in given.items() if value is not None}), usual="unit_norm"
-    )
+    stated = with_stage({name: value for name, value in given.items() if value is not None})
+    base = with_scenario(RunConfig.from_mapping(stated), usual="unit_norm")
     if member is not None:
         refuse_beside_member({"--scheduler": scheduler, "--keep": keep, "--resume": resume, "--output": output})
         show_member(base, member, seed, depth, json_)
@@ -196,19 +195,18 @@ def _count(asked: Campaign, done: frozenset[int]) -> int:
 
 def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:
     """Run members again and record them; their bags."""
-    from los_testbed.campaign.sampling import COLUMNS, settings
     from los_testbed.loop.closed_loop import LoopDivergedError
     from los_testbed.loop.simulate import run_in_process
 
     if not worst:
         return []
-    rows = folder.table(["index", "seed", *COLUMNS])
+    rows = folder.table(["index", "seed", *asked.parameters.columns])
     bags = []
     for member in worst:
         row = rows.slice(member["index"], 1).to_pylist()[0]
         bag = folder.path / "bags" / f"member-{row['index']:07d}"
         if not bag.exists():
-            config: RunConfig = replace(asked.base, **settings(row))
+            config: RunConfig = replace(asked.base, **asked.parameters.settings(row))
             try:
                 run_in_process(config, bag)
             except LoopDivergedError as error:

@@ -61,9 +61,10 @@ def check(
     from los_testbed.device.supervisor import Supervisor
     from los_testbed.loop.scheduling import PRIORITIES, real_time_thread
     from los_testbed.parts.run_parts import RunParts
+    from los_testbed.run_settings import with_stage
 
     number("--scale", scale, 0.01, 10.0)
-    telescope = {"start": "rest", "parameters": None if parameters is None else str(parameters)}
+    telescope = with_stage({"start": "rest", "parameters": None if parameters is None else str(parameters)})
     rig = {"device": device, "device_address": device_address, "device_key": device_key}
     config = RunConfig.from_mapping({**telescope, **rig})
     supervisor = Supervisor(make_device(config), config)

@@ -32,7 +32,7 @@ from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError, check_missed
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
-from los_testbed.run_settings import chosen_member, layered, of_designs, of_scenario
+from los_testbed.run_settings import chosen_member, layered, of_designs, of_scenario, with_stage
 from pointing_analysis.read.mcap.records import ShortRunError
 
 if TYPE_CHECKING:
@@ -270,7 +270,7 @@ def configure(
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
-    settings_given = layered(first, named, drawn, stated, options)
+    settings_given = with_stage(layered(first, named, drawn, stated, options))
     if settings_given.get("mode", AUTO if free_mode and "max_missed" not in settings_given else "") == AUTO:
         free_mode = not settings_given.get("device")
         settings_given.pop("mode", None)

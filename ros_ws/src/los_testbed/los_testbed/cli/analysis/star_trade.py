@@ -75,13 +75,14 @@ def trade(
     from los_testbed.config import RunConfig
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run import star_trade
+    from los_testbed.run_settings import with_stage
     from pointing_analysis.files.atomic_output import write_text
 
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}
     stated = {name: value for name, value in given.items() if value is not None}
     files = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    base = RunConfig.from_mapping({"mode": "inprocess", **files, **stated})
+    base = RunConfig.from_mapping(with_stage({"mode": "inprocess", **files, **stated}))
     stars, each = numbers("--magnitudes", magnitudes), numbers("--rates", rates)
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-trade"
     RunParts(base).check()

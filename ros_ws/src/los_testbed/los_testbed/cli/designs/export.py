@@ -133,14 +133,15 @@ def export_fmu(
     from los_testbed.flight_code.fmu import LAW, PLANT, law_model, plant_model, write_fmu
     from los_testbed.flight_code.laws import laws_of
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run_settings import of_designs
+    from los_testbed.run_settings import of_designs, with_stage
     from pointing_analysis.files.atomic_output import check_output
 
     path = output or Path(f"{PLANT if plant else LAW}.fmu")
     check_output(path, "--output", new=True)
     if plant:
         given = {"parameters": None if parameters is None else str(parameters)}
-        config = RunConfig.from_mapping({**of_designs(designs or ""), **given, "mode": "inprocess", "start": "rest"})
+        stated = with_stage({**of_designs(designs or ""), **given})
+        config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
         model = plant_model(RunParts(config).plant())
     elif parameters is not None:
         raise ValueError("--parameters must be given with --plant, the laws are those of their designs")
