@@ -9,6 +9,9 @@ from pydantic.dataclasses import dataclass
 from titop_plant.interface import CAMERA_RATE, NO_SCENARIO, RATE, SCENARIOS, frame_ticks
 from titop_plant.settings import ANY, STRICT, Settings, setting, settings_class
 
+TELESCOPE, DISTURBANCES = "Telescope", "Disturbances and sensors"
+"""Groups of settings."""
+
 
 @settings_class
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -38,14 +41,27 @@ class PhysicalSettings(Settings):
         choices=(*SCENARIOS, NO_SCENARIO),
     )
     seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
-    noise: bool = setting(True, "sensor noise on")
-    disturbance: bool = setting(True, "wheel and drive disturbances on")
-    camera_rate: float = setting(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
-    camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0)
-    theta: float | None = setting(None, "angle of the solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
-    tau: float | None = setting(None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta")
+    noise: bool = setting(True, "sensor noise on", group=DISTURBANCES)
+    disturbance: bool = setting(True, "wheel and drive disturbances on", group=DISTURBANCES)
+    camera_rate: float = setting(
+        CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE), group=DISTURBANCES
+    )
+    camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0, group=DISTURBANCES)
+    theta: float | None = setting(
+        None, "angle of the solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0", group=TELESCOPE
+    )
+    tau: float | None = setting(
+        None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta", group=TELESCOPE
+    )
     wheel_speed: tuple[float, ...] | None = setting(
-        None, "speeds of the wheels", "rad/s", -1e5, 1e5, absent="those of the parameter file", length=ANY
+        None,
+        "speeds of the wheels",
+        "rad/s",
+        -1e5,
+        1e5,
+        absent="those of the parameter file",
+        length=ANY,
+        group=TELESCOPE,
     )
     omega_1: float | None = setting(
         None,
@@ -54,6 +70,7 @@ class PhysicalSettings(Settings):
         0.0,
         1000.0,
         absent="the nominal one",
+        group=TELESCOPE,
     )
     omega_2: float | None = setting(
         None,
@@ -62,6 +79,7 @@ class PhysicalSettings(Settings):
         0.0,
         1000.0,
         absent="the nominal one",
+        group=TELESCOPE,
     )
     frequencies: tuple[float, ...] | None = setting(
         None,
@@ -71,13 +89,23 @@ class PhysicalSettings(Settings):
         1e5,
         absent="those of omega_1 and omega_2, or nominal",
         length=ANY,
+        group=TELESCOPE,
     )
-    theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0)
+    theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0, group=TELESCOPE)
     wheel_acceleration: tuple[float, ...] | None = setting(
-        None, "accelerations of the wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=ANY
+        None,
+        "accelerations of the wheels during the ramp",
+        "rad/s2",
+        -100.0,
+        100.0,
+        absent="none",
+        length=ANY,
+        group=TELESCOPE,
     )
-    ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0)
-    profile: str = setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
+    ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0, group=TELESCOPE)
+    profile: str = setting(
+        "linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds", group=TELESCOPE
+    )
     parameters: str | None = setting(None, "parameter file of the telescope", absent="the reference")
 
     def __post_init__(self) -> None:

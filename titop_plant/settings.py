@@ -49,6 +49,7 @@ def setting(
     absent: str = "",
     choices: tuple[str, ...] = (),
     length: int | None = None,
+    group: str = "",
 ) -> Any:
     """Field of a class of settings.
 
@@ -66,8 +67,11 @@ def setting(
         All values that a text may have; empty for any text.
     length : int, optional
         How many numbers a list holds; `ANY` for any number of them.
+    group : str
+        Heading under which it stands in a help page; empty for the settings that a first run needs.
     """
     extra: Any = {"unit": unit, "low": low, "high": high, "absent": absent, "choices": choices, "length": length}
+    extra["group"] = group
     limits = {"ge": low, "le": high} if length is None else {"min_length": length, "max_length": length}
     if length == ANY:
         limits = {"min_length": 1}
@@ -93,6 +97,7 @@ class Setting:
     absent: str
     choices: tuple[str, ...]
     length: int | None
+    group: str
 
     @classmethod
     def of(cls, name: str, field: FieldInfo) -> Setting:

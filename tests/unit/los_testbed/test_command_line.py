@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from command_line import CommandLine
 from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
+from los_testbed.config import RunConfig
 from los_testbed.exit_codes import ExitCode
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
@@ -201,6 +203,34 @@ def test_help_has_examples(command, run, monkeypatch):
     assert code == 0
     assert "Examples" in out
     assert f"los-testbed {command}" in out
+
+
+def test_the_help_of_run_has_the_options_of_a_first_run_and_all_on_demand(run, monkeypatch):
+    """No option is hidden from ``--help-all``, nor from the command line."""
+    monkeypatch.setenv("COLUMNS", "100")
+    code, short, _ = run("run", "--help")
+    first = re.findall(r"^│ (--[a-z-]+)", short, re.MULTILINE)
+    assert code == 0 and {"--duration", "--loop", "--scenario", "--parameters", "--designs"} < set(first)
+    assert len(first) <= 16 and "further options (--help-all): Disturbances and sensors" in short
+    code, whole, _ = run("run", "--help-all")
+    every = set(re.findall(r"(--[a-z0-9-]+)", whole))
+    settings = {f"--{name.replace('_', '-')}" for name in RunConfig.SETTINGS}
+    assert code == 0 and settings - {"--disturbance-source", "--disturbance-files", "--mode-choice"} <= every
+    assert "further options" not in whole
+
+
+def test_a_gate_has_a_code_for_a_requirement_that_is_not_met_and_one_that_is_not_demonstrated(run, tmp_path):
+    """A limit that is always kept is demonstrated for half of the time, and not for all but 1e-4 of it."""
+    base = ("run", "--mode=inprocess", "--no-report", "--gate", *run.controllers)
+    code, _, err = run(*base, "--duration=20", "--output=bag")
+    assert code == 7 and "gate: not met: " in err and run("analyse", "bag", "--gate")[0] == 7
+    for limit, part, expected in (("1e-6 mas", 50, 7), ("1000 arcsec", 50, 0), ("1000 arcsec", 99.99, 8)):
+        own = tmp_path / "own.toml"
+        own.write_text(f'[[requirement]]\ntext = "prob(|APE| < {limit}) >= {part} % at 95 % confidence"\n')
+        assert run("analyse", "bag", f"--requirements={own}")[0] == 0
+        for command in ("analyse", "report"):
+            code, _, err = run(command, "bag", f"--requirements={own}", "--gate")
+            assert (code, "gate: not" in err) == (expected, expected != 0), err
 
 
 def test_options_of_all_commands_may_stand_anywhere(run, tmp_path):

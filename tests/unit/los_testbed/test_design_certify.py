@@ -109,7 +109,7 @@ def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
     """The wall limit ends it; bounds.json has the lower bound, no upper one, and the part that is not covered."""
     process = started(tmp_path, "--wall-limit=1")
     _, errors = process.communicate(timeout=300)
-    assert process.returncode == 1, errors
+    assert process.returncode == 8, errors
     (found,) = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
     assert found["status"] == "open" and found["upper"] is None and found["proof"] is None and not found["stable"]
     assert 0.43 < found["lower"] < 0.44 and found["uncovered"]
@@ -145,7 +145,7 @@ def test_a_design_goes_on_with_its_proofs_until_the_time_is_over(
         main(["design", "all", f"--output={tmp_path}", "--certify", "--time-limit=1", "--json", "--workers=1"])
     told = capsys.readouterr()
     found = json.loads(told.out)["figures"]
-    assert stopped.value.code == 1 and limits == [commands.ROUNDS_OF_ALL]
+    assert stopped.value.code == 8 and limits == [commands.ROUNDS_OF_ALL]
     wanted = [(stage, name) for stage in MIRROR_STAGES for name in figures_of(load_telescope(), stage)]
     assert [(f["stage"], f["figure"]) for f in found] == wanted
     assert {f["status"] for f in found} == {"open"}
@@ -165,7 +165,7 @@ def test_one_figure_is_chosen(tmp_path: Path, options: list[str], chosen: set[tu
     """Below a value that is known the answer needs no proof."""
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", f"--output={tmp_path}", "--level=0.1", "--workers=1", *options])
-    assert stopped.value.code == 1
+    assert stopped.value.code == 7
     found = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
     assert {(entry["stage"], entry["figure"]) for entry in found} == chosen
     assert {entry["status"] for entry in found} == {"violated"}
@@ -256,12 +256,12 @@ def test_controllers_for_other_values_are_refused_before_the_work(
     (designs / "telescope.toml").write_text('[uncertain]\n"isolator.stiffness" = 0.1\n')
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", str(designs), f"--output={output}", *options[:-1]])
-    assert stopped.value.code == 1, "the table is the same as the option"
+    assert stopped.value.code == 7, "the table is the same as the option"
     shutil.rmtree(output)
     (designs / "telescope.toml").unlink()
     with pytest.raises(SystemExit) as stopped:
         main(["design", "certify", str(designs), f"--output={output}", *options])
-    assert stopped.value.code == 1, "violated: the level is below what is known"
+    assert stopped.value.code == 7, "violated: the level is below what is known"
     assert json.loads((output / "bounds.json").read_text("utf-8"))["figures"][0]["status"] == "violated"
 
 

@@ -19,7 +19,7 @@ from lftkit.support.file_kind import kind_of_file
 from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import NO_SCENARIO, RATE, STAGES
-from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.physical_settings import DISTURBANCES, TELESCOPE, PhysicalSettings
 from titop_plant.settings import STRICT, setting, settings_class, unknown
 
 NAMESPACE = "/telescope"
@@ -41,6 +41,9 @@ STARTS = ("steady", "rest")
 
 OLD_FRAMES = ("correct", "use", "drop")
 """What is done with an old frame: moved by what the mirror has done since, used as it is, not used."""
+
+CONTROL, RIG, ROS = "Controllers and actuators", "Your own plant or rig", "ROS 2 and real time"
+"""Groups of settings, beside those of the physical ones."""
 
 WORST_OF = ("RPE", "APE", "slow", "fast")
 """Index that the tone of the scenario worst_case is worst for, see :mod:`los_loop.worst_tone`."""
@@ -71,47 +74,73 @@ class RunConfig(PhysicalSettings):
     duration: float = setting(10.0, "length of the run", "s", 1e-3, 86400.0)
     mode: str = setting(MODES[0], "how plant, estimator and controller run", choices=MODES)
     loop: str = setting(STAGES[-1], "stage, which loops are closed", choices=STAGES)
-    worst_of: str = setting(WORST_OF[0], "what the scenario worst_case is worst for", choices=WORST_OF)
-    start: str = setting(STARTS[0], "start in the steady state of the loop that runs, or at rest", choices=STARTS)
+    worst_of: str = setting(
+        WORST_OF[0], "what the scenario worst_case is worst for", choices=WORST_OF, group=DISTURBANCES
+    )
+    start: str = setting(
+        STARTS[0], "start in the steady state of the loop that runs, or at rest", choices=STARTS, group=CONTROL
+    )
     fsm_authority: float | None = setting(
-        None, "largest mirror angle per axis", "rad", 0.0, 1.0, absent="the telescope's own"
+        None, "largest mirror angle per axis", "rad", 0.0, 1.0, absent="the telescope's own", group=CONTROL
     )
     pma_authority: float | None = setting(
-        None, "largest force of one actuator", "N", 0.0, 1e6, absent="the telescope's own"
+        None, "largest force of one actuator", "N", 0.0, 1e6, absent="the telescope's own", group=CONTROL
     )
-    nonlinear: bool = setting(False, "stroke and rate limits, quantised sensors, anti-alias filters")
-    plant: str | None = setting(None, "plant of your own, MODULE:NAME or entry point", absent="the telescope")
-    device: str | None = setting(None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none")
-    device_address: str = setting("127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver")
+    nonlinear: bool = setting(False, "stroke and rate limits, quantised sensors, anti-alias filters", group=TELESCOPE)
+    plant: str | None = setting(
+        None, "plant of your own, MODULE:NAME or entry point", absent="the telescope", group=RIG
+    )
+    device: str | None = setting(
+        None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none", group=RIG
+    )
+    device_address: str = setting(
+        "127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver", group=RIG
+    )
     device_key: str | None = setting(
-        None, "file with the key of a rig, needed for one on another machine", absent="none is asked for"
+        None, "file with the key of a rig, needed for one on another machine", absent="none is asked for", group=RIG
     )
     disturbance_source: str | None = setting(
-        None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"
+        None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario", group=DISTURBANCES
     )
-    disturbance_files: str | None = setting(None, "files of disturbances, apart by ;", absent="none")
-    k_fsm: str | None = setting(None, "observer: file, MODULE:NAME or entry point", absent="the stored design")
+    disturbance_files: str | None = setting(
+        None, "files of disturbances, apart by ;", absent="none", group=DISTURBANCES
+    )
+    k_fsm: str | None = setting(
+        None, "observer: file, MODULE:NAME or entry point", absent="the stored design", group=CONTROL
+    )
     k_pma: str | None = setting(
-        None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design"
+        None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design", group=CONTROL
     )
-    hold_ticks: int = setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000)
-    fade_ticks: int = setting(20, "ticks of the fade to zero and back", "ms", 1, 10000)
-    old_frames: str = setting(OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES)
-    lost_samples: str = setting(FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS)
-    camera_latency: float = setting(0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0)
+    hold_ticks: int = setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000, group=CONTROL)
+    fade_ticks: int = setting(20, "ticks of the fade to zero and back", "ms", 1, 10000, group=CONTROL)
+    old_frames: str = setting(
+        OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES, group=CONTROL
+    )
+    lost_samples: str = setting(
+        FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS, group=CONTROL
+    )
+    camera_latency: float = setting(
+        0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0, group=CONTROL
+    )
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
-    namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE")
-    domain: int | None = setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0")
-    processes: str = setting(PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES)
-    priority: bool = setting(True, "ask for real-time scheduling and locked memory")
-    pin: bool = setting(True, "keep each node on one processor, if real-time scheduling is permitted")
-    wait_for_recorder: bool = setting(False, "begin only when a recorder sees every topic")
-    wait_for_start: bool = setting(False, "begin only when the service plant/start is called")
-    start_timeout: float = setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0)
-    hang_timeout: float = setting(60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400)
-    exercise: float = setting(0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60)
-    max_missed: float = setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0)
-    mode_choice: str | None = setting(None, "why the program chose the mode", absent="it was asked for")
+    namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE", group=ROS)
+    domain: int | None = setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0", group=ROS)
+    processes: str = setting(
+        PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES, group=ROS
+    )
+    priority: bool = setting(True, "ask for real-time scheduling and locked memory", group=ROS)
+    pin: bool = setting(True, "keep each node on one processor, if real-time scheduling is permitted", group=ROS)
+    wait_for_recorder: bool = setting(False, "begin only when a recorder sees every topic", group=ROS)
+    wait_for_start: bool = setting(False, "begin only when the service plant/start is called", group=ROS)
+    start_timeout: float = setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0, group=ROS)
+    hang_timeout: float = setting(
+        60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400, group=ROS
+    )
+    exercise: float = setting(
+        0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60, group=ROS
+    )
+    max_missed: float = setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0, group=ROS)
+    mode_choice: str | None = setting(None, "why the program chose the mode", absent="it was asked for", group=ROS)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,6 +17,8 @@ class ExitCode(IntEnum):
     MISSED_TICKS = 4
     CONTRADICTION = 5
     DEVICE = 6
+    NOT_MET = 7
+    NOT_DEMONSTRATED = 8
     INTERRUPTED = 130
 
 
@@ -29,6 +31,8 @@ MEANINGS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.MISSED_TICKS: "finished, but more ticks were missed than `--max-missed` permits",
         ExitCode.CONTRADICTION: "finished, but a bag contradicts its own digests",
         ExitCode.DEVICE: "a device failed or fell silent; the message says whether mirror and forces are at zero",
+        ExitCode.NOT_MET: "a requirement is not met",
+        ExitCode.NOT_DEMONSTRATED: "no requirement is violated, but one is not demonstrated",
         ExitCode.INTERRUPTED: "interrupted by SIGINT, SIGTERM or SIGHUP",
     }
 )
@@ -39,6 +43,8 @@ COMMANDS: Mapping[ExitCode, str] = MappingProxyType(
         ExitCode.RESTARTED: "`run`",
         ExitCode.MISSED_TICKS: "`run`",
         ExitCode.DEVICE: "`run`, `device check`",
+        ExitCode.NOT_MET: "`run`, `analyse`, `report`, `campaign`, `budget` with `--gate`; `design`",
+        ExitCode.NOT_DEMONSTRATED: "`run`, `analyse`, `report`, `campaign` with `--gate`; `design`",
         ExitCode.CONTRADICTION: "`analyse`, `report`, `replay`, `bag`",
     }
 )

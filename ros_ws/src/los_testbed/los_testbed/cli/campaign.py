@@ -27,6 +27,7 @@ from los_testbed.cli.options.cluster_options import (
 from los_testbed.cli.options.options import (
     Designs,
     ForceLawFile,
+    Gate,
     Json,
     NewFolder,
     ObserverFile,
@@ -34,7 +35,7 @@ from los_testbed.cli.options.options import (
     option,
     with_files,
 )
-from los_testbed.cli.output import number, print_json, warn
+from los_testbed.cli.output import MET, leave_by_gate, number, print_json, warn
 from los_testbed.run.summary.screen import Screen
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ def campaign(
         str | None,
         typer.Option(metavar="VALUE,...", help="Evaluate this one member alone; its noise has the seed --seed."),
     ] = None,
+    gate: Gate = False,
     json_: Json = False,
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
@@ -149,6 +151,9 @@ def campaign(
     _show(console, summary, folder)
     if json_:
         print_json(summary)
+    if gate:
+        found = [(f"{v['requirement']} ({v['interpretation']})", MET.get(v["status"])) for v in summary["verdicts"]]
+        leave_by_gate([*found, *((text, None) for text in summary["not_judged"])])
 
 
 def _searching(cluster: Cluster, sampling: str) -> AbstractContextManager[Workers | None]:

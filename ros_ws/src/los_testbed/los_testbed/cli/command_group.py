@@ -6,7 +6,7 @@ from collections import UserDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -84,6 +84,44 @@ ENTRIES = {
 """In the order of the help."""
 
 
+class GroupedCommand(TyperCommand):
+    """A command whose ``--help`` shows the options of no group, and :data:`HelpAll` those of all groups."""
+
+    whole = False
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """With the names of the groups that are left out."""
+        options = [p for p in self.params if getattr(p, "rich_help_panel", None) and not getattr(p, "hidden", False)]
+        grouped: list[Any] = [] if self.whole else options
+        names = ", ".join(dict.fromkeys(str(option.rich_help_panel) for option in grouped))
+        try:
+            self.epilog = f"{len(grouped)} further options (--help-all): {names}." if grouped else None
+            for option in grouped:
+                option.hidden = True
+            super().format_help(ctx, formatter)
+        finally:
+            for option in grouped:
+                option.hidden = False
+
+
+def _show_all(ctx: typer.Context, value: bool) -> None:
+    command: Any = ctx.command
+    if value and not ctx.resilient_parsing:
+        command.whole = True
+        try:
+            typer.echo(ctx.get_help())
+        finally:
+            command.whole = False
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool,
+    typer.Option("--help-all", is_eager=True, callback=_show_all, help="Show the options of all groups and exit."),
+]
+"""Option of a command with groups of options."""
+
+
 def _none() -> None:
     """Callback that makes a group of one command."""
 
@@ -94,7 +132,7 @@ def loaded(name: str) -> Any:
     module = import_module(f"los_testbed.cli.{entry.module}")
     whole.callback()(_none)
     if entry.help:
-        whole.command(name=name, help=getattr(module, entry.help))(getattr(module, entry.attribute))
+        whole.command(name=name, help=getattr(module, entry.help), cls=GroupedCommand)(getattr(module, entry.attribute))
     else:
         whole.add_typer(getattr(module, entry.attribute), name=name)
     group: Any = typer.main.get_command(whole)

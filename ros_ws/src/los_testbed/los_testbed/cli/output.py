@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from los_testbed.exit_codes import ExitCode
 from los_testbed.run.summary.screen import printable
+
+if TYPE_CHECKING:
+    from pointing_analysis.requirements.summary import Summary
+
+
+MET = {"compliant": True, "not compliant": False}
+"""Whether a requirement is met, by the status of a verdict; others demonstrate nothing."""
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
@@ -28,6 +35,33 @@ def leave_if_contradicted(contradictions: Iterable[str]) -> None:
     """End the command with its exit code if there is a contradiction."""
     if any(contradictions):
         raise typer.Exit(ExitCode.CONTRADICTION)
+
+
+def leave_by_gate(verdicts: Iterable[tuple[str, bool | None]]) -> None:
+    """End the command with the code of requirements that are not met, or not demonstrated; say which.
+
+    Parameters
+    ----------
+    verdicts : iterable of (str, bool or None)
+        Each requirement, and whether it is met; None: it is not demonstrated. None at all demonstrate nothing.
+    """
+    found = list(verdicts)
+    for wanted, words, code in (
+        (False, "not met", ExitCode.NOT_MET),
+        (None, "not demonstrated", ExitCode.NOT_DEMONSTRATED),
+    ):
+        names = dict.fromkeys(printable(name) for name, status in found if status is wanted)
+        if names:
+            sys.stderr.write(f"gate: {words}: {', '.join(names)}\n")
+            raise typer.Exit(code)
+    if not found:
+        sys.stderr.write("gate: not demonstrated: no requirement was judged\n")
+        raise typer.Exit(ExitCode.NOT_DEMONSTRATED)
+
+
+def gate_of(summaries: Iterable[Summary]) -> list[tuple[str, bool | None]]:
+    """Verdicts on recorded runs for :func:`leave_by_gate`: of the samples alone, whatever is proven beside them."""
+    return [(str(v.requirement), MET.get(v.status)) for summary in summaries for v in summary.verdicts]
 
 
 def number(name: str, value: float, low: float, high: float, unit: str = "") -> float:

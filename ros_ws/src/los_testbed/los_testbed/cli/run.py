@@ -16,13 +16,14 @@ import typer
 
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
+from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.environment import SUPERVISED
 from los_testbed.cli.finished_run import check_trace, sign, write_ticks
 from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
-from los_testbed.cli.options.options import PLANT_PANEL, Case, Cases, Designs, Json, with_settings
-from los_testbed.cli.output import print_json, warn
-from los_testbed.config import AUTO, NAMESPACE, RunConfig, is_code, parse_value, read_yaml
+from los_testbed.cli.options.options import FILES, Case, Cases, Designs, Gate, Json, with_settings
+from los_testbed.cli.output import gate_of, leave_by_gate, print_json, warn
+from los_testbed.config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
 from los_testbed.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
@@ -34,9 +35,12 @@ from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
 from los_testbed.run_settings import chosen_member, layered, of_designs, of_scenario, with_stage
 from pointing_analysis.read.mcap.records import ShortRunError
+from titop_plant.physical_settings import DISTURBANCES, TELESCOPE
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    from pointing_analysis.requirements.summary import Summary
 
 FREE = "free"
 """Value of ``--domain`` for a domain that nobody uses on this machine."""
@@ -53,31 +57,30 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
     los-testbed run --mode inprocess --duration 60     # one process, no ROS, as fast as it computes
 
-    los-testbed run --isolated                         # no other program of this machine is on its ROS domain
+    los-testbed run --parameters my_telescope.toml     # your spacecraft; --designs FOLDER with its controllers
 
-    los-testbed run --trace trace.json                 # the ticks, for ui.perfetto.dev or chrome://tracing
+    los-testbed run --disturbance measured.csv@wheel_2 --disturbance cooler.toml    # your disturbances
 
-    los-testbed run --only plant                       # this host runs the plant, others the rest
-
-    los-testbed run --theta 1.57 --wheel-speed 200 -210 220 -230    # arrays a quarter turn round
-
-    los-testbed run --case worst                       # a named telescope of the family; or --sample 7, a random one
-
-    los-testbed run --plant my_module:MyPlant          # a plant of your own, checked before the run
-
-    los-testbed run --device my_rig:Rig                # a rig of your own in the place of the telescope
-
-    los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1
-
-    los-testbed run --disturbance measured.csv@wheel_2 --disturbance cooler.toml    # measured forces, a cryocooler
-
-    los-testbed run --k-fsm my_module:Observer --disturbance my_module:Wind     # classes of your own
+    los-testbed run --k-fsm my_observer.json --set camera_dropout=0.1     # your controller, any setting
 """
 
 
 @with_settings(
     without=("disturbance", "disturbance_source", "disturbance_files", "mode_choice"),
-    metavars={"domain": "INTEGER|free", "mode": "auto|realtime|lockstep|inprocess", "max_missed": "PERCENT"},
+    metavars={
+        "domain": "INTEGER|free",
+        "mode": "MODE",
+        "loop": "STAGE",
+        "scenario": "SCENARIO",
+        "parameters": "FILE",
+        "output": "FOLDER",
+        "max_missed": "PERCENT",
+    },
+    helps={
+        "mode": "How plant, estimator and controller run: realtime, lockstep, inprocess, or auto (in real time where "
+        "the machine keeps pace, else in lockstep); default: auto.",
+        "loop": "Stage, which loops are closed: none, isolator, fsm or fsm+pma; default: the last of the telescope.",
+    },
 )
 def run(
     *,
@@ -85,26 +88,32 @@ def run(
     disturbance: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="[FILE[@PLACE]|MODULE:NAME]",
-            help="Wheel and drive disturbances; or disturbances of your own, by file or name; repeatable.",
-            rich_help_panel=PLANT_PANEL,
+            metavar="[SOURCE]",
+            help="Wheel and drive disturbances; or your own: FILE, FILE@PLACE or MODULE:NAME; repeatable.",
         ),
     ] = None,
     no_disturbance: Annotated[
-        bool, typer.Option("--no-disturbance", help="None at all.", rich_help_panel=PLANT_PANEL)
+        bool, typer.Option("--no-disturbance", help="None at all.", rich_help_panel=DISTURBANCES)
     ] = False,
     designs: Designs = None,
-    sample: Annotated[str | None, typer.Option(metavar="SEED", help="A random telescope of the family.")] = None,
+    sample: Annotated[
+        str | None,
+        typer.Option(metavar="SEED", help="A random telescope of the family.", rich_help_panel=TELESCOPE),
+    ] = None,
     case: Case = None,
     cases: Cases = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with any of the parameters.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file with any of the parameters.", rich_help_panel=FILES)
+    ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any of the parameters; repeatable.")
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Any of the parameters; repeatable.", rich_help_panel=FILES),
     ] = None,
     only: Annotated[
         str | None,
         typer.Option(
-            help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder."
+            help="Run this node alone, for a loop over several hosts: plant, estimator, controller, recorder.",
+            rich_help_panel=ROS,
         ),
     ] = None,
     live: live_options.Port = None,
@@ -115,17 +124,28 @@ def run(
     live_tls_key: live_options.TlsKey = None,
     isolated: Annotated[
         bool,
-        typer.Option("--isolated", help="A network of the run's own: no other program is on its ROS domain."),
+        typer.Option(
+            "--isolated",
+            help="A network of the run's own: no other program is on its ROS domain.",
+            rich_help_panel=ROS,
+        ),
     ] = False,
     sign_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign the bag with this Ed25519 private key (PEM).", rich_help_panel=FILES),
     ] = None,
     trace: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the ticks of a run in real time as a trace, as bag trace does."),
+        typer.Option(
+            metavar="FILE",
+            help="Write the ticks of a run in real time as a trace, as bag trace does.",
+            rich_help_panel=FILES,
+        ),
     ] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write the HTML report.")] = True,
+    gate: Gate = False,
     json_: Json = False,
+    help_all: HelpAll = False,
 ) -> None:
     """See RUN_EXAMPLES."""
     with contextlib.ExitStack() as held:
@@ -153,7 +173,9 @@ def run(
             key = private_key("--sign-key", sign_key)
         _watch_code_of_user(chosen.code_of_user, chosen.bag)
         parts = RunParts(chosen)
-        _run_and_tell(parts, Nodes(viewers, isolated, not free), report, json_, key, trace)
+        summary = _run_and_tell(parts, Nodes(viewers, isolated, not free), report, json_, key, trace)
+        if gate:
+            leave_by_gate([] if summary is None else gate_of([summary]))
 
 
 def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
@@ -199,8 +221,11 @@ def _run_and_tell(
     json_: bool,
     key: Ed25519PrivateKey | None = None,
     trace: Path | None = None,
-) -> None:
-    """Run; print warnings and results; exit codes of a run that was finished in spite of something."""
+) -> Summary | None:
+    """Run; print warnings and results; exit codes of a run that was finished in spite of something.
+
+    Its summary; None where it is too short to be evaluated.
+    """
     from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
 
     console = Screen(stderr=json_)
@@ -222,7 +247,9 @@ def _run_and_tell(
         say(console, f"not evaluated: {error}; the bag is whole", "warning")
         if json_:
             print_json({"bag": str(bag), "not_evaluated": str(error)})
-        raise typer.Exit(ExitCode.FINISHED if whole else ExitCode.FAILED) from None
+        if not whole:
+            raise typer.Exit(ExitCode.FAILED) from None
+        return None
     except ValueError as error:  # no mistake of the user that shows before the work
         code = getattr(error, "code", ExitCode.FAILED) if ended is None else ended
         raise RunError(f"not evaluated: {error}", code) from None
@@ -239,6 +266,7 @@ def _run_and_tell(
         if parts.config.mode_choice is None:
             raise
         say(console, str(error), "warning")
+    return summaries.summaries[0]
 
 
 def configure(

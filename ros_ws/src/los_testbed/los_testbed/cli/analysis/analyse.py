@@ -19,8 +19,8 @@ from los_testbed.cli.analysis.recordings import (
     require_different,
     requirements_in,
 )
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
-from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
+from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen
 from pointing_analysis.files.atomic_output import check_output
 
@@ -60,6 +60,7 @@ def analyse(
     requirements: Requirements = None,
     optics: OpticsFile = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
+    gate: Gate = False,
     json_: Json = False,
 ) -> None:
     """See ANALYSE_EXAMPLES."""
@@ -88,3 +89,5 @@ def analyse(
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})
     leave_if_contradicted(text for summary in summaries.summaries for text in summary.contradictions)
+    if gate:
+        leave_by_gate(gate_of(summaries.summaries))

@@ -10,8 +10,8 @@ import typer
 from rich.table import Column, Table
 from rich.text import Text
 
-from los_testbed.cli.options.options import Designs, Json
-from los_testbed.cli.output import number, print_json
+from los_testbed.cli.options.options import Designs, Gate, Json
+from los_testbed.cli.output import leave_by_gate, number, print_json
 from los_testbed.run.summary.screen import Screen, numbers
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def budget(
     members: Annotated[
         int, typer.Option(help="Also at so many random members of the telescope's family, and at its worst points.")
     ] = 0,
+    gate: Gate = False,
     json_: Json = False,
 ) -> None:
     """See BUDGET_EXAMPLES."""
@@ -127,6 +128,8 @@ def budget(
     if json_:
         over = {"over_members": [row.as_dict() for row in worst]} if worst else {}
         print_json({**as_dict(found, verdicts), **over})
+    if gate:
+        leave_by_gate((str(v.requirement), v.compliant) for v in [*verdicts, *(row.worst for row in worst)])
 
 
 def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBudgetVerdict]) -> None:

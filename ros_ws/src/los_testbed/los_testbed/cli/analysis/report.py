@@ -12,8 +12,8 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient
-from los_testbed.cli.output import leave_if_contradicted, print_json, seconds
+from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
+from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen, numbers, say
 from pointing_analysis.files.atomic_output import check_output
 
@@ -50,6 +50,7 @@ def report(
     stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
     namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
+    gate: Gate = False,
     json_: Json = False,
 ) -> None:
     """See REPORT_EXAMPLES."""
@@ -83,6 +84,8 @@ def report(
     if json_:
         print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
     leave_if_contradicted(text for s in found for text in s.contradictions)
+    if gate:
+        leave_by_gate(gate_of(found))
 
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:

@@ -17,6 +17,7 @@ from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
 
@@ -151,7 +152,7 @@ def _make(
     if not_met := _not_met(system):
         for text in not_met:
             sys.stderr.write(f"not met: {text}\n")
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.NOT_MET)
 
 
 def _not_met(system: SampledSystem) -> list[str]:

@@ -19,6 +19,7 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.exit_codes import ExitCode
 from los_testbed.members import WORST_POINTS
 from los_testbed.run.summary.screen import Screen, numbers
 from pointing_analysis.files.atomic_output import atomic_file, check_output
@@ -45,8 +46,8 @@ CERTIFY_EXAMPLES = """Prove the figures of a pair of controllers for the whole b
 
 Writes a proof STAGE-FIGURE.npz for each figure that is proven, bounds.json, and bundle.zip: the proofs with controllers
 and telescope, for `design check-proof`. Parts that are proven are kept: the
-same command goes on after an interruption, and another level begins with what holds of them. The exit code is 1 if a
-figure is violated or not proven to its end.
+same command goes on after an interruption, and another level begins with what holds of them. The exit code is 7 if a
+figure is violated, 8 if one is not proven to its end.
 
 **Examples**
 
@@ -110,8 +111,14 @@ def certify(
         print_json({"figures": [bounds.to_mapping() for bounds in found]})
     else:
         show_bounds(found)
-    if any(bounds.status != "proven" for bounds in found):
-        raise typer.Exit(1)
+    leave_if_unproven(found)
+
+
+def leave_if_unproven(figures: Sequence[FigureBounds]) -> None:
+    """End the command with the code of a figure that is violated, or not proven."""
+    found = {bounds.status for bounds in figures} - {"proven"}
+    if found:
+        raise typer.Exit(ExitCode.NOT_MET if "violated" in found else ExitCode.NOT_DEMONSTRATED)
 
 
 def prove_figures(

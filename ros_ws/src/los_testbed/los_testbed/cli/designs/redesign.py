@@ -21,11 +21,12 @@ from los_testbed.cli.designs.mission import (
     sources_of_mission,
     verify_mission,
 )
-from los_testbed.cli.designs.proofs import loops_of, prove_figures, show_bounds
+from los_testbed.cli.designs.proofs import leave_if_unproven, loops_of, prove_figures, show_bounds
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
 from los_testbed.cli.output import number, print_json
+from los_testbed.exit_codes import ExitCode
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
 from los_testbed.run_settings import TELESCOPE_FILE
@@ -42,8 +43,8 @@ Writes k_fsm.json, k_pma.json, worst_points.json, verification.json and telescop
 it names, into a folder. A design of the same telescope that was interrupted, or ended by its time limit, goes on in
 its descent or after its last search. With --certify the proofs of all figures, bounds.json and bundle.zip follow, as
 `design certify` makes them. No tuning sees the sources of disturbance in the telescope's file: runs under them are
-judged by its requirements, beside runs without fine control. The exit code is 1 if a requirement is not met, or a
-figure not proven.
+judged by its requirements, beside runs without fine control. The exit code is 7 if a requirement is not met, 8 if a
+figure is not proven.
 
 **Examples**
 
@@ -219,7 +220,7 @@ def show_implemented(
     bounds: Sequence[FigureBounds] = (),
     mission: Mission = NO_MISSION,
 ) -> None:
-    """Table or JSON object, one line for each requirement that is not met; exit code 1 if one is not met or proven."""
+    """Table or JSON object, a line for each requirement that is not met; leave if one is not met or proven."""
     if json_:
         proofs = {"figures": [b.to_mapping() for b in bounds]} if bounds else {}
         shown = {"implemented": implemented, **mission.to_mapping(), "not_met": not_met}
@@ -239,5 +240,6 @@ def show_implemented(
     show_mission(mission)
     for text in not_met:
         sys.stderr.write(f"not met: {text}\n")
-    if not_met or any(b.status != "proven" for b in bounds):
-        raise typer.Exit(1)
+    if not_met:
+        raise typer.Exit(ExitCode.NOT_MET)
+    leave_if_unproven(bounds)

@@ -22,6 +22,7 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.exit_codes import ExitCode
 from los_testbed.members import WORST_POINTS
 from los_testbed.run.summary.screen import Screen
 from pointing_analysis.files.atomic_output import check_output, write_text
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 VERIFY_EXAMPLES = """Recompute all metrics of stored designs: certified norms, and those of the loop as implemented.
 
 The parameter points are the nominal one, all corners, random ones and the worst points found by the search. The exit
-code is 1 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin. A telescope of
+code is 7 if a loop is unstable at any of them or if the robust design breaks a requirement or a margin. A telescope of
 a folder with sources of disturbance in its file is run under them, and judged by its requirements.
 
 With --output the result goes into a JSON file, and until it is there the parts that are done into FILE.parts: the
@@ -88,7 +89,7 @@ def verify(
     for text in failed:
         sys.stderr.write(f"verification failed: {text}\n")
     if failed:
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.NOT_MET)
 
 
 @contextmanager

@@ -26,7 +26,6 @@ Port = Annotated[
     typer.Option(
         metavar="[PORT]",
         help=f"Serve viewers: Foxglove's protocol on PORT ({LIVE_PORT}), a page for browsers on the next one.",
-        rich_help_panel=PANEL,
     ),
 ]
 Host = Annotated[

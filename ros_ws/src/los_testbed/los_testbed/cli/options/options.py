@@ -12,12 +12,16 @@ import typer
 
 from los_testbed.config import RunConfig
 from los_testbed.run_settings import of_designs
-from titop_plant.physical_settings import PhysicalSettings
+from titop_plant.physical_settings import TELESCOPE
 from titop_plant.settings import Setting
 
 MAX_CHUNK_MB = 64.0
 
 Json = Annotated[bool, typer.Option("--json", help="Last line of output is one JSON object.")]
+Gate = Annotated[
+    bool,
+    typer.Option("--gate", help="Exit code 7 if a requirement is not met, 8 if one is not demonstrated."),
+]
 MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
 Transient = Annotated[
     float | None,
@@ -35,18 +39,21 @@ Uncertain = Annotated[
 Designs = Annotated[str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")]
 ObserverFile = Annotated[Path | None, typer.Option(help="Observer file instead of the stored design.")]
 ForceLawFile = Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the stored design.")]
-Case = Annotated[str | None, typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.")]
-Cases = Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.")]
+Case = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.", rich_help_panel=TELESCOPE),
+]
+Cases = Annotated[Path | None, typer.Option(help="YAML file of named cases of your own.", rich_help_panel=TELESCOPE)]
 NewFolder = Annotated[Path | None, typer.Option(help="New folder; default: one under bags/.")]
 DesignSeed = Annotated[int, typer.Option(help="Seed of starts and searches.")]
+
+FILES = "Files"
+"""Heading of options of files in a help page."""
 
 METAVARS = {"s": "SECONDS", "Hz": "HERTZ", "rad": "RADIANS", "rad/s": "RAD/S", "N": "NEWTONS", "ms": "TICKS"}
 """What stands for a number in the help, by its unit."""
 
 WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", tuple: "NUMBER"}
-
-PLANT_PANEL = "Telescope, disturbance, sensors"
-"""Heading of the physical settings in the help."""
 
 
 def option(name: str, **more: Any) -> Any:
@@ -86,16 +93,17 @@ def _in_short(value: Any) -> str:
 
 
 def with_settings(
-    without: tuple[str, ...], metavars: Mapping[str, str]
+    without: tuple[str, ...], metavars: Mapping[str, str], helps: Mapping[str, str]
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command an option for each setting of a run, but for those in `without`.
 
     It gets their values as ``given``, ``None`` where an option is not given.
 
     The values are texts, but for switches; a list is its numbers with spaces between them:
-    :func:`los_testbed.config.parse_value` reads them.
+    :func:`los_testbed.config.parse_value` reads them. `metavars` and `helps` are those of options for which what the
+    setting says is not enough.
     """
-    options = {name: (_option(name, metavars), None) for name in RunConfig.SETTINGS if name not in without}
+    options = {name: (_option(name, metavars, helps), None) for name in RunConfig.SETTINGS if name not in without}
     return lambda command: with_options(command, "given", options, dict)
 
 
@@ -134,13 +142,13 @@ def with_options(
     return called
 
 
-def _option(name: str, metavars: Mapping[str, str]) -> Any:
+def _option(name: str, metavars: Mapping[str, str], helps: Mapping[str, str]) -> Any:
     """Annotated type of the option for a setting; None where it is not given."""
     own = RunConfig.SETTINGS[name]
     kind: Any = bool if own.kind is bool else str
-    panel = PLANT_PANEL if name in PhysicalSettings.SETTINGS else None
     more = {"metavar": metavars[name]} if name in metavars else {}
-    return Annotated[kind | None, option(name, rich_help_panel=panel, **more)]
+    more |= {"help": helps[name]} if name in helps else {}
+    return Annotated[kind | None, option(name, rich_help_panel=own.group or None, **more)]
 
 
 def with_files(designs: str | None, **files: Path | None) -> dict[str, Any]:
