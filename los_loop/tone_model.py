@@ -46,6 +46,10 @@ from titop_plant.simulation.modal_plant import ModalPlant
 from titop_plant.simulation.plant_step import held_step, tone_step
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
+SAME = 1e-12
+"""Relative difference of frequencies up to which two tones are one: that of rounding, for instance of two wheels of
+the same speed."""
+
 
 @dataclass(frozen=True)
 class StageTones:
@@ -248,11 +252,13 @@ def _times(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
 
 
 def _together(tones: Tones) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies (K,), rising, and phasors (22, K); tones of the same frequency are added up."""
-    omega = np.unique(tones.frequency)
+    """Frequencies (K,), rising, and phasors (22, K); tones of the same frequency, but for rounding, are added up."""
+    every = np.unique(tones.frequency)
+    omega = every[np.diff(every, prepend=-np.inf) > SAME * every]
+    own = np.searchsorted(omega, tones.frequency, side="right") - 1
     amplitude = np.zeros((tones.amplitude.shape[0], omega.size), complex)
-    for k, w in enumerate(omega):
-        amplitude[:, k] = tones.amplitude[:, tones.frequency == w].sum(axis=1)
+    for k in range(omega.size):
+        amplitude[:, k] = tones.amplitude[:, own == k].sum(axis=1)
     present = (omega > 0) & (np.linalg.norm(amplitude, axis=0) > 0)
     return np.asarray(omega[present]), np.asarray(amplitude[:, present])
 

@@ -29,9 +29,9 @@ class PointingBudgetError(ValueError):
     """A budget that cannot be read; the message says what it must be and what it is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ErrorSource:
-    """One error source, after its transfer.
+    """One error source, after its transfer; each is equal to itself alone.
 
     Attributes
     ----------

@@ -232,6 +232,8 @@ def _harmonics(entry: DisturbanceTable, units: WrenchUnits = FORCE) -> list[tupl
     tables = entry.table.get("harmonics")
     if tables is not None and "file" in entry.table:
         raise entry.error(f"harmonics must be in a file or in the table, got both: {entry.table['file']!r} and a list")
+    if tables is None and "file" not in entry.table:
+        raise entry.error("harmonics or file must be given, got neither")
     if tables is None:
         table = entry.file()
         order = _column(entry, table, "order", "harmonic", units=ORDER)

@@ -58,7 +58,7 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     if Path(path) == REFERENCE:
         return Telescope(with_limits(reference, reference, {}, ParameterFile(str(path), text)))
     from titop_plant.telescope.tables.mechanisms import take_mechanisms, with_mechanisms
-    from titop_plant.telescope.tables.mounted import checked_layout, take_mounted  # loads scipy
+    from titop_plant.telescope.tables.mounted import check_modal_file, checked_layout, take_mounted  # loads scipy
 
     own, text = _read(Path(path))
     file = ParameterFile(str(path), text)
@@ -81,9 +81,9 @@ def load_telescope(path: str | Path | None = None) -> Telescope:
     if spreads:
         merged[UNCERTAIN] = checked_spreads(spreads, file, merged)
     for name in OWN_BODIES:
-        file = merged[name]["modal_data"]
-        if file:
-            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / file)}
+        if modal_data := merged[name]["modal_data"]:
+            merged[name] = {**merged[name], "modal_data": str(Path(path).parent / modal_data)}
+            check_modal_file(name, merged[name], file)
     if sources:
         merged[SOURCES] = [{**table, FOLDER: str(Path(path).parent)} for table in sources]
     return Telescope(merged)

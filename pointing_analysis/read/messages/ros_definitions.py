@@ -83,6 +83,14 @@ class Field:
 
 Definitions = Mapping[str, tuple[Field, ...]]
 
+BUILT_IN: Definitions = MappingProxyType(
+    {
+        name: (Field("int32", "sec", None), Field("uint32", "nanosec", None))
+        for name in (STAMP, "builtin_interfaces/Duration")
+    }
+)
+"""Types that definitions need not hold."""
+
 
 @dataclass(frozen=True)
 class Vector:
@@ -113,15 +121,21 @@ def channel_types(channel: Channel) -> Definitions:
     Raises
     ------
     BagError
-        Messages that are not CDR, or without a definition in ``ros2msg``.
+        Messages that are not CDR, or without a definition in ``ros2msg`` or ``ros2idl``.
     """
     if channel.encoding != "cdr":
         raise BagError(f"messages must be encoded as cdr, got {channel.encoding!r}")
     if not channel.definition:
         raise BagError(f"the bag must hold the definition of {channel.schema or 'the message type'}, got none")
+    text = channel.definition.decode("utf-8", "replace")
+    if channel.definition_encoding == "ros2idl":
+        from pointing_analysis.read.messages.idl_definitions import parse_idl
+
+        return parse_idl(channel.schema, text)
     if channel.definition_encoding != "ros2msg":
-        raise BagError(f"the definition of {channel.schema} must be ros2msg, got {channel.definition_encoding!r}")
-    return parse_definition(channel.schema, channel.definition.decode("utf-8", "replace"))
+        got = f"got {channel.definition_encoding!r}"
+        raise BagError(f"the definition of {channel.schema} must be ros2msg or ros2idl, {got}")
+    return parse_definition(channel.schema, text)
 
 
 def parse_definition(schema: str, text: str) -> Definitions:
@@ -132,10 +146,7 @@ def parse_definition(schema: str, text: str) -> Definitions:
     >>> parse_definition("my/msg/Los", "float64 az\nfloat64 el  # up")["my/Los"][1].name
     'el'
     """
-    types: dict[str, tuple[Field, ...]] = {
-        STAMP: (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
-        "builtin_interfaces/Duration": (Field("int32", "sec", None), Field("uint32", "nanosec", None)),
-    }
+    types: dict[str, tuple[Field, ...]] = dict(BUILT_IN)
     name = short_name(schema)
     parts = re.split(r"^=+\s*$", text, flags=re.MULTILINE)
     for part in parts:

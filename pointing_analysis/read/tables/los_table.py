@@ -22,8 +22,8 @@ from pointing_analysis.read.tables.formats import Format, format_of
 from pointing_analysis.read.tables.matlab import read_hdf5, read_mat
 from pointing_analysis.read.tables.table import Column, Table, TableError, same_rate, split_unit, unit_name
 from pointing_analysis.read.tables.text import read_text
+from pointing_analysis.read.tables.times import FEWEST, column_stamps, time_column
 from pointing_analysis.read.tables.times import UNITS as TIME_UNITS
-from pointing_analysis.read.tables.times import column_stamps, time_column
 from pointing_analysis.units import ANGLES, NAMES
 
 READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
@@ -36,6 +36,8 @@ READERS: Mapping[Format, Callable[[Path], Table]] = MappingProxyType(
     }
 )
 """Reader of each format but that of bags."""
+NO_TIME = "none"
+"""Value of the option ``--time`` for samples at a rate, whatever columns there are."""
 OTHER_RATE = 1e-3
 """Part by which a rate that the file says may differ from that of its times without a note."""
 X_NAMES = (("x", "y"), ("los_x", "los_y"), ("los.x", "los.y"), ("error_x", "error_y"), ("error.x", "error.y"))
@@ -70,10 +72,12 @@ def read_los_table(
     Parameters
     ----------
     path : CSV, Parquet, MATLAB, HDF5 or NumPy file
-    los : names of two columns, ``x,y``, or of an array; by default x, y or those that are left beside the time
+    los : names or numbers (from 1) of two columns, ``x,y``, or of an array; by default x, y or those that are left
+        beside the time
     unit : of the line of sight; by default that of the header or of an attribute
     rate : sampling rate [Hz]; needed where there is no time and the file does not say it
-    time : name of the time column; by default `pointing_analysis.read.tables.times.time_column`
+    time : name of the time column, or ``none`` for samples at the rate; by default
+        `pointing_analysis.read.tables.times.time_column`
 
     Raises
     ------
@@ -87,8 +91,12 @@ def read_los_table(
     columns = table.of_length(len(table.columns[x]))
     xy = np.column_stack([columns[x], columns[y]]).astype(float)
     xy, unit = _in_one_unit(table, xy, (x, y), unit)
-    unused = _others(columns, x, y) if when is None else ""
     said_rate, problems = table.rate((x, y)), list(table.left_out)
+    if when is not None and (lost := _lost_digits(when, columns[when])):
+        if rate is None:
+            raise TableError(f"{path}: {lost}; --rate HERTZ takes the rows in their order")
+        when, problems = None, [*problems, f"{lost}: rows taken at {rate:g} Hz in their order"]
+    unused = _others(columns, x, y) if when is None else ""
     if when is None and said_rate is not None:
         if rate is not None and not same_rate(rate, said_rate):
             raise TableError(f"{path}: rate must be {said_rate:.9g} Hz, which the file says of {x}, got {rate:.9g}")
@@ -146,8 +154,21 @@ def _in_one_unit(table: Table, xy: FloatArray, names: tuple[str, str], given: st
 
 def _chosen(table: Table, los: str | None, time: str | None) -> tuple[tuple[str, str, str | None], str]:
     """Names of the columns of the line of sight and of the time, and the unit that the option gives the time."""
+    if time == NO_TIME and table.find(time) is None:
+        x, y, _ = _columns(table, los, None)
+        return (x, y, None), ""
     asked, unit = (None, "") if time is None else _asked_time(table, time)
     return _columns(table, los, asked), unit
+
+
+def _lost_digits(name: str, column: Column) -> str:
+    """What is wrong with times that are mostly the same; empty where they differ."""
+    count, different = len(column), len(np.unique(column))
+    if count < 3 or different >= FEWEST * count:
+        return ""
+    return (
+        f"times must differ from row to row, got {different} different ones in {count} rows of {name}, digits cut off"
+    )
 
 
 def _asked_time(table: Table, time: str) -> tuple[str, str]:
@@ -181,6 +202,10 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     if len(parts) == 1:
         parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
     names = [table.find(part) for part in parts]
+    if all(
+        name is None and part.isdecimal() and 0 < int(part) <= len(table.columns) for name, part in zip(names, parts)
+    ):
+        names = [list(table.columns)[int(part) - 1] for part in parts]
     if len(names) != 2 or names[0] is None or names[1] is None:
         raise TableError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
     if names[0] == names[1]:

@@ -17,16 +17,21 @@ from pointing_analysis.arrays import FloatArray, IntArray
 from pointing_analysis.read.series import ORIGIN, stamps_of
 from pointing_analysis.read.tables.table import Column, split_unit
 
-NAMES = ("t", "time", "timestamp", "stamp", "seconds")
+NAMES = ("t", "time", "timestamp", "stamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 """Names of time columns, without a unit at their end, in any case."""
 UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
 FARTHEST = 0.05
 """Usual step of numbers without a unit from which on they may be other than seconds: of 20 kHz in milliseconds."""
-_DATE = re.compile(r"\s*(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)\s*(Z|[+-]\d\d:?\d\d)?\s*")
+CLOSEST = 1e-5
+"""Usual step of numbers without a unit below which they may be other than seconds: of 1 Hz in days."""
+FEWEST = 0.5
+"""Part of the times that must differ: fewer have lost their digits."""
+_DATE = re.compile(r"\s*(\d{4}-(?:\d\d-\d\d|\d{3}))[T ](\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)\s*(Z|[+-]\d\d:?\d\d)?\s*")
+"""ISO 8601, or day of the year as CCSDS writes it, with a time of day."""
 
 
 def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
-    """Times from ISO 8601 text; an offset from UTC is subtracted.
+    """Times from ISO 8601 text, also with the day of the year; an offset from UTC is subtracted.
 
     Raises
     ------
@@ -37,13 +42,27 @@ def dates(cells: Sequence[str]) -> NDArray[np.datetime64]:
     --------
     >>> dates(["2026-11-20T12:00:00.001953125+01:00"])
     array(['2026-11-20T11:00:00.001953125'], dtype='datetime64[ns]')
+    >>> dates(["2026-324T11:00:00Z"])
+    array(['2026-11-20T11:00:00.000000000'], dtype='datetime64[ns]')
     """
     found = [_DATE.fullmatch(cell) for cell in cells]
     if not cells or any(match is None for match in found):
         raise ValueError("cells must be dates with a time of day")
     matches = [match for match in found if match is not None]
-    moments = np.array([match[1] for match in matches], "datetime64[ns]")
-    return np.asarray(moments - np.array([_offset(match[2]) for match in matches], "timedelta64[m]"))
+    moments = np.array([f"{_day(match[1])}T{match[2]}" for match in matches], "datetime64[ns]")
+    return np.asarray(moments - np.array([_offset(match[3]) for match in matches], "timedelta64[m]"))
+
+
+def _day(text: str) -> str:
+    """Year, month and day; also from the day of the year."""
+    year, _, rest = text.partition("-")
+    if len(rest) != 3:
+        return text
+    number, first = int(rest), np.datetime64(f"{year}-01-01", "D")
+    day = first + np.timedelta64(number - 1, "D")
+    if not number or str(day)[:4] != year:
+        raise ValueError("cells must be dates with a time of day")
+    return str(day)
 
 
 def _offset(text: str | None) -> int:
@@ -54,7 +73,9 @@ def _offset(text: str | None) -> int:
 
 
 def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None:
-    """Name of the column that has the times, or None: the only dates, else a usual name, else the first of three.
+    """Name of the column that has the times, or None.
+
+    The only dates, else a usual name, else the only column with a unit of time, else the first of three.
 
     Parameters
     ----------
@@ -69,6 +90,9 @@ def time_column(columns: Mapping[str, Column], los: Sequence[str]) -> str | None
     for name in NAMES:
         if name in usual:
             return usual[name]
+    of_time = [name for name in rest if split_unit(name)[1] in UNITS and split_unit(name)[1]]
+    if len(of_time) == 1:
+        return of_time[0]
     if len(columns) != 3 or not rest or rest[0] != next(iter(columns)):
         return None
     return rest[0] if not los or np.mean(np.diff(columns[rest[0]].astype(float)) > 0) > 0.9 else None
@@ -108,8 +132,13 @@ def column_stamps(name: str, column: Column, rate: float | None, unit: str = "")
 
 
 def _check_seconds(name: str, times: FloatArray) -> None:
-    """Refuse numbers without a unit that may be milliseconds as well."""
+    """Refuse numbers without a unit that may be milliseconds, or days, as well."""
     step = float(np.median(np.diff(np.sort(times)))) if times.size > 1 else 0.0
+    if 0.0 < step < CLOSEST:
+        raise ValueError(
+            f"unit of the times must be known where they are {step:.3g} apart, as days are: {name} (d) or {name} (s) "
+            f"as the name of the column, or --time {name}_d, --time {name}_s; got {name!r} without one"
+        )
     if step >= FARTHEST * (1 - 1e-9):
         raise ValueError(
             f"unit of the times must be known where they are {step:g} apart: {name} (s), {name} (ms) or the like as "

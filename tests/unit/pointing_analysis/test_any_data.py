@@ -282,7 +282,7 @@ def test_a_table_that_cannot_be_used(tmp_path: Path) -> None:
     for content, message in (
         ("", "got an empty file"),
         ("a,b,c,d\n1,2,3,4\n", "los must name two of the columns a, b, c, d"),
-        ("x,y\n1,2\n3\n", "every row must have 2 cells, got 1 in row 2"),
+        ("x,y\n1,2\n3\n", "every row must have 2 cells, got 1 in row 3"),
         ("x,x\n1,2\n", "different names"),
         ("x,y\nred,blue\n", "got a text without numbers"),
         ("x,y\nred,blue2\n", "must have numeric columns"),

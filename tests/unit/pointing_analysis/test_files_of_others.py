@@ -141,7 +141,7 @@ def test_columns_by_their_names_without_units(tmp_path: Path) -> None:
         ("a.bin", bytes(range(200, 256)) * 20, "file must be one of bag .*CSV.*Parquet.*MATLAB.*HDF5.*NumPy"),
         ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(600), "file must be a MATLAB file"),
         ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(600), "file must be HDF5"),
-        ("a.csv", b"x,y\n\xff\xfe\x00,1\n", "table must be UTF-8 text"),
+        ("a.csv", b"x,y\n\xff\xfe\x00,1\n", "table must be text, got invalid start byte"),
     ],
 )
 def test_what_is_not_read_is_one_line(tmp_path: Path, name: str, content: bytes, message: str) -> None:

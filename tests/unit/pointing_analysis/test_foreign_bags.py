@@ -152,7 +152,8 @@ def test_files_compressed_as_a_whole(tmp_path: Path, name: str) -> None:
         ({"encoding": "json"}, "messages must be encoded as cdr, got 'json'"),
         ({"encoding": "protobuf"}, "messages must be encoded as cdr, got 'protobuf'"),
         ({"encoding": "ros1", "language": "ros1msg"}, "messages must be encoded as cdr, got 'ros1'"),
-        ({"language": "ros2idl"}, "definition of my_msgs/msg/Los must be ros2msg, got 'ros2idl'"),
+        ({"language": "jsonschema"}, "definition of my_msgs/msg/Los must be ros2msg or ros2idl, got 'jsonschema'"),
+        ({"language": "ros2idl"}, "definition of my_msgs/msg/Los must be IDL, got 'std_msgs'"),
         ({"definition": b""}, "must hold the definition of my_msgs/msg/Los, got none"),
         ({"about": {"compression_mode": "FILE", "compression_format": "lz4"}}, "compression_format .* zstd, got 'lz4'"),
         *(

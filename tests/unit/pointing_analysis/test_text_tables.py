@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pointing_analysis.read.los_source import open_los
 from pointing_analysis.read.tables.table import TableError
 from pointing_analysis.read.tables.text import read_text
 
@@ -61,3 +62,78 @@ def test_a_first_row_of_digits_that_are_no_numbers_is_refused(tmp_path: Path, fi
     with pytest.raises(TableError, match="first row must be names or numbers, got '0") as caught:
         read_text(tmp_path / "a.csv")
     assert "\n" not in str(caught.value)
+
+
+def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+PLAIN = "time,x,y\n0.00,1.5,-2\n0.01,2.5,3\n0.02,0,1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("sep=;\n" + PLAIN.replace(",", ";"), "utf-8"),
+        ('"sep=,"\n' + PLAIN, "utf-8-sig"),
+        (PLAIN.replace("\n", "\ns,mas,mas\n", 1), "utf-8"),
+        (PLAIN.replace("\n", "\n[s],[mas],[mas]\n", 1), "utf-8"),
+        ("# Pr\xfcfstand\n" + PLAIN, "latin-1"),
+        ("# Pr\xfcfstand\n" + PLAIN, "utf-16"),
+    ],
+)
+def test_what_programs_write_around_a_table_changes_no_value(tmp_path: Path, text: str, encoding: str) -> None:
+    plain = read_text(written(tmp_path / "a.csv", PLAIN))
+    found = read_text(written(tmp_path / "b.csv", text, encoding))
+    assert list(found.columns) == list(plain.columns)
+    for name, column in plain.columns.items():
+        np.testing.assert_array_equal(found.columns[name], column)
+    assert found.unit("x") == ("mas" if "mas" in text else "")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("total,1,2", r"row 5, column time must be a number, got 'total'"),
+        ("0.03,#N/A,2", r"row 5, column x must be a number, got '#N/A'"),
+        ("0.03,1", r"every row must have 3 cells, got 2 in row 5"),
+    ],
+)
+def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path: Path, line: str, message: str) -> None:
+    with pytest.raises(TableError, match=message):
+        read_text(written(tmp_path / "a.csv", PLAIN + line + "\n"))
+    assert "left out: note" in read_text(written(tmp_path / "b.csv", "x,y,note\n1,2,on\n3,4,7\n5,6,off\n")).left_out[0]
+
+
+def test_times_in_days_and_by_day_of_the_year_are_those_in_seconds(tmp_path: Path) -> None:
+    """At 100 Hz: a day of a Julian date has 5e-10 days, 40 us, in a number of 64 bits."""
+    values = [f"{0.1 * k:.3f},{-0.2 * k:.3f}" for k in range(2000)]
+    days = [f"{2460000.5 + k / 8_640_000:.9f}" for k in range(2000)]
+    dates = [f"2026-331T00:00:{k / 100:06.3f}Z" for k in range(2000)]
+    for name, head, times in (("a", "time", days), ("b", "time (d)", days), ("c", "time", dates)):
+        rows = "\n".join(f"{t},{v}" for t, v in zip(times, values))
+        written(tmp_path / f"{name}.csv", f"{head},x_mas,y_mas\n{rows}\n")
+    with pytest.raises(ValueError, match=r"unit of the times .* as days are: time \(d\) .*--time time_d"):
+        open_los(tmp_path / "a.csv")
+    found = [open_los(tmp_path / "a.csv", time="time_d"), *(open_los(tmp_path / f"{name}.csv") for name in "bc")]
+    for series in found:
+        assert series["truth/los"].period == pytest.approx(0.01, rel=1e-6) and len(series["truth/los"]) == 2000
+
+
+def test_times_that_have_lost_their_digits_give_way_to_a_rate(tmp_path: Path) -> None:
+    rows = "\n".join(f"1.73234e+09,{k},{-k}" for k in range(300))
+    path = written(tmp_path / "a.csv", f"time,x_mas,y_mas\n{rows}\n")
+    with pytest.raises(TableError, match=r"got 1 different ones in 300 rows of time, digits cut off; --rate HERTZ"):
+        open_los(path)
+    for options in ({"rate": 200.0}, {"rate": 200.0, "time": "none"}):
+        series = open_los(path, **options)  # type: ignore[arg-type]
+        assert series["truth/los"].period == pytest.approx(0.005) and len(series["truth/los"]) == 300
+
+
+def test_columns_may_be_given_by_number(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", "time,a,b,c\n" + "\n".join(f"{k / 100},{k},2,{3 * k}" for k in range(200)))
+    by_name, by_number = (open_los(path, los=los, unit="mas")["truth/los"].values for los in ("c,a", "4,2"))
+    np.testing.assert_array_equal(by_name, by_number)
+    with pytest.raises(TableError, match="los must be two of the columns time, a, b, c, got '4,5'"):
+        open_los(path, los="4,5", unit="mas")

@@ -149,6 +149,6 @@ def test_the_hash_of_the_parameters_follows_the_content_of_a_modal_file(payload:
     assert hashes[0] == hashes[1] != hashes[2]
     (tmp_path / "c" / "payload.toml").unlink()
     with pytest.raises(
-        ValueError, match=r"payload.modal_data must be a readable file, got .*payload.toml: No such file"
+        ValueError, match=r"'payload.modal_data' must be a readable file, got .*payload.toml: No such file"
     ):
         build_payload(load_telescope(tmp_path / "c" / "mine.toml"))

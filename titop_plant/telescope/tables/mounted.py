@@ -175,7 +175,7 @@ def _bodies(kind: str, tables: list[Table], reference: Mapping[str, Any], file: 
             check_mechanisms(name, full, file)
         if full.get("modal_data") and "modal_data" in table:
             full["modal_data"] = str(Path(file.path).parent / full["modal_data"])
-            _check_modal_file(name, full, file)
+            check_modal_file(name, full, file)
         if "dcm" in full:
             try:
                 check_rotation(np.array(full["dcm"], dtype=float), "dcm")
@@ -215,11 +215,20 @@ def _check_modes(name: str, full: Table, file: ParameterFile) -> None:
         raise file.error(f"{name}.participation", f"must have a row for each of {modes} frequencies, got {rows}")
 
 
-def _check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
+def check_modal_file(name: str, full: Table, file: ParameterFile) -> None:
+    """Refuse a table of a body whose modal data file cannot be read.
+
+    Raises
+    ------
+    ValueError
+        With the file and the key.
+    """
     try:
         read_modal_data(full["modal_data"])
     except OSError as error:
-        raise file.error(f"{name}.modal_data", f"must be a readable file, got {error.strerror}") from None
+        raise file.error(
+            f"{name}.modal_data", f"must be a readable file, got {full['modal_data']}: {error.strerror}"
+        ) from None
     except ValueError as error:
         raise file.error(f"{name}.modal_data", f"must be modal data: {error}") from None
 

@@ -86,13 +86,18 @@ class McapBlockWriter:
         self._write(Header(profile=profile, library="los-testbed"))
 
     def add_channel(
-        self, topic: str, type_name: str, definition: str, metadata: Mapping[str, str] | None = None
+        self,
+        topic: str,
+        type_name: str,
+        definition: str,
+        metadata: Mapping[str, str] | None = None,
+        language: str = "ros2msg",
     ) -> int:
         """Register a topic and return its channel number; a chunk that has begun gets the records, too."""
         known = len(self._schemas)
         schema = next((s for s in self._schemas if s.name == type_name), None)
         if schema is None:
-            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode())
+            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding=language, data=definition.encode())
             self._schemas.append(schema)
         channel = Channel(
             id=len(self._channels) + 1,

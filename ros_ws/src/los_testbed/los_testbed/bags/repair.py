@@ -167,7 +167,8 @@ def _by_topic(info: FileInfo, block: Block, bag: BagWriter) -> Iterator[tuple[st
                 info.problems.append(f"{channel.topic}: messages without a definition of their type are left out")
                 continue
             definition = channel.definition.decode(errors="replace")
-            bag.add_topic(channel.topic, channel.schema, definition, dict(channel.metadata).get("topic_type_hash", ""))
+            type_hash = dict(channel.metadata).get("topic_type_hash", "")
+            bag.add_topic(channel.topic, channel.schema, definition, type_hash, channel.definition_encoding)
         known = bag.types[channel.topic]
         if channel.encoding != "cdr" or channel.schema not in ("", known):  # readers of the old bag leave them out, too
             text = f"{channel.topic}: messages must be {known} in CDR, got others: they are left out"

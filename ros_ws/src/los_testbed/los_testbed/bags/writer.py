@@ -133,11 +133,13 @@ class BagWriter:
             self.add_topic(name, type_name, DEFINITIONS[type_name], TYPE_HASHES[type_name])
         self._closed = False
 
-    def add_topic(self, name: str, type_name: str, definition: str, type_hash: str = "") -> None:
-        """Another topic than those of the table, with the definition of its type."""
+    def add_topic(
+        self, name: str, type_name: str, definition: str, type_hash: str = "", language: str = "ros2msg"
+    ) -> None:
+        """Another topic than those of the table, with the definition of its type and the language of that."""
         metadata = {"offered_qos_profiles": _QOS_TEXT, "topic_type_hash": type_hash}
         self._types[name] = type_name
-        self._channels[name] = self._mcap.add_channel(name, type_name, definition, metadata)
+        self._channels[name] = self._mcap.add_channel(name, type_name, definition, metadata, language)
 
     def write(
         self,

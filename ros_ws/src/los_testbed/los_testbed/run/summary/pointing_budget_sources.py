@@ -107,9 +107,11 @@ def _tones(path: tuple[str, ...], model: ToneModel, unit: float) -> list[ErrorSo
     """One source for each tone; tones of one frequency on several channels are one."""
     with one_thread():
         phasors = model.settled() / unit
+    hertz = [float(w) / (2.0 * np.pi) for w in model.omega]
+    digits = next(n for n in range(3, 17) if len({f"{f:.{n}f}" for f in hertz}) == len(hertz))
     return [
-        kinds.tones((*path, f"tone {w / (2 * np.pi):.3f} Hz"), [w], phasors[:, i : i + 1], DT)
-        for i, w in enumerate(model.omega)
+        kinds.tones((*path, f"tone {f:.{digits}f} Hz"), [w], phasors[:, i : i + 1], DT)
+        for i, (w, f) in enumerate(zip(model.omega, hertz))
     ]
 
 
