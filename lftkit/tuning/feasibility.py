@@ -18,16 +18,24 @@ ENDED = (TuningStatus.CONVERGED, TuningStatus.STALLED)
 
 
 def feasibility_runs(
-    problem: Problem, runs: Sequence[StartResult], seed: int, limits: DescentOptions, band: float
+    problem: Problem,
+    runs: Sequence[StartResult],
+    seed: int,
+    limits: DescentOptions,
+    band: float,
+    *,
+    impossible: bool = False,
 ) -> list[StartResult]:
     """Further runs where the best of `runs` violates a hard requirement: on the hard requirements alone, then on all.
 
     The last result is feasible, or ``infeasible`` if every minimisation of the hard values ended by itself, or says
-    which limit ended one.
+    which limit ended one. Where a lower bound shows that they are `impossible` none of that is tried.
     """
     best = min(runs, key=lambda run: run.rank)
     if best.rank[0] != 1 or best.status is TuningStatus.INTERRUPTED or not problem.structure.size:
         return []
+    if impossible:
+        return [replace(best, status=TuningStatus.INFEASIBLE)]
     alone = [r.softened() for r in problem.given if r.hard]
     if not alone:
         return []

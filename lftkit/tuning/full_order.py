@@ -2,15 +2,16 @@
 
 A small weight on the commands and a small noise on the measurements make sure that the equations have solutions. The
 H-infinity controller is the central one (Doyle, Glover, Khargonekar and Francis 1989), near the lowest level at which
-it exists, D11 left out. With the state estimate as its state a controller is
-``x' = A_E x + B_E u - L y, u = F x``; this system, not the controller, is stable and is reduced by balanced truncation
-(left coprime factors, Liu and Anderson 1986). What results need not stabilise: these are starts.
+it exists. A direct path from disturbance to error is taken out first (Safonov, Limebeer and Chiang 1989): a static
+gain makes it as small as it can be (Parrott), and the plant with the rest of it has the same controllers at this level
+as one without. With the state estimate as its state a controller is ``x' = A_E x + B_E u - L y, u = F x + D y``; this
+system, not the controller, is stable and is reduced by balanced truncation (left coprime factors, Liu and Anderson
+1986). What results need not stabilise: these are starts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -28,46 +29,41 @@ from lftkit.tuning.structures.structures import AffineStructure
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
 MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
-LEVELS, ABOVE = 12, 1.1  # bisections of the H-infinity level; level used over the lowest one found
+LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
+ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
 
 
 @dataclass(frozen=True)
 class FullOrderEstimator:
-    """Full-order controller ``x' = A x + B u - L y, u = F x``."""
+    """Full-order controller ``x' = A x + B u - L y, u = F x + D y``."""
 
     A: FloatArray
     B: FloatArray
     L: FloatArray
     F: FloatArray
+    D: FloatArray
 
 
 def reduced_starts(problem: Problem) -> list[FloatArray]:
-    """Parameters of reduced full-order controllers for the first model, one of each kind and gain requirement.
+    """Parameters of reduced full-order controllers for the first model, some of each kind and gain requirement.
 
     Empty where the structure cannot say the parameters of a given controller.
     """
     structure = problem.structure
     if not isinstance(structure, AffineStructure):
         return []
-    found = []
+    found: list[FloatArray] = []
     for plant in _plants(problem):
-        for synthesis in (_lqg, _hinf):
-            x = _start(synthesis, plant, structure)
-            if x is not None and np.all(np.isfinite(x)):
-                found.append(x)
+        regular = _regularised(plant)
+        for synthesis in (lqg, _hinf):
+            try:
+                reduced = [_reduced(full, plant, structure.order) for full in synthesis(regular)]
+                starts = [_parameters(structure, *matrices) for matrices in reduced if matrices is not None]
+            except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
+                continue
+            found += [x for x in starts if x is not None and np.all(np.isfinite(x))]
     return found
-
-
-def _start(
-    synthesis: Callable[[ExtendedPlant], FullOrderEstimator | None], plant: ExtendedPlant, structure: AffineStructure
-) -> FloatArray | None:
-    try:
-        estimator = synthesis(plant)
-        reduced = None if estimator is None else _reduced(estimator, plant, structure.order)
-        return None if reduced is None else _parameters(structure, *reduced)
-    except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
-        return None
 
 
 def _plants(problem: Problem) -> list[ExtendedPlant]:
@@ -93,61 +89,82 @@ def _plants(problem: Problem) -> list[ExtendedPlant]:
     return [p for p in plants if 0 < len(p.A) <= MAX_ORDER]
 
 
-def _regularised(plant: ExtendedPlant) -> Matrices:
-    """B1, C1, D12 and D21 with a small noise on each measurement and a small weight on each command."""
-    nu, ny = plant.B2.shape[1], len(plant.C2)
+def _regularised(plant: ExtendedPlant) -> ExtendedPlant:
+    """The plant with a small noise on each measurement and a small weight on each command."""
+    (n, nu), ny = plant.B2.shape, len(plant.C2)
     effort = REGULARISED * (float(np.abs(plant.D12).max(initial=0.0)) or 1.0)
     noise = REGULARISED * (float(np.abs(plant.D21).max(initial=0.0)) or 1.0)
-    return (
-        np.hstack([plant.B1, np.zeros((len(plant.A), ny))]),
-        np.vstack([plant.C1, np.zeros((nu, len(plant.A)))]),
-        np.vstack([plant.D12, effort * np.eye(nu)]),
-        np.hstack([plant.D21, noise * np.eye(ny)]),
+    return replace(
+        plant,
+        B1=np.hstack([plant.B1, np.zeros((n, ny))]),
+        C1=np.vstack([plant.C1, np.zeros((nu, n))]),
+        D11=linalg.block_diag(plant.D11, np.zeros((nu, ny))),
+        D12=np.vstack([plant.D12, effort * np.eye(nu)]),
+        D21=np.hstack([plant.D21, noise * np.eye(ny)]),
     )
 
 
-def _lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
-    B1, C1, D12, D21 = _regularised(plant)
+def lqg(plant: ExtendedPlant) -> list[FullOrderEstimator]:
+    """Controller with the least H2 norm, D11 left out; none where an equation has no solution."""
     try:
-        X = linalg.solve_continuous_are(plant.A, plant.B2, C1.T @ C1, D12.T @ D12, s=C1.T @ D12)
-        Y = linalg.solve_continuous_are(plant.A.T, plant.C2.T, B1 @ B1.T, D21 @ D21.T, s=B1 @ D21.T)
+        X = linalg.solve_continuous_are(
+            plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, s=plant.C1.T @ plant.D12
+        )
+        Y = linalg.solve_continuous_are(
+            plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, s=plant.B1 @ plant.D21.T
+        )
     except (linalg.LinAlgError, ValueError):
-        return None
-    F = -linalg.solve(D12.T @ D12, plant.B2.T @ X + D12.T @ C1)
-    L = -linalg.solve(D21 @ D21.T, plant.C2 @ Y + D21 @ B1.T).T
-    return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F)
+        return []
+    F = -linalg.solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
+    L = -linalg.solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
+    D = np.zeros((len(F), L.shape[1]))
+    return [FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)]
 
 
-def _hinf(plant: ExtendedPlant) -> FullOrderEstimator | None:
-    """Central controller at a level a little above the lowest one that is found."""
-    high, best = 1.0, None
+def _hinf(plant: ExtendedPlant) -> list[FullOrderEstimator]:
+    """Central controllers at levels a little above the lowest one that is found."""
+    level = lowest_level(plant)
+    found = [] if level is None else [central(plant, above * level[1]) for above in ABOVE]
+    return [full for full in found if full is not None]
+
+
+def lowest_level(plant: ExtendedPlant) -> tuple[float, float] | None:
+    """Levels of the H-infinity norm without and with a controller, close to each other; None where none is found."""
+    high = 1.0
     for _ in range(LEVELS):
-        best = _central(plant, high)
-        if best is not None:
+        if central(plant, high) is not None:
             break
         high *= 10.0
-    low = high
+    else:
+        return None
     for _ in range(LEVELS):
-        if best is None or _central(plant, low / 10.0) is None:
+        if central(plant, high / 10.0) is None:
             break
-        low /= 10.0
-    low, high = low / 10.0, low
-    for _ in range(LEVELS):
+        high /= 10.0
+    else:
+        return None
+    low = high / 10.0
+    for _ in range(BISECTIONS):
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if _central(plant, middle) is not None else (middle, high)
-    return None if best is None else _central(plant, ABOVE * high)
+        low, high = (low, middle) if central(plant, middle) is not None else (middle, high)
+    return low, high
 
 
-def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
-    B1, C1, D12, D21 = _regularised(plant)
+def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
+    """Central controller at a level; None where the equations have no solution that is one."""
+    K = _parrott(plant, level)
+    shifted = None if K is None else _without_direct_path(_with_static_gain(plant, K), level)
+    if K is None or shifted is None:
+        return None
+    A, B1, B2, C1, C2 = shifted.A, shifted.B1, shifted.B2, shifted.C1, shifted.C2
     nw, nz = B1.shape[1], len(C1)
-    D1, D2 = np.hstack([np.zeros((nz, nw)), D12]), np.vstack([np.zeros((nz, nw)), D21])
-    B, C = np.hstack([B1, plant.B2]), np.vstack([C1, plant.C2])
-    R = D1.T @ D1 - linalg.block_diag(level**2 * np.eye(nw), np.zeros((plant.B2.shape[1],) * 2))
-    S = D2 @ D2.T - linalg.block_diag(level**2 * np.eye(nz), np.zeros((len(plant.C2),) * 2))
+    D1, D2 = np.hstack([np.zeros((nz, nw)), shifted.D12]), np.vstack([np.zeros((nz, nw)), shifted.D21])
+    B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
+    R = D1.T @ D1 - linalg.block_diag(level**2 * np.eye(nw), np.zeros((B2.shape[1],) * 2))
+    S = D2 @ D2.T - linalg.block_diag(level**2 * np.eye(nz), np.zeros((len(C2),) * 2))
     try:
-        X = linalg.solve_continuous_are(plant.A, B, C1.T @ C1, R, s=C1.T @ D1)
-        Y = linalg.solve_continuous_are(plant.A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
+        X = linalg.solve_continuous_are(A, B, C1.T @ C1, R, s=C1.T @ D1)
+        Y = linalg.solve_continuous_are(A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
     except (linalg.LinAlgError, ValueError):
         return None
     product = X @ Y / level**2
@@ -157,22 +174,86 @@ def _central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     F = -linalg.solve(R, B.T @ X + D1.T @ C1)
     L = -linalg.solve(S, C @ Y + D2 @ B1.T).T[:, nz:]
     ZL = linalg.solve(np.eye(len(X)) - product.T, L)
-    seen = plant.C2 + D21 @ F[:nw]
-    return FullOrderEstimator(plant.A + B1 @ F[:nw] + ZL @ seen, plant.B2 + ZL @ plant.D22, ZL, F[nw:])
+    seen = C2 + shifted.D21 @ F[:nw]
+    into = B2 + ZL @ shifted.D22
+    return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
+
+
+def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:
+    """Static gain with which the direct path from disturbance to error is below a level; None where there is none."""
+    nu, ny = plant.D12.shape[1], len(plant.D21)
+    U, sizes, V = linalg.svd(plant.D12)
+    Q, widths, W = linalg.svd(plant.D21)
+    D = np.vstack([U[:, nu:].T, U[:, :nu].T]) @ plant.D11 @ np.hstack([W[ny:].T, W[:ny].T])
+    z, w = len(D) - nu, D.shape[1] - ny
+    a, b, c, d = D[:z, :w], D[:z, w:], D[z:, :w], D[z:, w:]
+    if max(_gain(D[:z]), _gain(D[:, :w])) >= level:
+        return None
+    inner = -c @ linalg.solve(level**2 * np.eye(w) - a.T @ a, a.T @ b) if z and w else np.zeros_like(d)
+    gain = V.T @ ((inner - d) / sizes[:, None] / widths) @ Q.T
+    return np.asarray(gain @ linalg.inv(np.eye(len(plant.D22)) + plant.D22 @ gain))  # of what the commands add to y
+
+
+def _inverse_root(matrix: FloatArray) -> FloatArray:
+    """Inverse of the square root of a positive definite matrix."""
+    values, vectors = linalg.eigh(matrix)
+    return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+
+
+def _gain(matrix: FloatArray) -> float:
+    return float(linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def _with_static_gain(plant: ExtendedPlant, K: FloatArray) -> ExtendedPlant:
+    """The plant behind ``u = K y + v``, with v as command."""
+    closed = plant.closed(K)
+    inner = linalg.inv(np.eye(len(K)) - K @ plant.D22)
+    return ExtendedPlant(
+        closed.A,
+        closed.B,
+        closed.left,
+        closed.C,
+        closed.right,
+        closed.D,
+        closed.left_z,
+        closed.right_w,
+        plant.D22 @ inner,
+    )
+
+
+def _without_direct_path(plant: ExtendedPlant, level: float) -> ExtendedPlant | None:
+    """A plant without D11 whose controllers at this level are the same; None where D11 is not below it."""
+    D = plant.D11 / level
+    if _gain(D) >= 1.0:
+        return None
+    left, right = np.eye(len(D)) - D @ D.T, np.eye(D.shape[1]) - D.T @ D
+    through = D.T @ linalg.inv(left) / level
+    root_left, root_right = (_inverse_root(M) for M in (left, right))
+    return ExtendedPlant(
+        plant.A + plant.B1 @ through @ plant.C1,
+        plant.B1 @ root_right,
+        plant.B2 + plant.B1 @ through @ plant.D12,
+        root_left @ plant.C1,
+        plant.C2 + plant.D21 @ through @ plant.C1,
+        np.zeros_like(D),
+        root_left @ plant.D12,
+        plant.D21 @ root_right,
+        plant.D22 + plant.D21 @ through @ plant.D12,
+    )
 
 
 def _reduced(full: FullOrderEstimator, plant: ExtendedPlant, order: int) -> Matrices | None:
     """A, B, C and D of the controller of this order."""
     if order == 0:
         empty = np.zeros((0, 0))
-        D = full.F @ linalg.pinv(plant.C2)
+        D = full.D + full.F @ linalg.pinv(plant.C2)
         return empty, np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D
     kept = truncated(full.A, np.hstack([full.B, -full.L]), full.F, order)
     if kept is None:
         return None
     A, B, C = kept
     nu = full.B.shape[1]
-    return A + B[:, :nu] @ C, B[:, nu:], C, np.zeros((nu, B.shape[1] - nu))
+    return A + B[:, :nu] @ C, B[:, nu:] + B[:, :nu] @ full.D, C, full.D
 
 
 def _parameters(

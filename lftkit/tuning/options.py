@@ -33,6 +33,9 @@ class TuningOptions:
         Soft values up to this one are equally good: the larger of it and the worst soft value is minimised. A problem
         whose infimum is only approached as gains grow has a minimum with it. A run that gets there is ``converged`` if
         the certificate's upper sides say so: no controller has less, and the stationarity is zero.
+    gap : float
+        A run ends ``converged`` once the largest soft value is within this relative distance of what any controller of
+        any order can reach (:mod:`lftkit.tuning.lower_bound`); 0: it goes on.
     lexicographic : bool
         After the most critical requirements the others are lowered, too: these are held at what they have reached,
         and the largest soft value of the others is minimised, and so on (:mod:`lftkit.tuning.lexicographic`). The
@@ -56,6 +59,7 @@ class TuningOptions:
     tolerance: float = 1e-4
     target: float = -np.inf
     met: float = -np.inf
+    gap: float = 1e-3
     lexicographic: bool = False
     hold: float = 1e-3
     band: float = 0.3
@@ -72,6 +76,8 @@ class TuningOptions:
             raise ValueError(f"wall_limit must be positive [s], got {self.wall_limit}")
         if not self.parameter_limit > 0:
             raise ValueError(f"parameter_limit must be positive, got {self.parameter_limit}")
+        if not 0 <= self.gap < 1:
+            raise ValueError(f"gap must be from 0 to below 1, got {self.gap}")
         if not self.hold > 0:
             raise ValueError(f"hold must be positive, got {self.hold}")
         if not 0 < self.band < 1:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.certificate import Certificate
@@ -105,6 +107,9 @@ class TuningResult:
         Of a robust design: parameter values of the models that were tuned, of which the values and the certificate are.
     rounds : tuple of Round
         Of a robust design.
+    lower_bound : float
+        Largest soft value below which no controller of any order comes, of one gain and one model alone; minus infinity
+        where none is known (:mod:`lftkit.tuning.lower_bound`). Numerical, not proven.
     levels : tuple of Level
         Of a lexicographic tuning, from the most critical requirements on.
     """
@@ -130,6 +135,12 @@ class TuningResult:
     active: tuple[Mapping[str, float], ...] = field(default=())
     rounds: tuple[Round, ...] = field(default=())
     levels: tuple[Level, ...] = field(default=())
+    lower_bound: float = -np.inf
+
+    @property
+    def gap(self) -> float:
+        """Relative distance of the largest soft value from the lower bound; infinite without one."""
+        return self.soft / self.lower_bound - 1.0 if self.lower_bound > 0.0 else np.inf
 
     @property
     def feasible(self) -> bool:

@@ -39,6 +39,7 @@ from lftkit.tuning.fixed_poles import slow_fixed_pole
 from lftkit.tuning.full_order import reduced_starts
 from lftkit.tuning.goals import Goal, resolved
 from lftkit.tuning.lexicographic import tuned_in_order
+from lftkit.tuning.lower_bound import full_order_bounds
 from lftkit.tuning.nested_orders import embedded, lower_order
 from lftkit.tuning.options import TuningOptions
 from lftkit.tuning.problem import MIN_DECAY, Problem
@@ -52,6 +53,10 @@ from lftkit.tuning.structures.structures import AffineStructure, Structure, cont
 LOWER_BATCHES = 1  # of random starts for a dynamic controller of one order less, in problems of few states
 OVER_STARTS = 1e3  # times the magnitude of a start: parameters that have to be large have a higher limit
 ALL_MET = "every soft value is at most the one that counts as met, by the certificate: nothing less is asked"
+NEAR_BOUND = "the largest soft value is {:.2g} % above what any controller of any order can reach"
+IMPOSSIBLE = "no controller of any order brings {} below {:.4g} times its bound: relax it, or make it soft"
+FEW_ITERATIONS = 20  # of the one random start where hard requirements cannot be met
+SHOWN = 1e-2  # excess of a lower bound over 1 from which on a hard requirement counts as one that cannot be met
 NOTHING_FREE = "the structure has no free parameter: the values are those of the one controller that it is"
 NOTHING_SOFT = "every hard requirement is met and there is no soft one: nothing is left to lower"
 
@@ -115,8 +120,6 @@ def tune(
     if any(model.dt for model in models):
         raise ValueError("models must be in continuous time, got discrete ones: tune_discrete takes them")
     required_period(structure, 0.0)
-    # a little below, so that the upper side of the certificate is not above
-    options = replace(options, target=max(options.target, options.met * (1.0 - AGREEMENT)))
     start_time = time.monotonic()
     deadline = start_time + options.wall_limit
     given = [start_checked(x, structure) for x in initial]
@@ -128,6 +131,14 @@ def tune(
         return tuned_in_order(run, needs, structure, given, options, AGREEMENT)
     problem = Problem(ready, needs, structure, loop_delay=loop_delay, min_decay=min_decay)
     problem.limit = limits_from(options, start_sizes(problem, given, options.seed))
+    bounds = full_order_bounds(problem)
+    least = float(bounds[[not r.hard for r in needs]].max(initial=-np.inf))
+    impossible = _impossible(problem, bounds)
+    met = max(options.met, (1.0 + options.gap) * least if options.gap and least > 0.0 else -np.inf)
+    # a little below, so that the upper side of the certificate is not above
+    options = replace(options, target=max(options.target, met * (1.0 - AGREEMENT)))
+    if impossible:
+        options = replace(options, starts=min(options.starts, 1), iterations=min(options.iterations, FEW_ITERATIONS))
     if (fixed := slow_fixed_pole(problem)) is not None:
         first = replace(only_point(problem, next(iter(given), None)), status=TuningStatus.NOT_STABILISED)
         found = result_of(problem, [first], time.monotonic() - start_time)
@@ -138,15 +149,26 @@ def tune(
         search = alone or _search(problem, given, options, deadline, progress)
         runs = list(search.results)
         further: Any = options.seed, limits_of(options, deadline), options.band
-        runs = [*runs, *feasibility_runs(problem, runs, *further)]
+        runs = [*runs, *feasibility_runs(problem, runs, *further, impossible=bool(impossible))]
         runs = [*runs, *refined_runs(problem, runs, *further)]
-        result = result_of(problem, runs, time.monotonic() - start_time)
-    if all_met(problem.given, result.certificate, options.met):
-        return replace(result, status=TuningStatus.CONVERGED, advice=ALL_MET, stationarity=0.0)
+        result = replace(result_of(problem, runs, time.monotonic() - start_time), lower_bound=least)
+    if all_met(problem.given, result.certificate, met):
+        advice = ALL_MET if met <= options.met else NEAR_BOUND.format(100.0 * max(result.gap, 0.0))
+        return replace(result, status=TuningStatus.CONVERGED, advice=advice, stationarity=0.0)
+    if impossible and result.status is TuningStatus.INFEASIBLE:
+        return replace(result, advice=impossible)
     settled = result.status is TuningStatus.CONVERGED and result.soft == -np.inf
     if search.complete or settled or result.status in (TuningStatus.INTERRUPTED, TuningStatus.TARGET):
         return result
     return replace(result, status=TuningStatus.OUT_OF_TIME, advice=_advice(TuningStatus.OUT_OF_TIME, result.at_bounds))
+
+
+def _impossible(problem: Problem, bounds: FloatArray) -> str:
+    """What is to be said of a hard requirement that no controller meets; empty where there is none."""
+    for requirement, row in zip(problem.given, bounds):
+        if requirement.hard and (least := float(row.max(initial=-np.inf))) > 1.0 + SHOWN:
+            return IMPOSSIBLE.format(requirement.name, least)
+    return ""
 
 
 def _search(
