@@ -11,9 +11,9 @@
 
 The page contains ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``; the text between them is replaced. ``stages`` are
 the results of each scenario, ``prediction`` the transmissibility in one of them, measured and modelled; both are on
-docs/results.md, as ``gammas`` is. README.md has ``worst_case`` and ``proven``, one row a stage, and ``run``, the output
-of a command; docs/certificates.md has ``bounds``; docs/paper.md has ``paper_gammas``, ``paper_decades`` and
-``paper_reduction``.
+docs/results.md, as are ``gammas``, ``proven``, one row a stage, and ``run``, the output of a command. README.md has
+``worst_case``, one row a stage; docs/certificates.md has ``bounds``; docs/paper.md has ``paper_gammas``,
+``paper_decades`` and ``paper_reduction``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).parent
-PAGES = dict.fromkeys(("gammas", "stages", "prediction"), DOCS / "results.md")
-PAGES |= dict.fromkeys(("worst_case", "proven", "run"), DOCS.parent / "README.md")
+PAGES = dict.fromkeys(("gammas", "stages", "prediction", "proven", "run"), DOCS / "results.md")
+PAGES["worst_case"] = DOCS.parent / "README.md"
 PAGES["bounds"] = DOCS / "certificates.md"
 PAGES |= dict.fromkeys(("paper_gammas", "paper_decades", "paper_reduction", "paper_orders"), DOCS / "paper.md")
 FIGURES = {"APE": "APE", "slow": "RPE, slow tone", "fast": "RPE, fast tone", "mirror": "mirror", "force": "force"}

@@ -7,7 +7,7 @@ import math
 from pydantic.dataclasses import dataclass
 
 from titop_plant.interface import CAMERA_RATE, NO_SCENARIO, RATE, SCENARIOS, frame_ticks
-from titop_plant.settings import ANY, STRICT, Settings, setting, settings_class
+from titop_plant.settings import ANY, STRICT, Settings, grouped, setting, settings_class
 
 TELESCOPE, DISTURBANCES = "Telescope", "Disturbances and sensors"
 """Groups of settings."""
@@ -41,70 +41,66 @@ class PhysicalSettings(Settings):
         choices=(*SCENARIOS, NO_SCENARIO),
     )
     seed: int = setting(1, "seed of noise and disturbance phases", "", 0, 2**31 - 1)
-    noise: bool = setting(True, "sensor noise on", group=DISTURBANCES)
-    disturbance: bool = setting(True, "wheel and drive disturbances on", group=DISTURBANCES)
-    camera_rate: float = setting(
-        CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE), group=DISTURBANCES
+    noise: bool = grouped(DISTURBANCES, setting(True, "sensor noise on"))
+    disturbance: bool = grouped(DISTURBANCES, setting(True, "wheel and drive disturbances on"))
+    camera_rate: float = grouped(
+        DISTURBANCES, setting(CAMERA_RATE, f"frames per second; it divides {RATE}", "Hz", 1.0, float(RATE))
     )
-    camera_dropout: float = setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0, group=DISTURBANCES)
-    theta: float | None = setting(
-        None, "angle of the solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0", group=TELESCOPE
+    camera_dropout: float = grouped(DISTURBANCES, setting(0.0, "probability that a frame is dropped", "", 0.0, 1.0))
+    theta: float | None = grouped(
+        TELESCOPE, setting(None, "angle of the solar arrays", "rad", -6.28, 6.28, absent="that of tau, or 0")
     )
-    tau: float | None = setting(
-        None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta", group=TELESCOPE
+    tau: float | None = grouped(
+        TELESCOPE, setting(None, "angle of the arrays as tan(theta/4)", "", -1e3, 1e3, absent="that of theta")
     )
-    wheel_speed: tuple[float, ...] | None = setting(
-        None,
-        "speeds of the wheels",
-        "rad/s",
-        -1e5,
-        1e5,
-        absent="those of the parameter file",
-        length=ANY,
-        group=TELESCOPE,
+    wheel_speed: tuple[float, ...] | None = grouped(
+        TELESCOPE,
+        setting(None, "speeds of the wheels", "rad/s", -1e5, 1e5, absent="those of the parameter file", length=ANY),
     )
-    omega_1: float | None = setting(
-        None,
-        "first frequency of the first solar array and of those like it",
-        "rad/s",
-        0.0,
-        1000.0,
-        absent="the nominal one",
-        group=TELESCOPE,
+    omega_1: float | None = grouped(
+        TELESCOPE,
+        setting(
+            None,
+            "first frequency of the first solar array and of those like it",
+            "rad/s",
+            0.0,
+            1000.0,
+            absent="the nominal one",
+        ),
     )
-    omega_2: float | None = setting(
-        None,
-        "second frequency of the first solar array and of those like it",
-        "rad/s",
-        0.0,
-        1000.0,
-        absent="the nominal one",
-        group=TELESCOPE,
+    omega_2: float | None = grouped(
+        TELESCOPE,
+        setting(
+            None,
+            "second frequency of the first solar array and of those like it",
+            "rad/s",
+            0.0,
+            1000.0,
+            absent="the nominal one",
+        ),
     )
-    frequencies: tuple[float, ...] | None = setting(
-        None,
-        "uncertain frequencies of all arrays and appendages, in the order of los-testbed plant",
-        "rad/s",
-        0.0,
-        1e5,
-        absent="those of omega_1 and omega_2, or nominal",
-        length=ANY,
-        group=TELESCOPE,
+    frequencies: tuple[float, ...] | None = grouped(
+        TELESCOPE,
+        setting(
+            None,
+            "uncertain frequencies of all arrays and appendages, in the order of los-testbed plant",
+            "rad/s",
+            0.0,
+            1e5,
+            absent="those of omega_1 and omega_2, or nominal",
+            length=ANY,
+        ),
     )
-    theta_rate: float = setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0, group=TELESCOPE)
-    wheel_acceleration: tuple[float, ...] | None = setting(
-        None,
-        "accelerations of the wheels during the ramp",
-        "rad/s2",
-        -100.0,
-        100.0,
-        absent="none",
-        length=ANY,
-        group=TELESCOPE,
+    theta_rate: float = grouped(TELESCOPE, setting(0.0, "rate of the arrays during the ramp", "rad/s", -1.0, 1.0))
+    wheel_acceleration: tuple[float, ...] | None = grouped(
+        TELESCOPE,
+        setting(
+            None, "accelerations of the wheels during the ramp", "rad/s2", -100.0, 100.0, absent="none", length=ANY
+        ),
     )
-    ramp_duration: float = setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0, group=TELESCOPE)
-    profile: str = setting(
-        "linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds", group=TELESCOPE
+    ramp_duration: float = grouped(TELESCOPE, setting(0.0, "how long the ramp lasts; 0 for none", "s", 0.0, 86400.0))
+    profile: str = grouped(
+        TELESCOPE, setting("linear", "how the ramp goes: linear, trapezoidal, or a CSV file of angle and speeds")
     )
     parameters: str | None = setting(None, "parameter file of the telescope", absent="the reference")
 

@@ -49,7 +49,6 @@ def setting(
     absent: str = "",
     choices: tuple[str, ...] = (),
     length: int | None = None,
-    group: str = "",
 ) -> Any:
     """Field of a class of settings.
 
@@ -67,16 +66,20 @@ def setting(
         All values that a text may have; empty for any text.
     length : int, optional
         How many numbers a list holds; `ANY` for any number of them.
-    group : str
-        Heading under which it stands in a help page; empty for the settings that a first run needs.
     """
     extra: Any = {"unit": unit, "low": low, "high": high, "absent": absent, "choices": choices, "length": length}
-    extra["group"] = group
+    extra["group"] = ""
     limits = {"ge": low, "le": high} if length is None else {"min_length": length, "max_length": length}
     if length == ANY:
         limits = {"min_length": 1}
     bounds: dict[str, Any] = limits
     return Field(default=default, description=description, json_schema_extra=extra, **bounds)
+
+
+def grouped(group: str, field: Any) -> Any:
+    """A field of :func:`setting` under a heading of the help page; the others are those that a first run needs."""
+    field.json_schema_extra["group"] = group
+    return field
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from pointing_analysis.files.structured_text import load_yaml, read_text
 from pointing_analysis.replay.gap_stepping import FILLS
 from titop_plant.interface import NO_SCENARIO, RATE, STAGES
 from titop_plant.physical_settings import DISTURBANCES, TELESCOPE, PhysicalSettings
-from titop_plant.settings import STRICT, setting, settings_class, unknown
+from titop_plant.settings import STRICT, grouped, setting, settings_class, unknown
 
 NAMESPACE = "/telescope"
 """Namespace of nodes and topics where none is given."""
@@ -74,73 +74,76 @@ class RunConfig(PhysicalSettings):
     duration: float = setting(10.0, "length of the run", "s", 1e-3, 86400.0)
     mode: str = setting(MODES[0], "how plant, estimator and controller run", choices=MODES)
     loop: str = setting(STAGES[-1], "stage, which loops are closed", choices=STAGES)
-    worst_of: str = setting(
-        WORST_OF[0], "what the scenario worst_case is worst for", choices=WORST_OF, group=DISTURBANCES
+    worst_of: str = grouped(
+        DISTURBANCES, setting(WORST_OF[0], "what the scenario worst_case is worst for", choices=WORST_OF)
     )
-    start: str = setting(
-        STARTS[0], "start in the steady state of the loop that runs, or at rest", choices=STARTS, group=CONTROL
+    start: str = grouped(
+        CONTROL, setting(STARTS[0], "start in the steady state of the loop that runs, or at rest", choices=STARTS)
     )
-    fsm_authority: float | None = setting(
-        None, "largest mirror angle per axis", "rad", 0.0, 1.0, absent="the telescope's own", group=CONTROL
+    fsm_authority: float | None = grouped(
+        CONTROL, setting(None, "largest mirror angle per axis", "rad", 0.0, 1.0, absent="the telescope's own")
     )
-    pma_authority: float | None = setting(
-        None, "largest force of one actuator", "N", 0.0, 1e6, absent="the telescope's own", group=CONTROL
+    pma_authority: float | None = grouped(
+        CONTROL, setting(None, "largest force of one actuator", "N", 0.0, 1e6, absent="the telescope's own")
     )
-    nonlinear: bool = setting(False, "stroke and rate limits, quantised sensors, anti-alias filters", group=TELESCOPE)
-    plant: str | None = setting(
-        None, "plant of your own, MODULE:NAME or entry point", absent="the telescope", group=RIG
+    nonlinear: bool = grouped(
+        TELESCOPE, setting(False, "stroke and rate limits, quantised sensors, anti-alias filters")
     )
-    device: str | None = setting(
-        None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none", group=RIG
+    plant: str | None = grouped(
+        RIG, setting(None, "plant of your own, MODULE:NAME or entry point", absent="the telescope")
     )
-    device_address: str = setting(
-        "127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver", group=RIG
+    device: str | None = grouped(
+        RIG, setting(None, "rig in place of the telescope, MODULE:NAME or entry point", absent="none")
     )
-    device_key: str | None = setting(
-        None, "file with the key of a rig, needed for one on another machine", absent="none is asked for", group=RIG
+    device_address: str = grouped(
+        RIG, setting("127.0.0.1:47800", "HOST:PORT or serial line of a rig with a reference driver")
     )
-    disturbance_source: str | None = setting(
-        None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario", group=DISTURBANCES
+    device_key: str | None = grouped(
+        RIG, setting(None, "file with the key of a rig, needed for one on another machine", absent="none is asked for")
     )
-    disturbance_files: str | None = setting(
-        None, "files of disturbances, apart by ;", absent="none", group=DISTURBANCES
+    disturbance_source: str | None = grouped(
+        DISTURBANCES,
+        setting(None, "disturbance of your own, MODULE:NAME or entry point", absent="that of the scenario"),
     )
-    k_fsm: str | None = setting(
-        None, "observer: file, MODULE:NAME or entry point", absent="the stored design", group=CONTROL
+    disturbance_files: str | None = grouped(
+        DISTURBANCES, setting(None, "files of disturbances, apart by ;", absent="none")
     )
-    k_pma: str | None = setting(
-        None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design", group=CONTROL
+    k_fsm: str | None = grouped(
+        CONTROL, setting(None, "observer: file, MODULE:NAME or entry point", absent="the stored design")
     )
-    hold_ticks: int = setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000, group=CONTROL)
-    fade_ticks: int = setting(20, "ticks of the fade to zero and back", "ms", 1, 10000, group=CONTROL)
-    old_frames: str = setting(
-        OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES, group=CONTROL
+    k_pma: str | None = grouped(
+        CONTROL, setting(None, "proof-mass controller: file, MODULE:NAME or entry point", absent="the stored design")
     )
-    lost_samples: str = setting(
-        FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS, group=CONTROL
+    hold_ticks: int = grouped(CONTROL, setting(20, "ticks without a valid command before it fades out", "ms", 1, 1000))
+    fade_ticks: int = grouped(CONTROL, setting(20, "ticks of the fade to zero and back", "ms", 1, 10000))
+    old_frames: str = grouped(
+        CONTROL, setting(OLD_FRAMES[0], "what the observer does with an old frame of a camera", choices=OLD_FRAMES)
     )
-    camera_latency: float = setting(
-        0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0, group=CONTROL
+    lost_samples: str = grouped(
+        CONTROL, setting(FILLS[0], "what observer and law take for the samples of lost ticks", choices=FILLS)
+    )
+    camera_latency: float = grouped(
+        CONTROL, setting(0.0, "age up to which a frame of the camera is not late", "ms", 0.0, 60.0)
     )
     output: str | None = setting(None, "new folder of the bag", absent="one under bags/")
-    namespace: str = setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE", group=ROS)
-    domain: int | None = setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0", group=ROS)
-    processes: str = setting(
-        PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES, group=ROS
+    namespace: str = grouped(ROS, setting(NAMESPACE, "namespace of nodes and topics; by hand: -r __ns:=NAMESPACE"))
+    domain: int | None = grouped(ROS, setting(None, "ROS domain", "", 0, 232, absent="ROS_DOMAIN_ID or 0"))
+    processes: str = grouped(
+        ROS, setting(PROCESSES[0], "estimator and controller in one process or in two", choices=PROCESSES)
     )
-    priority: bool = setting(True, "ask for real-time scheduling and locked memory", group=ROS)
-    pin: bool = setting(True, "keep each node on one processor, if real-time scheduling is permitted", group=ROS)
-    wait_for_recorder: bool = setting(False, "begin only when a recorder sees every topic", group=ROS)
-    wait_for_start: bool = setting(False, "begin only when the service plant/start is called", group=ROS)
-    start_timeout: float = setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0, group=ROS)
-    hang_timeout: float = setting(
-        60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400, group=ROS
+    priority: bool = grouped(ROS, setting(True, "ask for real-time scheduling and locked memory"))
+    pin: bool = grouped(ROS, setting(True, "keep each node on one processor, if real-time scheduling is permitted"))
+    wait_for_recorder: bool = grouped(ROS, setting(False, "begin only when a recorder sees every topic"))
+    wait_for_start: bool = grouped(ROS, setting(False, "begin only when the service plant/start is called"))
+    start_timeout: float = grouped(ROS, setting(60.0, "wait for the other nodes at most this long", "s", 0.1, 3600.0))
+    hang_timeout: float = grouped(
+        ROS, setting(60.0, "end a run when a node is silent, or no tick done, so long", "s", 5, 86400)
     )
-    exercise: float = setting(
-        0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60, group=ROS
+    exercise: float = grouped(
+        ROS, setting(0.0, "try the loop so long before a run in real time, which a slow one ends", "s", 0, 60)
     )
-    max_missed: float = setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0, group=ROS)
-    mode_choice: str | None = setting(None, "why the program chose the mode", absent="it was asked for", group=ROS)
+    max_missed: float = grouped(ROS, setting(0.5, "most ticks in real time that may be missed", "%", 0.0, 100.0))
+    mode_choice: str | None = grouped(ROS, setting(None, "why the program chose the mode", absent="it was asked for"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
