@@ -130,9 +130,12 @@ class DecayLimit:
     def _followed_to(self, x: FloatArray, pole: FollowedPole, loop: ClosedLoopMatrices) -> FollowedPole:
         shift: Any = pole.value if pole.value.imag else pole.value.real
         shift = shift + 1e-9 * max(abs(shift), self._problem.min_decay)  # not the eigenvalue itself
-        factor = linalg.lu_factor(cast("Matrix", loop.A - shift * np.eye(len(loop.A))), check_finite=False)
-        if not np.all(np.diag(factor[0])):
+        matrix = cast("Matrix", loop.A - shift * np.eye(len(loop.A)))
+        factorise: Any = linalg.get_lapack_funcs("getrf", (matrix,))
+        lu, pivots, info = factorise(matrix)
+        if info:  # singular: the pole has not moved
             return pole
+        factor = lu, pivots
         right: Any = pole.vector if pole.value.imag else pole.vector.real
         left: Any = right
         for _ in range(REFINEMENTS):
