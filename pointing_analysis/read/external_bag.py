@@ -20,6 +20,7 @@ from pointing_analysis.read.mcap.bag_pass import BagPass
 from pointing_analysis.read.mcap.records import MAX_CHUNK, BagError, Block, Channel
 from pointing_analysis.read.messages import ros_definitions
 from pointing_analysis.read.messages.cdr import byte_order
+from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.series import ORIGIN, Provenance, Series, make_series
 
 TIME_SOURCES = ("auto", "header", "log")
@@ -114,7 +115,7 @@ def _met(channel: Channel, first: bytes) -> _Topic:
     """A topic by one of its messages."""
     topic = _Topic(channel)
     try:
-        topic.types = ros_definitions.channel_types(channel)
+        topic.types = channel_types(channel)
         byte_order(channel.schema, first)
         groups = ros_definitions.vectors(channel.schema, topic.types)
     except BagError as error:

@@ -50,6 +50,12 @@ def rows_of_a_campaign(folder: Path, _: pytest.MonkeyPatch) -> Names:
     return {}
 
 
+def tables_and_clusters(_: Path, __: pytest.MonkeyPatch) -> Names:
+    for name in ("pandas", "xarray", "pyarrow", "distributed"):
+        pytest.importorskip(name)
+    return {}
+
+
 def an_uncertain_system(_: Path, __: pytest.MonkeyPatch) -> Names:
     return {"system": two_mass_benchmark(masses=False)}
 
@@ -89,6 +95,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "pointing_analysis.md": a_bag,
     "campaigns.md": rows_of_a_campaign,
     "certificates.md": an_uncertain_system,
+    "python_api.md": tables_and_clusters,
     "control_design.md": a_design_that_is_only_called,
     "robust_design.md": the_mass_and_spring,
     "telescope.md": files_of_nastran,

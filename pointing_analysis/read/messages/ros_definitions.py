@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lftkit.support.input_limits import MESSAGE_DEPTH, MESSAGE_ELEMENTS, MESSAGE_FIELDS
 from pointing_analysis.arrays import BoolArray, FloatArray, IntArray
-from pointing_analysis.read.mcap.records import BagError, Channel
+from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import byte_order, same_order
 
 SIZES = {
@@ -113,29 +113,6 @@ class Vector:
 def short_name(schema: str) -> str:
     """Type name without ``msg``: ``geometry_msgs/msg/Point`` is ``geometry_msgs/Point``."""
     return schema.replace("/msg/", "/")
-
-
-def channel_types(channel: Channel) -> Definitions:
-    """Types of the messages of a channel.
-
-    Raises
-    ------
-    BagError
-        Messages that are not CDR, or without a definition in ``ros2msg`` or ``ros2idl``.
-    """
-    if channel.encoding != "cdr":
-        raise BagError(f"messages must be encoded as cdr, got {channel.encoding!r}")
-    if not channel.definition:
-        raise BagError(f"the bag must hold the definition of {channel.schema or 'the message type'}, got none")
-    text = channel.definition.decode("utf-8", "replace")
-    if channel.definition_encoding == "ros2idl":
-        from pointing_analysis.read.messages.idl_definitions import parse_idl
-
-        return parse_idl(channel.schema, text)
-    if channel.definition_encoding != "ros2msg":
-        got = f"got {channel.definition_encoding!r}"
-        raise BagError(f"the definition of {channel.schema} must be ros2msg or ros2idl, {got}")
-    return parse_definition(channel.schema, text)
 
 
 def parse_definition(schema: str, text: str) -> Definitions:

@@ -129,6 +129,28 @@ def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any
     return found
 
 
+def completed(settings: Mapping[str, Any], designs: str = "") -> RunConfig:
+    """Configuration of a run from the settings that are given: stage, scenario and member where they name none.
+
+    With a plant of the user, or a rig, the start is at rest: what is steady is known of the telescope only.
+
+    Parameters
+    ----------
+    settings : mapping
+    designs : str
+        Folder of designs, whose worst members count; empty for the stored ones.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, values that do not fit.
+    """
+    given = with_stage(settings)
+    if given.get("plant") or given.get("device"):
+        return RunConfig.from_mapping({"start": "rest", **given})
+    return RunConfig.from_mapping({**given, **of_scenario(given, designs)})
+
+
 def with_scenario(config: RunConfig, telescope: Telescope | None = None, usual: str = SCENARIOS[0]) -> RunConfig:
     """The configuration with the scenario that acts where it says none: the usual one, or none beside other sources.
 

@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -27,13 +26,14 @@ from los_testbed.config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_v
 from los_testbed.exit_codes import ExitCode
 from los_testbed.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.bag_names import new_bag
 from los_testbed.run.modes import first_choice, in_lockstep, late_answers
 from los_testbed.run.processes.domains import free_domain
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.results import Results, RunError, check_missed
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
-from los_testbed.run_settings import chosen_member, layered, of_designs, of_scenario, with_stage
+from los_testbed.run_settings import chosen_member, completed, layered, of_designs
 from pointing_analysis.read.mcap.records import ShortRunError
 from titop_plant.physical_settings import DISTURBANCES, TELESCOPE
 
@@ -298,31 +298,18 @@ def configure(
         stated[name] = parse_value(name, text)
     options = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
     named, drawn = chosen_member(case, cases, sample, first, layered(stated, options))
-    settings_given = with_stage(layered(first, named, drawn, stated, options))
+    settings_given = layered(first, named, drawn, stated, options)
     if settings_given.get("mode", AUTO if free_mode and "max_missed" not in settings_given else "") == AUTO:
         free_mode = not settings_given.get("device")
         settings_given.pop("mode", None)
     else:
         free_mode = False
-    if settings_given.get("plant") or settings_given.get("device"):  # what is steady is known of the telescope only
-        settings_given = {"start": "rest", **settings_given}
-        chosen = RunConfig.from_mapping(settings_given)
-    else:
-        chosen = RunConfig.from_mapping({**settings_given, **of_scenario(settings_given, designs or "")})
+    chosen = completed(settings_given, designs or "")
     if free_mode:
         chosen = first_choice(chosen)
     if chosen.output is None:
         chosen = replace(chosen, output=str(new_bag(chosen)))
     return chosen
-
-
-def new_bag(config: RunConfig) -> Path:
-    """Name for a bag that is not there yet, under bags/; with the mode that was asked for."""
-    mode = config.mode if config.mode_choice is None else AUTO
-    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{mode}-{config.loop}"
-    folder = Path("bags")
-    names = (folder / (stem if i == 0 else f"{stem}-{i}") for i in range(1000))
-    return next(name for name in names if not name.exists())
 
 
 def check(parts: RunParts) -> tuple[str, ...]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import glob
 import itertools
+from datetime import datetime
 from pathlib import Path
+
+from los_testbed.config import AUTO, RunConfig
 
 
 def free_name(base: Path) -> Path:
@@ -25,3 +28,12 @@ def _is_bag(path: Path, base: Path) -> bool:
     """Whether this is the folder that was asked for, or one with a number behind it."""
     rest = path.name[len(base.name) :]
     return path.is_dir() and (not rest or (rest[0] == "-" and rest[1:].isdigit()))
+
+
+def new_bag(config: RunConfig) -> Path:
+    """Name for a bag that is not there yet, under bags/; with the mode that was asked for."""
+    mode = config.mode if config.mode_choice is None else AUTO
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{mode}-{config.loop}"
+    folder = Path("bags")
+    names = (folder / (stem if i == 0 else f"{stem}-{i}") for i in range(1000))
+    return next(name for name in names if not name.exists())

@@ -1,0 +1,366 @@
+"""Runs, analyses, campaigns and designs from scripts and notebooks, with the settings of the command line.
+
+Examples
+--------
+>>> import tempfile
+>>> from los_testbed.api import run
+>>> with tempfile.TemporaryDirectory() as folder:
+...     result = run(f"{folder}/bag", duration=2.0, loop="isolator", scenario="design", seed=3)
+...     result.verdict, [row["name"] for row in result.requirements]
+('not compliant', ['', 'RPE, fine'])
+"""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from los_testbed.run_settings import completed, layered, of_designs, with_scenario, with_stage
+from pointing_analysis.requirements.requirement import Requirement
+from pointing_analysis.requirements.summary import Summary
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from los_design.redesign import DesignSummary
+    from los_testbed.config import RunConfig
+    from pointing_analysis.read.recording import Recording
+
+PathLike = str | os.PathLike[str]
+
+LABELS = {"name": "requirement", "text": "definition", "quantile": "value", "status": "verdict"}
+"""Columns of a table of requirements that have another name than in the JSON object."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A recorded run with its verdicts.
+
+    Parameters
+    ----------
+    path : Path
+        Bag, or file of another program.
+    recording : Recording
+        The open recording.
+    summary : Summary
+        Metrics, as :mod:`pointing_analysis.requirements.summary` documents them.
+    remarks : tuple of str
+        Sentences beside the verdict.
+    values : mapping
+        The JSON object of the command line.
+    """
+
+    path: Path
+    recording: Recording
+    summary: Summary
+    remarks: tuple[str, ...]
+    values: Mapping[str, Any]
+
+    @property
+    def verdict(self) -> str:
+        """One word for all requirements: the worst of them."""
+        return self.summary.overall
+
+    @property
+    def requirements(self) -> list[dict[str, Any]]:
+        """Each requirement with its value, limit, bound, unit and status."""
+        return [row.as_dict() for row in self.summary.rows]
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Metrics that need no requirement, by name with the unit."""
+        return {f"{f.name} [{f.unit}]" if f.unit else f.name: float(f.value) for f in self.summary.figures}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Requirements, one row each (needs pandas)."""
+        import pandas as pd
+
+        wanted = ("name", "text", "quantile", "limit", "unit", "status", "statement")
+        return pd.DataFrame([{LABELS.get(k, k): row[k] for k in wanted} for row in self.requirements])
+
+    def to_xarray(self) -> xr.Dataset:
+        """Line of sight minus its target [rad] over time [s], dimensions ``time`` and ``axis`` (needs xarray).
+
+        Samples that were lost are NaN; the start-up is part of it.
+        """
+        import xarray as xr
+
+        from pointing_analysis.indices.errors import performance_error
+
+        error = performance_error(self.recording, 0.0)
+        data = xr.DataArray(
+            error.values,
+            dims=("time", "axis"),
+            coords={"time": ("time", error.time, {"units": "s"}), "axis": ["x", "y"]},
+            attrs={"units": "rad", "long_name": "line of sight minus target"},
+        )
+        return xr.Dataset({"los_error": data}, attrs={"source": str(self.path), "start_up_s": self.summary.transient})
+
+    def write_report(self, path: PathLike, *, transient: float | None = None) -> Path:
+        """HTML page of the run; an existing file is replaced."""
+        from los_testbed.run.summary.summary import summarise_runs
+
+        asked = tuple(v.requirement for v in self.summary.verdicts)
+        summarise_runs([self.recording], Path(path), transient, asked if self.summary.kind != "bag" else None)
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        heads = ("requirement", "value", "limit", "verdict")
+        rows = [(row.label, row.value_text, row.limit_text, row.verdict_text) for row in self.summary.rows]
+        rows += [(name, f"{value:.4g}", "", "") for name, value in self.figures.items()]
+        return _table(f"{self.path.name}: {self.verdict}", heads, rows)
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """Rows of a campaign and what they say.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the results.
+    summary : mapping
+        Quantiles, verdicts, influence of the parameters and the worst members, as the JSON object of the command line.
+    """
+
+    path: Path
+    summary: Mapping[str, Any]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row a member: parameters, metrics, status (needs pandas)."""
+        return self._rows.to_pandas()
+
+    @cached_property
+    def _rows(self) -> Any:
+        from los_testbed.campaign.dataset import ResultFolder
+
+        return ResultFolder(self.path).table()
+
+    def _repr_html_(self) -> str:
+        heads = ("metric", "median", "90 %", "largest")
+        rows = [
+            (name, *(_digits(found.get(key)) for key in ("q0.5", "q0.9", "q1")))
+            for name, found in self.summary["metrics"].items()
+        ]
+        return _table(f"{self.path.name}: {self.summary['members']} members", heads, rows)
+
+
+def run(
+    output: PathLike | None = None,
+    *,
+    designs: PathLike | None = None,
+    plant: Any = None,
+    report: bool = False,
+    **settings: Any,
+) -> RunResult:
+    """Run the loop, record it, evaluate the record.
+
+    Parameters
+    ----------
+    output : path, optional
+        New folder of the bag; default: one under ``bags/``.
+    designs : path, optional
+        Folder of ``design all``: controllers and telescope.
+    plant : object, optional
+        A plant of your own in place of the telescope in the mode ``inprocess``.
+    report : bool
+        Write ``report.html`` into the folder of the bag.
+    **settings
+        As the options of ``los-testbed run``: ``duration``, ``loop``, ``scenario``, ``seed``, ``parameters`` and so on.
+        The mode is ``inprocess`` where none is given.
+
+    Raises
+    ------
+    ValueError
+        Unknown settings, values that do not fit, a bag that exists.
+    RunError, LoopDivergedError, RunFailedError
+        The run failed; the message says where its record is.
+    """
+    from los_testbed.bags.writer import check_new_bag
+    from los_testbed.run.bag_names import new_bag
+
+    folder = "" if designs is None else str(designs)
+    given = layered({"mode": "inprocess"}, of_designs(folder), _plain(settings))
+    if output is not None:
+        given["output"] = str(output)
+    config = completed({**given, **({"start": "rest"} if plant is not None else {})}, folder)
+    if config.output is None:
+        config = replace(config, output=str(new_bag(config)))
+    check_new_bag(config.bag)
+    _execute(config, plant)
+    return analyse(config.bag, report=config.bag / "report.html" if report else None)
+
+
+def analyse(
+    path: PathLike,
+    *,
+    requirements: PathLike | Sequence[Requirement] | None = None,
+    transient: float | None = None,
+    report: PathLike | None = None,
+    **source: Any,
+) -> RunResult:
+    """Evaluate a recording of the testbed or of another program.
+
+    Parameters
+    ----------
+    path : path
+        Bag (folder or .mcap), CSV, Parquet, .mat, HDF5, .npy or .npz file.
+    requirements : path or sequence of Requirement, optional
+        TOML or YAML file, or requirements; default: those of the recording.
+    transient : float, optional
+        Seconds of start-up to leave out.
+    report : path, optional
+        HTML page to write.
+    **source
+        ``los``, ``unit``, ``rate``, ``time``: as the options of ``los-testbed analyse``.
+
+    Raises
+    ------
+    ValueError
+        A file that cannot be read, columns or units that are not there.
+    """
+    from los_testbed.run.summary.summary import summarise_runs
+    from pointing_analysis.read.los_source import open_los
+    from pointing_analysis.requirements.requirement import load
+
+    recording = open_los(Path(path), **source)
+    asked = load(Path(requirements)) if isinstance(requirements, str | os.PathLike) else requirements
+    found = summarise_runs([recording], None if report is None else Path(report), transient, asked)
+    return RunResult(Path(path), recording, found.summaries[0], found.remarks[0], found.runs[0])
+
+
+def campaign(
+    output: PathLike | None = None,
+    *,
+    samples: int = 100,
+    seed: int = 1,
+    sampling: str = "uniform",
+    depth: str = "time",
+    workers: int = 0,
+    resume: bool = False,
+    **settings: Any,
+) -> CampaignResult:
+    """Evaluate many members of the telescope's family on the processors of this machine.
+
+    Parameters
+    ----------
+    output : path, optional
+        New folder of the results; default: one under ``bags/``.
+    samples, seed, sampling, depth, resume
+        As the options of ``los-testbed campaign``.
+    workers : int
+        Processes; 0: one a processor. Rows do not depend on them.
+    **settings
+        Of the run of each member: ``loop``, ``duration``, ``parameters`` and so on; ``designs``, a folder of ``design
+        all``.
+
+    Raises
+    ------
+    ValueError
+        Settings that do not fit, a folder that exists, or another campaign in it.
+    """
+    from los_testbed.campaign.dataset import Campaign, ResultFolder
+    from los_testbed.campaign.execution import check_workers, cluster, identity, run_campaign
+    from los_testbed.campaign.overview import campaign_summary
+    from los_testbed.config import RunConfig
+    from los_testbed.parts.run_parts import RunParts
+
+    designs = settings.pop("designs", None)
+    given = layered({"mode": "inprocess"}, of_designs("" if designs is None else str(designs)), _plain(settings))
+    base = with_scenario(RunConfig.from_mapping(with_stage(given)), usual="unit_norm")
+    folder = ResultFolder(Path(output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-campaign"))
+    folder.check(resume)
+    RunParts(base).check()
+    asked = Campaign.of(base, sampling, samples, seed, depth, identity(base))
+    with cluster("", workers) as client:
+        check_workers(asked, client)
+        run_campaign(asked, folder, client, folder.open(asked, resume))
+    return CampaignResult(folder.path, campaign_summary(asked, folder))
+
+
+def design(
+    output: PathLike,
+    *,
+    parameters: PathLike | None = None,
+    effort: str = "full",
+    seed: int = 0,
+    time_limit: float = 3600.0,
+    workers: int = 1,
+    resume: bool = True,
+) -> DesignSummary:
+    """Design K_FSM and K_PMA for a telescope, find their worst points and verify them.
+
+    Parameters
+    ----------
+    output : path
+        Folder of the designs, for ``designs=`` of :func:`run`.
+    parameters : path, optional
+        Parameter file; default: the reference telescope.
+    effort : {"full", "short"}
+    seed, time_limit, workers, resume
+        As the options of ``los-testbed design all``.
+
+    Returns
+    -------
+    DesignSummary
+        With ``not_met``, a line for each requirement that is not met.
+
+    Raises
+    ------
+    ValueError
+        A parameter file that cannot be read, a folder that cannot be written to.
+    """
+    from los_design.redesign import PAIR, design_all
+    from titop_plant.telescope.load import load_telescope
+
+    if effort not in ("full", "short"):
+        raise ValueError(f"effort must be full or short, got {effort!r}")
+    telescope = load_telescope(None if parameters is None else str(parameters))
+    options = replace(PAIR, short=effort == "short", seed=seed, wall_limit=time_limit, workers=workers)
+    return design_all(telescope, Path(output), options, resume=resume)
+
+
+def _execute(config: RunConfig, plant: Any) -> None:
+    """Run in this process, or with those of the nodes."""
+    if config.mode == "inprocess":
+        from los_testbed.loop.simulate import run_in_process
+
+        run_in_process(config, config.bag, plant)
+        return
+    if plant is not None:
+        raise ValueError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
+    from los_testbed.run.runner import Runner
+
+    Runner(replace(config, wait_for_recorder=True)).run()
+
+
+def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without paths and arrays, which the configuration does not take."""
+    return {name: _value(value) for name, value in settings.items() if value is not None}
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, np.ndarray | tuple):
+        return [float(v) for v in value]
+    return value
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><caption>{html.escape(title)}</caption><tr>{head}</tr>{body}</table>"

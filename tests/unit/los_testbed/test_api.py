@@ -1,0 +1,84 @@
+"""The Python interface gives what the command line gives, from the same settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from los_testbed.api import analyse, campaign, run
+from simple_telescope import SimpleTelescope
+from support.command_line import call_command
+
+from pointing_analysis.indices.errors import performance_error
+
+SMALL = Path(__file__).parents[3] / "examples" / "spacecraft" / "small_telescope.toml"
+
+
+def test_a_run_and_its_analysis_are_those_of_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = {
+        "duration": 1.04,
+        "loop": "isolator",
+        "scenario": "imbalance",
+        "seed": 5,
+        "wheel_speed": (300, 310, 320, 330),
+    }
+    result = run(tmp_path / "api", **settings)  # type: ignore[arg-type]
+    words = ["--duration", "1.04", "--loop", "isolator", "--scenario", "imbalance", "--seed", "5"]
+    words += ["--wheel-speed", "300", "310", "320", "330", "--mode", "inprocess"]
+    code, out, err = call_command(capsys, "run", *words, "--no-report", "--json", "--output", str(tmp_path / "command"))
+    assert code == 0, err
+    same = {**json.loads(out.splitlines()[-1]), "bag": str(tmp_path / "api")}
+    assert json.loads(json.dumps(result.values)) == same
+    again = analyse(tmp_path / "command")
+    assert again.verdict == result.verdict and again.requirements == result.requirements
+    assert f"{result.summary.rows[0].limit_text}" in result._repr_html_()
+
+
+def test_values_of_a_result_are_tables_and_arrays(tmp_path: Path) -> None:
+    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    result = run(tmp_path / "bag", duration=1.04, loop="isolator", scenario="design", report=True)
+    table, data = result.to_pandas(), result.to_xarray()
+    assert isinstance(table, pandas.DataFrame) and list(table["verdict"]) == [r["status"] for r in result.requirements]
+    assert isinstance(data, xarray.Dataset)
+    error = performance_error(result.recording, 0.0)
+    np.testing.assert_array_equal(data["los_error"].values, error.values)
+    assert float(data["time"][1] - data["time"][0]) == pytest.approx(1e-3) and data["los_error"].attrs["units"] == "rad"
+    assert (tmp_path / "bag" / "report.html").stat().st_size > 10_000
+
+
+def test_a_plant_that_is_an_object_and_the_telescope_s_own_stage(tmp_path: Path) -> None:
+    assert run(tmp_path / "a", duration=1.04, parameters=SMALL).summary.loop == "fsm"
+    own = run(tmp_path / "b", plant=SimpleTelescope(20, 1, True, 0.0), duration=1.04, scenario="none")
+    assert own.summary.ticks == 1040
+
+
+def test_rows_of_a_campaign_are_a_table(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    pandas = pytest.importorskip("pandas")
+    given = {"samples": 3, "depth": "model", "workers": 1, "loop": "isolator", "parameters": SMALL}
+    found = campaign(tmp_path / "rows", **given)  # type: ignore[arg-type]
+    table = found.to_pandas()
+    assert isinstance(table, pandas.DataFrame) and list(table["status"]) == ["ok"] * 3
+    assert table["ape_gain"].max() == pytest.approx(found.summary["metrics"]["ape_gain"]["q1"], rel=1e-5)
+    with pytest.raises(ValueError, match="output must be a new folder"):
+        campaign(tmp_path / "rows", **given)  # type: ignore[arg-type]
+    assert campaign(tmp_path / "rows", resume=True, **given).summary["rows_hash"] == found.summary["rows_hash"]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"durtion": 3.0}, "unknown parameter 'durtion': did you mean duration"),
+        ({"duration": "3"}, "duration must be a number, got '3'"),
+        ({"loop": "fsm+pma", "parameters": str(SMALL)}, "loop must be one of none, isolator, fsm"),
+        ({"parameters": "none.toml"}, "none.toml"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused_before_anything_is_written(
+    tmp_path: Path, settings: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path / "bag", **settings)  # type: ignore[arg-type]
+    assert not (tmp_path / "bag").exists()
