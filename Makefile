@@ -18,7 +18,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks forgeries faults lint style types types-of-tests stages paper paper-designs reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock clean
+.PHONY: help run test tests test-further test-anywhere test-slow fuzz attacks forgeries faults lint style types types-of-tests stages paper paper-designs reference-bag report-picture image-pictures campaign-pictures bench docs designs site lock release clean
 
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
@@ -44,6 +44,7 @@ help:
 	@echo "make site       build/site: the documentation with its API reference, links checked"
 	@echo "make lint       style and types alone"
 	@echo "make lock       the locks of environment/ anew (needs the network)"
+	@echo "make release    dist/: wheels and sdists, tried in an empty environment; then the tag (needs the network)"
 	@echo "make clean      remove everything that was made, except bags"
 
 $(READY): environment/run.lock environment/uv.lock pyproject.toml lftkit/pyproject.toml
@@ -198,6 +199,9 @@ lock:
 	cd environment && ../.venv-lock/bin/$(COMPILE) --extra ros --extra fast --extra live -c everything.lock \
 	    ../pyproject.toml build.txt -o run.lock
 
+release: $(EVERYTHING)
+	$(BIN)/python environment/release.py
+
 clean:
-	rm -rf .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
+	rm -rf dist .venv .venv-lock .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info lftkit/build lftkit/*.egg-info
 	rm -rf ros_ws/build ros_ws/install ros_ws/log

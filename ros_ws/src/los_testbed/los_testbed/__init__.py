@@ -3,4 +3,4 @@
 ``__version__`` is the version of the distribution, written down here alone.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
