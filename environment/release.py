@@ -77,7 +77,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         wheels = built(Path(name))
         tried(Path(name), wheels)
-    for file in sorted(DIST.iterdir()):
+    for file in sorted(f for f in DIST.iterdir() if f.suffix in (".whl", ".gz")):
         print(file.relative_to(ROOT))
     if not options.no_tag:
         output_of("git", "tag", "--annotate", tag, "--message", f"los-testbed {tag[1:]}")
