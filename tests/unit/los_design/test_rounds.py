@@ -146,6 +146,28 @@ def test_worse_points_are_added_and_climbed_from_again(bench) -> None:
     assert [names for _, names, _ in made.searched if len(names) < 2] == [("soft tones",)] * 2 + [("hard tones",)]
 
 
+@pytest.mark.parametrize(
+    ("value", "status", "ended"),
+    [
+        (2.1, "stalled", "infeasible"),
+        (5.1, "iterations", "infeasible"),
+        (5.1, "out_of_time", "out_of_time"),
+        (1.9, "stalled", None),
+        (4.9, "iterations", None),
+    ],
+)
+def test_limits_far_out_of_reach_end_a_design_without_a_search(bench, value: float, status: str, ended) -> None:
+    """What is above its limit is named, the largest first."""
+    made = bench(itertools.repeat([]), value=value, status=status)
+    found = made.design(2)
+    if ended is None:
+        assert made.searched and not made.lines[-1].startswith("out of reach")
+        return
+    assert found.status == ended and not made.searched and len(made.tuned) == 1
+    assert made.lines[-1].startswith(f"out of reach: the best controllers found are at {value:.3g} times what is tuned")
+    assert f"(soft tones {value:.3g}): relax" in made.lines[-1]
+
+
 def test_new_points_are_few_and_apart(bench) -> None:
     many = [peak("soft tones", 1.0 - 0.001 * k, 100.0 * 1.007**k) for k in range(60)]
     made = bench([many, many])
