@@ -11,6 +11,7 @@ system, not the controller, is stable and is reduced by balanced truncation (lef
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -22,9 +23,9 @@ from lftkit.systems.reduction import truncated
 from lftkit.systems.system import System
 from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
-from lftkit.tuning.requirements import H2Gain, HinfGain
+from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 from lftkit.tuning.requirements.sector import SectorGain
-from lftkit.tuning.structures.structures import AffineStructure
+from lftkit.tuning.structures.structures import AffineStructure, Structure
 
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
@@ -63,6 +64,34 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
             except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
                 continue
             found += [x for x in starts if x is not None and np.all(np.isfinite(x))]
+    return found
+
+
+def predictor_starts(
+    model: System, requirements: Sequence[TuningRequirement], structure: Structure
+) -> list[FloatArray]:
+    """Parameters of discrete LQG controllers that predict by one sample, for H2 gains without weights.
+
+    They are the optimum of all strictly proper controllers. Empty where the structure has another order than the model
+    or cannot say the parameters of a given controller.
+    """
+    if not isinstance(structure, AffineStructure) or structure.order != model.order:
+        return []
+    gains = [r for r in requirements if isinstance(r, H2Gain) and r.weight_in is None and r.weight_out is None]
+    measured, commanded = (tuple(p.name for p in ports) for ports in (structure.inputs, structure.outputs))
+    found = []
+    for gain in gains[:MAX_REQUIREMENTS]:
+        try:
+            P = _regularised(extended_plant(model, measured, commanded, 0, gain))
+            X = linalg.solve_discrete_are(P.A, P.B2, P.C1.T @ P.C1, P.D12.T @ P.D12, s=P.C1.T @ P.D12)
+            Y = linalg.solve_discrete_are(P.A.T, P.C2.T, P.B1 @ P.B1.T, P.D21 @ P.D21.T, s=P.B1 @ P.D21.T)
+            F = -linalg.solve(P.D12.T @ P.D12 + P.B2.T @ X @ P.B2, P.B2.T @ X @ P.A + P.D12.T @ P.C1)
+            L = -linalg.solve(P.D21 @ P.D21.T + P.C2 @ Y @ P.C2.T, P.C2 @ Y @ P.A.T + P.D21 @ P.B1.T).T
+        except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
+            continue
+        A = P.A + P.B2 @ F + L @ (P.C2 + P.D22 @ F)
+        x = _taken(structure, A, -L, F, np.zeros((len(F), L.shape[1])), model.dt)
+        found += [] if x is None else [x]
     return found
 
 
@@ -271,8 +300,10 @@ def _parameters(
     return next((x for form in forms if (x := _taken(structure, *form, D)) is not None), None)
 
 
-def _taken(structure: AffineStructure, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray | None:
+def _taken(
+    structure: AffineStructure, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float = 0.0
+) -> FloatArray | None:
     try:
-        return structure.parameters_of(System(A, B, C, D, structure.inputs, structure.outputs))
+        return structure.parameters_of(System(A, B, C, D, structure.inputs, structure.outputs, dt=dt))
     except ValueError:  # fixed entries that this controller does not have
         return None
