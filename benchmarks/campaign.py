@@ -31,7 +31,7 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import cluster, evaluate_chunk, identity, run_campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.portable import portable
-from los_testbed.campaign.sampling import settings
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.parts import start as run_start
@@ -64,7 +64,7 @@ def cost(base: RunConfig, count: int) -> dict[str, float]:
             forget()
             start = time.process_time()
             bag = Path(folder) / str(member["index"])
-            run_in_process(replace(base, **settings(member)), bag)
+            run_in_process(replace(base, **MemberParameters.of().settings(member)), bag)
             summary = summarise(Run.open(bag))
             seconds["recorded"] += time.process_time() - start
             found.append((summary.rpe_p997, summary.ape_max))

@@ -34,7 +34,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
-from los_testbed.campaign.sampling import settings
+from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
 from los_testbed.loop import compiled_loop
 from los_testbed.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
@@ -194,7 +194,7 @@ def member(scenario: str, duration: float) -> dict[str, float]:
         evaluator.rows([row], "time")
         seconds += time.process_time() - start
         forget()
-        parts = RunParts(replace(base, **settings(row)), evaluator.controllers)
+        parts = RunParts(replace(base, **MemberParameters.of().settings(row)), evaluator.controllers)
         start = time.process_time()
         parts.start  # noqa: B018
         evaluator.family.build(parts.physical, parts.start.states.plant)

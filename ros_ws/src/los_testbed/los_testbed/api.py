@@ -7,7 +7,7 @@ Examples
 >>> with tempfile.TemporaryDirectory() as folder:
 ...     result = run(f"{folder}/bag", duration=2.0, loop="isolator", scenario="design", seed=3)
 ...     result.verdict, [row["name"] for row in result.requirements]
-('not compliant', ['', 'RPE, fine'])
+('not compliant', ['APE', 'RPE, fine'])
 """
 
 from __future__ import annotations
