@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def test_verify_is_not_met_where_the_sources_break_a_limit(
 
 def test_design_all_writes_them(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After designs and searches, which are replaced here, and before the verdict."""
-    pair = [None, None]
+    pair = [SimpleNamespace(provenance={"status": "converged"})] * 2
     monkeypatch.setattr(redesign, "_pair", lambda *given: pair)
     monkeypatch.setattr(redesign, "digest", lambda given: "")
     monkeypatch.setattr(redesign, "search_stages", lambda *given: {})
