@@ -30,7 +30,7 @@ from lftkit.tuning.structures.structures import AffineStructure, Structure
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
 MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
-LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
+LEVELS, BISECTIONS = 12, 14  # decades that are looked through for an H-infinity level, and bisections of one of them
 ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
 
