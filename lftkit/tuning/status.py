@@ -60,8 +60,8 @@ def inaccurate(tuned: ArrayLike, certified: ArrayLike) -> str:
 
 
 _ADVICE = {
-    "converged": "local minimum confirmed by certificate, random directions and a second metric; other starts may find "
-    "a better one",
+    "converged": "local minimum confirmed by certificate, random directions, a second metric and larger gains; other "
+    "starts may find a better one",
     "stalled": "no further progress, optimality not confirmed: try other starts or another form of the structure",
     "inaccurate": "tuned value and certificate differ by more than 0.1 %: trust the certificate",
     "iterations": "still improving when the iterations ran out: allow more",

@@ -9,6 +9,7 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.tuning.descent.bundle_method import BundleResult, minimise
+from lftkit.tuning.descent.gain_moves import descended, gain_moves
 from lftkit.tuning.descent.grid_source import FEASIBLE, GridSource, Point, point_at
 from lftkit.tuning.descent.minimax.minimax import VISIBLE, DescentOptions, lower_point
 from lftkit.tuning.descent.smooth_phase import NEGLIGIBLE, smooth_phase
@@ -225,17 +226,30 @@ class _Run:
         return smooth.point
 
     def _confirmed(self) -> bool:
-        """Whether no smooth phase, second metric or random direction lowers the value; if one does, move."""
+        """Whether no smooth phase, random direction or descent from more gain lowers the value; if one does, move."""
         other = self._smooth(CONFIRMING_EVALUATIONS)
         if not other.better_than(self.point, VISIBLE):
             source = GridSource(self._problem, self._rng, self._limits.deadline)
             x = lower_point(source, self.point)
             self.evaluations += source.evaluations
-            if x is None:
+            found = self._with_more_gain() if x is None else point_at(self._problem, x)
+            if found is None:
                 return time.monotonic() <= self._limits.deadline
-            other = point_at(self._problem, x)
+            other = found
         self.point = other
         return False
+
+    def _with_more_gain(self) -> Point | None:
+        """A point visibly better that a descent from a larger gain leads to, or None."""
+        limits = self._limits
+        for x in gain_moves(self._problem, self.point.x):
+            found, used = descended(self._problem, x, CONFIRMING_EVALUATIONS, limits.deadline, limits.target)
+            self.evaluations += used
+            if found.better_than(self.point, VISIBLE):
+                return found
+            if time.monotonic() > limits.deadline:
+                break
+        return None
 
 
 def unstable(stable: BundleResult, steps: int) -> StartResult:

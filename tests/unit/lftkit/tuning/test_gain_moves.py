@@ -1,4 +1,4 @@
-"""Controllers of more gain."""
+"""Controllers of more gain, and where descents from them lead."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lftkit.systems.system import System
-from lftkit.tuning.descent.gain_moves import FURTHER, GAINS, gain_moves, with_gain
+from lftkit.tuning.descent.gain_moves import FURTHER, GAINS, descended, gain_moves, with_gain
+from lftkit.tuning.descent.grid_source import point_at
 from lftkit.tuning.problem import Problem
+from lftkit.tuning.published_plants import PLANTS
 from lftkit.tuning.requirements import HinfGain
 from lftkit.tuning.structures.stable_state_space import StableStateSpace
 from lftkit.tuning.structures.structures import Structure, controller, gain, pid, state_space
@@ -53,3 +55,14 @@ def test_moves_are_stable_and_go_farther_along_the_last_displacement() -> None:
     found = [float(x[0]) for x in gain_moves(problem, np.array([-2.0]), np.array([-1.5]))]
     assert found == pytest.approx([*(-2.0 * factor for factor in GAINS), *(-2.0 - 0.5 * t for t in FURTHER)])
     assert gain_moves(problem, np.array([0.5])) == [], "5 and 1.5 are unstable"
+
+
+def test_a_descent_from_more_gain_is_lower_where_the_infimum_is_at_infinite_gains() -> None:
+    plant = PLANTS["HE2"]()
+    problem = Problem([plant], [HinfGain("w", "z")], gain([("y", 2)], [("u", 2)]))
+    x = np.array([413.6, -697.6, 264.7, -446.4])
+    here = point_at(problem, x)
+    ends = [descended(problem, more, 80, np.inf, -np.inf)[0] for more in gain_moves(problem, x)]
+    assert len(ends) == len(GAINS)
+    assert min(end.soft for end in ends) < here.soft * (1.0 - 1e-3)
+    assert max(end.soft for end in ends) < here.soft
