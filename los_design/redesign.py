@@ -18,7 +18,6 @@ import numpy as np
 from lftkit import SampledSystem
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
-from lftkit.tuning import TuningStatus
 from los_design.search.worst_case_search import Search, SearchOptions
 from los_design.search.worst_points import (
     WorstPoint,
@@ -136,8 +135,6 @@ def design_all(
         workers = workers or own
         options = replace(options, workers=workers.count)
         k_fsm, k_pma = _pair(folder, telescope, options, resume, report, workers)
-        if k_fsm.provenance["status"] == TuningStatus.INFEASIBLE:  # whatever else is found
-            effort = "short"
         report("worst points of the stages")
         found = search_stages(telescope, k_fsm, k_pma, SEARCHES[effort], workers)
         adversarial = adversarial_points(found, (k_fsm, k_pma))

@@ -41,9 +41,9 @@ NEAR = 0.9
 """Searches look at requirements above this part of the largest value; the last one of a round at all."""
 MAX_HIDDEN = 12
 """Times that a design goes on for peaks of the nominal loop that its samples have missed."""
-FAR_ABOVE, OUT_OF_REACH = 2.0, 5.0
-"""Times what is tuned for. A descent that ends by itself above the first, or at all above the second, is saved by no
-further round: limits are out of reach."""
+FAR_ABOVE = 2.0
+"""Times what is tuned for. Above it nothing is searched: a descent that ended by itself ends the design, another one
+goes on in the next round."""
 TOLERANCE = 2e-3
 """A descent ends when four looks at all samples together lower the value by less than this part."""
 
@@ -122,11 +122,8 @@ def _in_rounds(design: _Design) -> Outcome:
     task, state, effort = design.task, design.state, design.effort
     found = in_rounds(design, effort.rounds, state.number - (state.descent is not None))
     worst, values = _worst(task, design.found)
-    status = found.status if found.worse.goes_on else TuningStatus.CONVERGED
-    if design.out_of_reach(found.tuned):
-        cut = found.tuned.status is TuningStatus.OUT_OF_TIME
-        status = TuningStatus.OUT_OF_TIME if cut else TuningStatus.INFEASIBLE
-    status = status if effort.searches else found.tuned.status
+    searched = design.searched(found.tuned)
+    status = TuningStatus.CONVERGED if searched and not found.worse.goes_on else found.status
     active = [task.samples.open_loop.values(p) for p in state.points]
     tuned = _tuned(task, design.problem, found.tuned.point)
     return Outcome(state.x, status, tuned, worst, values, active, state.commits)
@@ -173,17 +170,18 @@ class _Design:
     def _seconds(self) -> float:
         return time.monotonic() - self.begin
 
-    def out_of_reach(self, tuned: Descent[ResponseLook]) -> bool:
-        """Whether the limits are: no search is then made, and no further round."""
-        limit = FAR_ABOVE if tuned.status in (TuningStatus.CONVERGED, TuningStatus.STALLED) else OUT_OF_REACH
-        return bool(self.problem.least_level and self.effort.searches) and tuned.point.value > limit
+    def searched(self, tuned: Descent[ResponseLook]) -> bool:
+        """Whether worse parameters are searched after a descent."""
+        far = bool(self.problem.least_level) and tuned.point.value > FAR_ABOVE
+        return bool(self.effort.searches) and not far
 
     def worse(self, number: int, tuned: Descent[ResponseLook], last: bool) -> Worse[WorstPoint]:
         """Worst points above what the descent reached."""
-        if self.out_of_reach(tuned):
-            self.report(_out_of_reach(_tuned(self.task, self.problem, tuned.point)))
-            return Worse([])
         ended = tuned.status not in (TuningStatus.OUT_OF_TIME, TuningStatus.ITERATIONS)
+        if self.effort.searches and not self.searched(tuned):
+            self.found = {}
+            self.report(_far_above(_tuned(self.task, self.problem, tuned.point)))
+            return Worse([], not ended)
         unfinished = tuned.point.value > self.problem.least_level and not ended
         searches = _searches(self.effort, self.state.searched, last, unfinished)
         self.found, new = _searched(self.task, self.state, self.problem, searches, self.kept)
@@ -396,12 +394,12 @@ def _tuned(task: Task, problem: ResponseProblem, look: ResponseLook) -> dict[str
     return {name: task.of_limit(name, value) for name, value in zip(names, [*look.values, *look.noise], strict=True)}
 
 
-def _out_of_reach(values: Mapping[str, float]) -> str:
+def _far_above(values: Mapping[str, float]) -> str:
     above = sorted(((value, name) for name, value in values.items() if value > 1.0), reverse=True)
     shown = ", ".join(f"{name} {value:.3g}" for value, name in above)
     return (
-        f"out of reach: the best controllers found are at {above[0][0]:.3g} times what is tuned for ({shown}): relax "
-        "these limits, or lower noise and disturbances"
+        f"the best controllers so far are at {above[0][0]:.3g} times what is tuned for ({shown}); if this remains, "
+        "relax these limits, or lower noise and disturbances"
     )
 
 
