@@ -12,13 +12,15 @@ import pytest
 
 pytest.importorskip("rclpy")
 from bystander import Bystander, middleware
+from los_testbed import api
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
 from los_testbed.config import RunConfig
+from los_testbed.exit_codes import ExitCode
 from los_testbed.loop.simulate import run_in_process
 from los_testbed.nodes.remote_control import remote_control
 from los_testbed.run.modes import EXERCISE_S, first_choice, in_lockstep
-from los_testbed.run.results import Exercised
+from los_testbed.run.results import Exercised, RunError
 from los_testbed.run.runner import Runner
 from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
 from ros_faults import when_running
@@ -121,14 +123,26 @@ def test_a_slow_law_runs_in_lockstep_where_no_mode_is_asked_for(tmp_path, monkey
     given = {"duration": 0.3, "domain": private_domain(), "output": "bag", "k_pma": "slow_law:Slow"}
     config = configure(None, [], given, free_mode=True)
     assert (config.mode, config.mode_choice, config.exercise) == ("realtime", "auto", EXERCISE_S)
-    from los_testbed.cli.run import Nodes, execute
     from los_testbed.parts.run_parts import RunParts
+    from los_testbed.run.execution import execute
 
-    results = execute(RunParts(config), Nodes())
+    results = execute(RunParts(config))
     parameters = Run.open(results.bag).parameters
     assert parameters["mode"] == "lockstep"
     assert parameters["mode_choice"].startswith("auto: ")
     assert "ticks were answered late (limit 0.5 %)" in parameters["mode_choice"]
+
+
+def test_a_script_is_told_of_a_machine_that_is_too_slow(tmp_path, monkeypatch):
+    """Nothing was run, so nothing is evaluated."""
+    (tmp_path / "slow_law.py").write_text(SLOW_LAW)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    given = {"duration": 0.3, "domain": private_domain(), "k_pma": "slow_law:Slow", "exercise": 0.5}
+    with pytest.raises(RunError, match="the run, which did not begin") as raised:
+        api.run("bag", mode="realtime", **given)
+    assert raised.value.code == ExitCode.MISSED_TICKS and not (tmp_path / "bag").exists()
 
 
 def test_a_run_in_real_time_records_the_trial_before_it(tmp_path):

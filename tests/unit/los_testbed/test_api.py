@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,34 @@ def test_a_plant_that_is_an_object_and_the_telescope_s_own_stage(tmp_path: Path)
     assert run(tmp_path / "a", duration=1.04, parameters=SMALL).summary.loop == "fsm"
     own = run(tmp_path / "b", plant=SimpleTelescope(20, 1, True, 0.0), duration=1.04, scenario="none")
     assert own.summary.ticks == 1040
+
+
+@pytest.mark.parametrize(
+    ("happened", "code"),
+    [
+        ({"interrupted": True}, 130),
+        ({"bag": None, "interrupted": True}, 130),
+        ({"failures": ["estimator: ended"]}, None),
+    ],
+)
+def test_what_the_nodes_report_is_raised_or_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, happened: dict[str, Any], code: int | None
+) -> None:
+    """The bag is the one that they wrote: a plant that was started again begins another one."""
+    from los_testbed.run import runner
+    from los_testbed.run.results import Results, RunError
+
+    settings = {"duration": 1.04, "loop": "isolator", "scenario": "none"}
+    run(tmp_path / "other", **settings)  # type: ignore[arg-type]
+    results = Results(**{"bag": tmp_path / "other", **happened})
+    monkeypatch.setattr(runner.Runner, "run", lambda self: results)
+    if code is None:
+        found = run(tmp_path / "bag", mode="lockstep", **settings)  # type: ignore[arg-type]
+        assert found.path == tmp_path / "other" and found.remarks[0] == "estimator: ended"
+        return
+    with pytest.raises(RunError) as raised:
+        run(tmp_path / "bag", mode="lockstep", **settings)  # type: ignore[arg-type]
+    assert raised.value.code == code
 
 
 def test_rows_of_a_campaign_are_a_table(tmp_path: Path) -> None:

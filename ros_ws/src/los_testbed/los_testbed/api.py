@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from los_design.redesign import DesignSummary
-    from los_testbed.config import RunConfig
     from pointing_analysis.read.recording import Recording
 
 PathLike = str | os.PathLike[str]
@@ -54,7 +53,7 @@ class RunResult:
     summary : Summary
         Metrics, as :mod:`pointing_analysis.requirements.summary` documents them.
     remarks : tuple of str
-        Sentences beside the verdict.
+        Sentences beside the verdict: also nodes that ended and were started again, and warnings.
     values : mapping
         The JSON object of the command line.
     """
@@ -183,10 +182,15 @@ def run(
     ValueError
         Unknown settings, values that do not fit, a bag that exists.
     RunError, LoopDivergedError, RunFailedError
-        The run failed; the message says where its record is.
+        The run failed, was interrupted, or missed more ticks in real time than ``max_missed``; the message says where
+        its record is, and ``code`` is the exit code of the command.
     """
-    from los_testbed.bags.writer import check_new_bag
-    from los_testbed.run.bag_names import new_bag
+    from los_testbed.exit_codes import ExitCode
+    from los_testbed.parts.run_parts import RunParts
+    from los_testbed.run.bag_names import new_bag, recorded
+    from los_testbed.run.execution import execute
+    from los_testbed.run.results import RunError, check_missed
+    from los_testbed.run.summary.summary import missed_share
 
     folder = "" if designs is None else str(designs)
     given = layered({"mode": "inprocess"}, of_designs(folder), _plain(settings))
@@ -195,9 +199,12 @@ def run(
     config = completed({**given, **({"start": "rest"} if plant is not None else {})}, folder)
     if config.output is None:
         config = replace(config, output=str(new_bag(config)))
-    check_new_bag(config.bag)
-    _execute(config, plant)
-    return analyse(config.bag, report=config.bag / "report.html" if report else None)
+    results = execute(RunParts(config), own=plant)
+    if results.bag is None or results.interrupted:
+        raise RunError(f"interrupted{recorded(config.bag)}", ExitCode.INTERRUPTED)
+    found = analyse(results.bag, report=results.bag / "report.html" if report else None)
+    check_missed(missed_share(found.values), config, f"; the bag is whole: {results.bag}")
+    return replace(found, remarks=(*results.failures, *results.warnings, *found.remarks))
 
 
 def analyse(
@@ -327,20 +334,6 @@ def design(
     telescope = load_telescope(None if parameters is None else str(parameters))
     options = replace(PAIR, short=effort == "short", seed=seed, wall_limit=time_limit, workers=workers)
     return design_all(telescope, Path(output), options, resume=resume)
-
-
-def _execute(config: RunConfig, plant: Any) -> None:
-    """Run in this process, or with those of the nodes."""
-    if config.mode == "inprocess":
-        from los_testbed.loop.simulate import run_in_process
-
-        run_in_process(config, config.bag, plant)
-        return
-    if plant is not None:
-        raise ValueError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
-    from los_testbed.run.runner import Runner
-
-    Runner(replace(config, wait_for_recorder=True)).run()
 
 
 def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:

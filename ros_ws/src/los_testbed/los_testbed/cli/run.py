@@ -7,30 +7,28 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from lftkit.support.progress import Progress
-from los_testbed.bags.writer import check_new_bag
 from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.environment import SUPERVISED
 from los_testbed.cli.finished_run import check_trace, sign, write_ticks
 from los_testbed.cli.options import live_options
 from los_testbed.cli.options.live_options import LIVE_PORT, check_live, server_for_viewers
 from los_testbed.cli.options.options import FILES, Case, Cases, Designs, Gate, Json, with_settings
-from los_testbed.cli.output import gate_of, leave_by_gate, print_json, warn
+from los_testbed.cli.output import gate_of, leave_by_gate, print_json
 from los_testbed.config import AUTO, NAMESPACE, ROS, RunConfig, is_code, parse_value, read_yaml
 from los_testbed.exit_codes import ExitCode
-from los_testbed.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.bag_names import new_bag
-from los_testbed.run.modes import first_choice, in_lockstep, late_answers
+from los_testbed.run.execution import Nodes, execute
+from los_testbed.run.modes import first_choice
 from los_testbed.run.processes.domains import free_domain
-from los_testbed.run.processes.viewers import Live
-from los_testbed.run.results import Results, RunError, check_missed
+from los_testbed.run.results import RunError, check_missed
 from los_testbed.run.summary.screen import Screen, say
 from los_testbed.run.supervision import supervise
 from los_testbed.run_settings import chosen_member, completed, layered, of_designs
@@ -185,22 +183,6 @@ def _watch_code_of_user(code: Mapping[str, str], bag: Path) -> None:
         supervise([f"{setting} {name}" for setting, name in code.items()], bag)
 
 
-@dataclass(frozen=True)
-class Nodes:
-    """What is chosen of the nodes of a run beside their parameters.
-
-    Attributes
-    ----------
-    live : server for viewers
-    isolated : whether they have a network of their own
-    lock_domain : whether their domain has to be held; False where it is held already
-    """
-
-    live: Live | None = None
-    isolated: bool = False
-    lock_domain: bool = True
-
-
 def _run_alone(name: str, config: RunConfig, signed: bool, isolated: bool, trace: Path | None) -> NoReturn:
     """Run one node in this process."""
     if signed:
@@ -228,6 +210,8 @@ def _run_and_tell(
     """
     from los_testbed.run.summary.summary import missed_share, print_summary, summarise_runs
 
+    if nodes.live is not None:
+        check_live(parts.config.mode, nodes.live)
     console = Screen(stderr=json_)
     results = execute(parts, nodes)
     bag = results.bag
@@ -312,52 +296,6 @@ def configure(
     return chosen
 
 
-def check(parts: RunParts) -> tuple[str, ...]:
-    """Refuse what can be refused before anything is started or written; warnings about the controllers.
-
-    Raises
-    ------
-    ValueError
-        A bag that exists, a telescope outside the family, a file that is no controller, a plant that breaks the
-        contract, ROS missing.
-    """
-    config = parts.config
-    check_new_bag(config.bag)
-    check_ranges(config, parts.telescope)
-    if config.plant:
-        from los_testbed.loop.contract import check_plant
-
-        check_plant(parts.plant())
-    if config.device:
-        from los_testbed.device.contract import make_device
-
-        make_device(config)
-    if config.disturbance_source and config.disturbance:
-        parts.disturbance()
-    warnings = parts.check()
-    for source in parts.sources:
-        warnings += tuple(f"disturbance {source.name}: {remark}" for remark in source.remarks)
-    if config.mode != "inprocess":
-        from los_testbed.run.processes.node_launch import check_ros
-
-        check_ros(config.domain)
-    return warnings
-
-
-DIFFERENCES_SHOWN = 12
-
-
-def telescope_differences(parameters: str | None) -> list[str]:
-    """Lines about the values in which a parameter file of the user, where there is one, differs from the reference."""
-    from titop_plant.telescope.load import differences
-
-    if not parameters:
-        return []
-    lines = differences(parameters)
-    more = len(lines) - DIFFERENCES_SHOWN
-    return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
-
-
 DISTURBANCE_ON = "on"
 """Value of ``--disturbance`` where it stands alone."""
 
@@ -416,48 +354,3 @@ def with_lone_options(arguments: Sequence[str]) -> list[str]:
         else:
             given.append(a)
     return given
-
-
-def execute(parts: RunParts, nodes: Nodes) -> Results:
-    """Run, with a progress bar and, if one is given, a server for viewers; what happened."""
-    config = parts.config
-    warnings = check(parts)
-    if nodes.live is not None:
-        check_live(config.mode, nodes.live)
-    warn(warnings)
-    for line in telescope_differences(config.parameters):
-        sys.stderr.write(f"telescope: {line}\n")
-    if config.mode == "inprocess" and config.mode_choice:
-        sys.stderr.write(f"{config.mode_choice}: run in one process\n")
-    with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
-
-        def progress(ticks: int) -> None:
-            bar.report(ticks, config.ticks)
-
-        if config.mode == "inprocess":
-            from los_testbed.loop.closed_loop import LoopDivergedError
-            from los_testbed.loop.contract import RunFailedError
-            from los_testbed.loop.simulate import record
-            from los_testbed.run.bag_names import recorded
-
-            try:
-                record(parts, config.bag, progress)
-            except (LoopDivergedError, RunFailedError) as error:
-                raise type(error)(f"{error}{recorded(config.bag)}") from None
-            except KeyboardInterrupt:
-                raise RunError(f"interrupted{recorded(config.bag)}", 130) from None
-            return Results(bag=config.bag)
-        from los_testbed.run.runner import Runner
-
-        watched = replace(config, wait_for_recorder=True)
-        results = Runner(
-            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain, tell=bar.print
-        ).run()
-    if results.too_slow is not None:
-        told = late_answers(config, results.too_slow)
-        if config.mode_choice is None:
-            raise RunError(f"{told} in the trial before the run, which did not begin", ExitCode.MISSED_TICKS)
-        sys.stderr.write(f"{told}: the run goes on in lockstep; --mode realtime insists on real time\n")
-        return execute(replace(parts, config=in_lockstep(config, results.too_slow)), nodes)
-    results.warnings = [warning for warning in results.warnings if warning not in warnings]
-    return results

@@ -1,0 +1,144 @@
+"""Check and execute a run in the mode that was chosen, in this process or with those of the nodes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+
+from lftkit.support.progress import Progress
+from los_testbed.bags.writer import check_new_bag
+from los_testbed.exit_codes import ExitCode
+from los_testbed.members import check_ranges
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.stepped_plant import SteppedPlant
+from los_testbed.run.modes import in_lockstep, late_answers
+from los_testbed.run.processes.viewers import Live
+from los_testbed.run.results import Results, RunError
+from los_testbed.run.summary.screen import printable
+
+DIFFERENCES_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """What is chosen of the nodes of a run beside their parameters.
+
+    Attributes
+    ----------
+    live : server for viewers
+    isolated : whether they have a network of their own
+    lock_domain : whether their domain has to be held; False where it is held already
+    """
+
+    live: Live | None = None
+    isolated: bool = False
+    lock_domain: bool = True
+
+
+ALONE = Nodes()
+"""Nobody views the run."""
+
+
+def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
+    """Refuse what can be refused before anything is started or written; warnings about the controllers.
+
+    Raises
+    ------
+    ValueError
+        A bag that exists, a telescope outside the family, a file that is no controller, a plant that breaks the
+        contract, ROS missing.
+    """
+    config = parts.config
+    check_new_bag(config.bag)
+    check_ranges(config, parts.telescope)
+    if own is not None and config.mode != "inprocess":
+        raise ValueError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
+    if own is not None or config.plant:
+        from los_testbed.loop.contract import check_plant
+
+        check_plant(parts.plant() if own is None else own)
+    if config.device:
+        from los_testbed.device.contract import make_device
+
+        make_device(config)
+    if config.disturbance_source and config.disturbance:
+        parts.disturbance()
+    warnings = parts.check()
+    for source in parts.sources:
+        warnings += tuple(f"disturbance {source.name}: {remark}" for remark in source.remarks)
+    if config.mode != "inprocess":
+        from los_testbed.run.processes.node_launch import check_ros
+
+        check_ros(config.domain)
+    return warnings
+
+
+def telescope_differences(parameters: str | None) -> list[str]:
+    """Lines about the values in which a parameter file of the user, where there is one, differs from the reference."""
+    from titop_plant.telescope.load import differences
+
+    if not parameters:
+        return []
+    lines = differences(parameters)
+    more = len(lines) - DIFFERENCES_SHOWN
+    return lines if more <= 0 else [*lines[:DIFFERENCES_SHOWN], f"and {more} more values that differ"]
+
+
+def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = None) -> Results:
+    """Run, with a progress bar and, if one is given, a server for viewers; what happened.
+
+    Parameters
+    ----------
+    parts : RunParts
+    nodes : Nodes
+    own : SteppedPlant, optional
+        In place of the plant of `parts`, in the mode ``inprocess``; the controllers start at rest.
+
+    Raises
+    ------
+    ValueError
+        See :func:`check`.
+    RunError
+        The run failed, was interrupted before there was a bag, or did not begin as this machine is too slow for it.
+    LoopDivergedError, RunFailedError
+        Of the mode ``inprocess``.
+    """
+    config = parts.config
+    warnings = check(parts, own)
+    sys.stderr.writelines(f"warning: {printable(line)}\n" for line in warnings)
+    for line in telescope_differences(config.parameters):
+        sys.stderr.write(f"telescope: {line}\n")
+    if config.mode == "inprocess" and config.mode_choice:
+        sys.stderr.write(f"{config.mode_choice}: run in one process\n")
+    with Progress(f"{config.loop}, {config.mode} [ticks]") as bar:
+
+        def progress(ticks: int) -> None:
+            bar.report(ticks, config.ticks)
+
+        if config.mode == "inprocess":
+            from los_testbed.loop.closed_loop import LoopDivergedError
+            from los_testbed.loop.contract import RunFailedError
+            from los_testbed.loop.simulate import record
+            from los_testbed.run.bag_names import recorded
+
+            try:
+                record(parts, config.bag, progress, own)
+            except (LoopDivergedError, RunFailedError) as error:
+                raise type(error)(f"{error}{recorded(config.bag)}") from None
+            except KeyboardInterrupt:
+                raise RunError(f"interrupted{recorded(config.bag)}", ExitCode.INTERRUPTED) from None
+            return Results(bag=config.bag)
+        from los_testbed.run.runner import Runner
+
+        watched = replace(config, wait_for_recorder=True)
+        results = Runner(
+            watched, progress, live=nodes.live, isolated=nodes.isolated, lock_domain=nodes.lock_domain, tell=bar.print
+        ).run()
+    if results.too_slow is not None:
+        told = late_answers(config, results.too_slow)
+        if config.mode_choice is None:
+            raise RunError(f"{told} in the trial before the run, which did not begin", ExitCode.MISSED_TICKS)
+        sys.stderr.write(f"{told}: the run goes on in lockstep; --mode realtime insists on real time\n")
+        return execute(replace(parts, config=in_lockstep(config, results.too_slow)), nodes)
+    results.warnings = [warning for warning in results.warnings if warning not in warnings]
+    return results
