@@ -157,9 +157,10 @@ class _Design:
                 self.begin + self.task.wall_limit,
                 confirm=not effort.searches,
             )
-            state.descent = _stabilising(
-                self.task, self.problem, state, options, partial(self._step, number), self.kept
-            )
+            found = _stabilising(self.task, self.problem, state, options, partial(self._step, number), self.kept)
+            if found.status is TuningStatus.ITERATIONS and np.array_equal(found.x, state.x):
+                found = replace(found, status=TuningStatus.STALLED)  # another one would do the same
+            state.descent = found
             state.x, state.number, state.inside, state.watched = state.descent.x, number + 1, None, []
             state.save(self.kept)
         return state.descent

@@ -58,10 +58,11 @@ class FewSamples:
 class Bench:
     """A descent that reaches 0.9, and searches that give prepared answers; both keep a record."""
 
-    def __init__(self, monkeypatch, answers, status: str = "stalled", lost=(), value=0.9) -> None:
+    def __init__(self, monkeypatch, answers, status: str = "stalled", lost=(), value=0.9, step=1.0) -> None:
         self.tuned: list[int] = []
         self.searched: list[tuple[int, tuple[str, ...], int]] = []
-        self.answers, self.status, self.lost, self.value = iter(answers), status, list(lost), value
+        self.answers, self.status, self.lost = iter(answers), status, list(lost)
+        self.value, self.step = value, step
         self.samples = FewSamples()
         monkeypatch.setattr(task_module, "pair_problem", self.problem)
         monkeypatch.setattr(rounds, "descend", self.descend)
@@ -76,7 +77,7 @@ class Bench:
         assert source.stable(x)
         self.tuned.append(len(source.problem.samples))
         values, noise = np.array([self.value, 0.5]), np.array([0.8])
-        look = ResponseLook(x + 1.0, (0.0, 0.9), values, noise)
+        look = ResponseLook(x + self.step, (0.0, 0.9), values, noise)
         report(0, look)
         return Descent(look, TuningStatus(self.status), options.iterations)
 
@@ -166,6 +167,12 @@ def test_far_above_the_limits_nothing_is_searched(bench, value: float, status: s
     assert found.status == ended and not made.searched and not found.worst
     assert made.lines[-1].startswith(f"the best controllers so far are at {value:.3g} times what is tuned for")
     assert f"(soft tones {value:.3g}); if this remains, relax" in made.lines[-1]
+
+
+def test_a_descent_that_finds_no_lower_point_is_not_repeated(bench) -> None:
+    """From the same point, with the same samples, it would find none again."""
+    made = bench(itertools.repeat([]), value=9.0, status="iterations", step=0.0)
+    assert made.design(5).status == "stalled" and len(made.tuned) == 1
 
 
 def test_new_points_are_few_and_apart(bench) -> None:
