@@ -22,7 +22,7 @@ NAMES = ("t", "time", "timestamp", "stamp", "seconds", "zeit", "temps", "tiempo"
 UNITS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
 FARTHEST = 0.05
 """Usual step of numbers without a unit from which on they may be other than seconds: of 20 kHz in milliseconds."""
-CLOSEST = 1e-5
+CLOSEST = 1.2e-5
 """Usual step of numbers without a unit below which they may be other than seconds: of 1 Hz in days."""
 FEWEST = 0.5
 """Part of the times that must differ: fewer have lost their digits."""

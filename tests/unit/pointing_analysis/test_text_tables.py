@@ -107,7 +107,7 @@ def test_a_cell_that_is_no_number_is_named_by_row_and_column(tmp_path: Path, lin
 
 
 def test_times_in_days_and_by_day_of_the_year_are_those_in_seconds(tmp_path: Path) -> None:
-    """At 100 Hz: a day of a Julian date has 5e-10 days, 40 us, in a number of 64 bits."""
+    """At 100 Hz: a day of a Julian date has 5e-10 days, 40 us, in a number of 64 bits. 1 Hz is refused as well."""
     values = [f"{0.1 * k:.3f},{-0.2 * k:.3f}" for k in range(2000)]
     days = [f"{2460000.5 + k / 8_640_000:.9f}" for k in range(2000)]
     dates = [f"2026-331T00:00:{k / 100:06.3f}Z" for k in range(2000)]
@@ -116,6 +116,9 @@ def test_times_in_days_and_by_day_of_the_year_are_those_in_seconds(tmp_path: Pat
         written(tmp_path / f"{name}.csv", f"{head},x_mas,y_mas\n{rows}\n")
     with pytest.raises(ValueError, match=r"unit of the times .* as days are: time \(d\) .*--time time_d"):
         open_los(tmp_path / "a.csv")
+    seconds = "\n".join(f"{60_000 + k / 86_400:.9f},{k % 7},{k % 5}" for k in range(2000))
+    with pytest.raises(ValueError, match=r"are 1.16e-05 apart, as days are"):
+        open_los(written(tmp_path / "e.csv", f"time,x_mas,y_mas\n{seconds}\n"))
     found = [open_los(tmp_path / "a.csv", time="time_d"), *(open_los(tmp_path / f"{name}.csv") for name in "bc")]
     for series in found:
         assert series["truth/los"].period == pytest.approx(0.01, rel=1e-6) and len(series["truth/los"]) == 2000
