@@ -205,6 +205,14 @@ def test_help_has_examples(command, run, monkeypatch):
     assert f"los-testbed {command}" in out
 
 
+def test_options_are_hidden_only_where_help_all_shows_them(run) -> None:
+    """The named cases of `stages` are a group of its options, and it has no other help."""
+    _, shown, _ = run("stages", "--help")
+    assert "--case" in shown and "--cases" in shown and "--help-all" not in shown
+    code, _, error = run("stages", "--help-all")
+    assert code == 2 and "--help-all" in error
+
+
 def test_the_help_of_run_has_the_options_of_a_first_run_and_all_on_demand(run, monkeypatch):
     """No option is hidden from ``--help-all``, nor from the command line."""
     monkeypatch.setenv("COLUMNS", "100")

@@ -85,14 +85,15 @@ ENTRIES = {
 
 
 class GroupedCommand(TyperCommand):
-    """A command whose ``--help`` shows the options of no group, and :data:`HelpAll` those of all groups."""
+    """A command whose ``--help`` shows the options of no group where :data:`HelpAll` shows those of all groups."""
 
     whole = False
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """With the names of the groups that are left out."""
         options = [p for p in self.params if getattr(p, "rich_help_panel", None) and not getattr(p, "hidden", False)]
-        grouped: list[Any] = [] if self.whole else options
+        some = not self.whole and any("--help-all" in p.opts for p in self.params)
+        grouped: list[Any] = options if some else []
         names = ", ".join(dict.fromkeys(str(option.rich_help_panel) for option in grouped))
         try:
             self.epilog = f"{len(grouped)} further options (--help-all): {names}." if grouped else None
