@@ -30,7 +30,7 @@ from lftkit.tuning.structures.structures import AffineStructure, Structure
 MAX_ORDER = 40  # of the weighted plant
 REGULARISED = 1e-3  # weight of commands and noise of measurements, relative to the direct paths of the plant or to 1
 MAX_CONDITION = 1e8  # of the eigenvectors of a controller in modal form
-LEVELS, BISECTIONS = 12, 14  # decades that are looked through for an H-infinity level, and bisections of one of them
+LEVELS, BISECTIONS = 12, 20  # decades that are looked through for an H-infinity level, and bisections of one of them
 ABOVE = 1.1, 1.01, 1.0005  # levels used over the lowest one found
 MAX_REQUIREMENTS = 2
 
@@ -45,6 +45,11 @@ class FullOrderEstimator:
     F: FloatArray
     D: FloatArray
 
+    @property
+    def gain_matrix(self) -> FloatArray:
+        """The controller as one matrix, (states + commands, states + measurements)."""
+        return np.block([[self.A + self.B @ self.F, self.B @ self.D - self.L], [self.F, self.D]])
+
 
 def reduced_starts(problem: Problem) -> list[FloatArray]:
     """Parameters of reduced full-order controllers for the first model, some of each kind and gain requirement.
@@ -57,7 +62,7 @@ def reduced_starts(problem: Problem) -> list[FloatArray]:
     found: list[FloatArray] = []
     for plant in _plants(problem):
         regular = _regularised(plant)
-        for synthesis in (lqg, _hinf):
+        for synthesis in (_h2, _hinf):
             try:
                 reduced = [_reduced(full, plant, structure.order) for full in synthesis(regular)]
                 starts = [_parameters(structure, *matrices) for matrices in reduced if matrices is not None]
@@ -133,8 +138,13 @@ def _regularised(plant: ExtendedPlant) -> ExtendedPlant:
     )
 
 
-def lqg(plant: ExtendedPlant) -> list[FullOrderEstimator]:
-    """Controller with the least H2 norm, D11 left out; none where an equation has no solution."""
+def _h2(plant: ExtendedPlant) -> list[FullOrderEstimator]:
+    full = lqg(plant)
+    return [] if full is None else [full]
+
+
+def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
+    """Controller with the least H2 norm, D11 left out; None where an equation has no solution."""
     try:
         X = linalg.solve_continuous_are(
             plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, s=plant.C1.T @ plant.D12
@@ -143,11 +153,11 @@ def lqg(plant: ExtendedPlant) -> list[FullOrderEstimator]:
             plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, s=plant.B1 @ plant.D21.T
         )
     except (linalg.LinAlgError, ValueError):
-        return []
+        return None
     F = -linalg.solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
     L = -linalg.solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
     D = np.zeros((len(F), L.shape[1]))
-    return [FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)]
+    return FullOrderEstimator(plant.A + L @ plant.C2, plant.B2 + L @ plant.D22, L, F, D)
 
 
 def _hinf(plant: ExtendedPlant) -> list[FullOrderEstimator]:

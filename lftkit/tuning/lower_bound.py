@@ -9,6 +9,8 @@ numerical, not a proof: it counts only if the controller just above it reaches i
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import linalg
 
@@ -16,10 +18,15 @@ from lftkit.analysis.norms import h2_norm, hinf_norm
 from lftkit.arrays import FloatArray
 from lftkit.systems.system import System
 from lftkit.tuning.full_order import MAX_ORDER, FullOrderEstimator, central, lowest_level, lqg
-from lftkit.tuning.gains.loop import ExtendedPlant, extended_plant
+from lftkit.tuning.gains.loop import ClosedLoopMatrices, ExtendedPlant, extended_plant
 from lftkit.tuning.problem import Problem
 from lftkit.tuning.requirements import H2Gain, HinfGain, TuningRequirement
 
+Closed = Callable[[FullOrderEstimator], ClosedLoopMatrices]
+"""The closed loop of a full-order controller."""
+
+ANY = (0.0, np.inf)
+"""Band of all frequencies."""
 RANK = 1e-6
 """Smallest singular value of D12 and D21, relative to the largest one, that counts as rank."""
 ROUNDING = 1e-6
@@ -40,16 +47,19 @@ def full_order_bounds(problem: Problem) -> FloatArray:
 
 
 def _bound(problem: Problem, model: System, requirement: TuningRequirement) -> float:
-    if not isinstance(requirement, HinfGain | H2Gain) or type(requirement) not in (HinfGain, H2Gain):
-        return -np.inf
-    if isinstance(requirement, HinfGain) and requirement.band != (0.0, np.inf):
+    synthesis = _hinf_level if type(requirement) is HinfGain else _h2_norm if type(requirement) is H2Gain else None
+    if synthesis is None or getattr(requirement, "band", ANY) != ANY:
         return -np.inf
     measured = tuple(p.name for p in problem.structure.inputs)
     commanded = tuple(p.name for p in problem.structure.outputs)
+
+    def plant(order: int) -> ExtendedPlant:
+        return extended_plant(model, measured, commanded, order, requirement)  # type: ignore[arg-type]
+
     try:
-        plant = extended_plant(model, measured, commanded, 0, requirement)
-        if 0 < len(plant.A) <= MAX_ORDER and _of_full_rank(plant):
-            return _hinf_bound(plant) if isinstance(requirement, HinfGain) else _h2_bound(plant)
+        alone = plant(0)
+        if 0 < len(alone.A) <= MAX_ORDER and _of_full_rank(alone):
+            return synthesis(alone, lambda full: plant(len(full.A)).closed(full.gain_matrix))
     except (ValueError, ArithmeticError):  # matrices near overflow or without a solution
         pass
     return -np.inf
@@ -64,45 +74,22 @@ def _of_full_rank(plant: ExtendedPlant) -> bool:
     return True
 
 
-def _hinf_bound(plant: ExtendedPlant) -> float:
+def _hinf_level(plant: ExtendedPlant, closed: Closed) -> float:
     level = lowest_level(plant)
     if level is None:
         return -np.inf
     low, high = level
     confirming = central(plant, (1.0 + JUST_ABOVE) * high)
-    if confirming is None:
+    loop = None if confirming is None else closed(confirming)
+    if loop is None or not float(linalg.eigvals(loop.A).real.max()) < 0.0:
         return -np.inf
-    A, B, C, D = _closed(plant, confirming)
-    reached = hinf_norm(A, B, C, D).value if float(linalg.eigvals(A).real.max()) < 0.0 else np.inf
+    reached = hinf_norm(loop.A, loop.B, loop.C, loop.D).value
     return low if reached <= (1.0 + JUST_ABOVE) ** 2 * high else -np.inf
 
 
-def _h2_bound(plant: ExtendedPlant) -> float:
-    if plant.D11.any():
+def _h2_norm(plant: ExtendedPlant, closed: Closed) -> float:
+    optimal = None if plant.D11.any() else lqg(plant)
+    loop = None if optimal is None else closed(optimal)
+    if loop is None or not float(linalg.eigvals(loop.A).real.max()) < 0.0:
         return -np.inf
-    (optimal,) = lqg(plant) or (None,)
-    if optimal is None:
-        return -np.inf
-    A, B, C, D = _closed(plant, optimal)
-    if not float(linalg.eigvals(A).real.max()) < 0.0:
-        return -np.inf
-    return float(h2_norm(A, B, C, D)) * (1.0 - ROUNDING)
-
-
-def _closed(plant: ExtendedPlant, full: FullOrderEstimator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Closed loop with a full-order controller."""
-    n, nu, ny = len(full.A), len(full.F), len(plant.C2)
-    K = np.block([[full.A + full.B @ full.F, full.B @ full.D - full.L], [full.F, full.D]])
-    zero = np.zeros((n, n))
-    loop = ExtendedPlant(
-        linalg.block_diag(plant.A, zero),
-        np.vstack([plant.B1, np.zeros((n, plant.B1.shape[1]))]),
-        np.block([[np.zeros((len(plant.A), n)), plant.B2], [np.eye(n), np.zeros((n, nu))]]),
-        np.hstack([plant.C1, np.zeros((len(plant.C1), n))]),
-        np.block([[np.zeros((n, len(plant.A))), np.eye(n)], [plant.C2, np.zeros((ny, n))]]),
-        plant.D11,
-        np.hstack([np.zeros((len(plant.C1), n)), plant.D12]),
-        np.vstack([np.zeros((n, plant.B1.shape[1])), plant.D21]),
-        linalg.block_diag(zero, plant.D22),
-    ).closed(K)
-    return loop.A, loop.B, loop.C, loop.D
+    return float(h2_norm(loop.A, loop.B, loop.C, loop.D)) * (1.0 - ROUNDING)
