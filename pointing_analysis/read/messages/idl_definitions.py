@@ -94,7 +94,7 @@ class _Reader:
             elif kind == "typedef":
                 own, count = self._type()
                 name, size = self._declared()
-                self._aliases[name] = own, count if size is None else size
+                self._aliases[name] = own, _in_all(count, size)
             elif kind == "const":
                 while self._next not in (None, ";"):
                     self._take()
@@ -109,7 +109,7 @@ class _Reader:
             kind, count = self._type()
             own, size = self._declared()
             self._take(";")
-            fields.append(Field(kind, own, count if size is None else size))
+            fields.append(Field(kind, own, _in_all(count, size)))
         self._take("}")
         self._types[short_name("/".join((*scope, name)))] = tuple(fields)
 
@@ -148,3 +148,12 @@ class _Reader:
         if self._next != ">":
             self._take()
         self._take(">")
+
+
+def _in_all(count: int | None, size: int | None) -> int | None:
+    """Number of elements of an array of a type."""
+    if size is None:
+        return count
+    if count == 0:
+        raise ValueError("an array of sequences")
+    return (count or 1) * size

@@ -73,8 +73,14 @@ def test_idl_and_msg_have_the_same_fields() -> None:
         ("module a { union X switch (long) { case 1: double x; }; };", "must be IDL, got 'union'"),
         ("struct X { double x };", "must be IDL, got '}' in place of ';'"),
         ("module a { " * 5000, "must be IDL"),
+        ("struct X { sequence<double> x[2]; };", "an array of sequences"),
     ],
 )
 def test_other_text_is_refused(text: str, message: str) -> None:
     with pytest.raises(BagError, match=message):
         parse_idl("a/msg/X", text)
+
+
+def test_an_array_of_arrays_has_all_their_elements() -> None:
+    text = "module a { module msg { typedef double three[3]; struct X { three x[2]; three y; }; }; };"
+    assert [field.count for field in parse_idl("a/msg/X", text)["a/X"]] == [6, 3]
