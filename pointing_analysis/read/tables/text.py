@@ -90,7 +90,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 def _row_of_units(cells: Sequence[str]) -> list[str] | None:
     """Units of the columns in a row that has nothing else, empty where one has none; None for another row."""
     found = [unit_name(cell.strip().strip("[]()")) for cell in cells]
-    if not any(found) or not all(unit in _UNITS for unit in found):
+    if all(unit in _NO_UNIT for unit in found) or not all(unit in _UNITS for unit in found):
         return None
     return ["" if unit in _NO_UNIT else unit for unit in found]
 

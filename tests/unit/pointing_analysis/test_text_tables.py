@@ -140,3 +140,13 @@ def test_columns_may_be_given_by_number(tmp_path: Path) -> None:
     np.testing.assert_array_equal(by_name, by_number)
     with pytest.raises(TableError, match="los must be two of the columns time, a, b, c, got '4,5'"):
         open_los(path, los="4,5", unit="mas")
+
+
+def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
+    """Units may be left out of a row of units, but not all of them."""
+    table = read_text(written(tmp_path / "a.csv", "time,x_mas,y_mas\n1,1,1\n2,3,4\n3,4,5\n"))
+    assert table.columns["time"].tolist() == [1.0, 2.0, 3.0]
+    with pytest.raises(TableError, match="row 2, column y_mas must be a number, got '-'"):
+        read_text(written(tmp_path / "b.csv", "time,x_mas,y_mas\n1,1,-\n2,3,4\n3,4,5\n4,5,6\n"))
+    table = read_text(written(tmp_path / "c.csv", "time,x,y\n-,mas,mas\n2,3,4\n3,4,5\n"))
+    assert table.columns["time"].tolist() == [2.0, 3.0] and table.units["x"] == ["mas"]
