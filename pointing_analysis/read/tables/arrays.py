@@ -47,7 +47,7 @@ def read_parquet(path: Path) -> Table:
         found[name] = (column.cast(pyarrow.timestamp("ns")) if time else column).to_numpy()
         about = table.schema.field(name).metadata or {}
         units[name] = [about[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in about]
-    return Table(path, "Parquet", found, units)
+    return Table(path, "Parquet", found, units, names=tuple(schema.names))
 
 
 def _check_shapes(archive: zipfile.ZipFile) -> None:

@@ -201,11 +201,11 @@ def _named(table: Table, los: str) -> tuple[str, str]:
     parts = [part.strip() for part in los.split(",")]
     if len(parts) == 1:
         parts = [f"{parts[0]}.x", f"{parts[0]}.y"]
-    names = [table.find(part) for part in parts]
-    if all(
-        name is None and part.isdecimal() and 0 < int(part) <= len(table.columns) for name, part in zip(names, parts)
-    ):
-        names = [list(table.columns)[int(part) - 1] for part in parts]
+    names, every = [table.find(part) for part in parts], table.names or tuple(table.columns)
+    if all(name is None and part.isdecimal() and 0 < int(part) <= len(every) for name, part in zip(names, parts)):
+        names = [every[int(part) - 1] for part in parts]
+        if texts := [name for name in names if name not in table.columns]:
+            raise TableError(f"{table.path}: los must be two columns of numbers, got {', '.join(map(str, texts))}")
     if len(names) != 2 or names[0] is None or names[1] is None:
         raise TableError(f"{table.path}: los must be two of the columns {table.listed()}, got {los!r}")
     if names[0] == names[1]:

@@ -137,6 +137,7 @@ class Table:
     units : of columns, each as the file says it beside the name: as attribute, as text, in a comment
     rates : sampling rates [Hz] of columns, each as the file says it
     left_out : what of the file is not used, one sentence each
+    names : of all columns in the order of the file, those that are left out too; empty: `columns` are all
     """
 
     path: Path
@@ -145,6 +146,7 @@ class Table:
     units: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
     rates: Mapping[str, Sequence[float]] = field(default_factory=lambda: MappingProxyType({}))
     left_out: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def find(self, name: str) -> str | None:
         """Full name of a column that is named with or without its unit; None where there is none, or several."""

@@ -67,7 +67,8 @@ def read_text(path: Path) -> Table:
     units = {name: _units_in(comments) for name in names if split_unit(name)[1] in ("", *ANGLES)}
     for name, unit in zip(names, said or ()):
         units[name] = [*units.get(name, ()), *filter(None, [unit])]
-    return Table(path, "CSV", {n: c for n, c in columns.items() if c is not None}, units, left_out=tuple(notes))
+    kept_columns = {name: column for name, column in columns.items() if column is not None}
+    return Table(path, "CSV", kept_columns, units, left_out=tuple(notes), names=tuple(names))
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:

@@ -150,3 +150,13 @@ def test_a_first_row_of_ones_is_no_row_of_units(tmp_path: Path) -> None:
         read_text(written(tmp_path / "b.csv", "time,x_mas,y_mas\n1,1,-\n2,3,4\n3,4,5\n4,5,6\n"))
     table = read_text(written(tmp_path / "c.csv", "time,x,y\n-,mas,mas\n2,3,4\n3,4,5\n"))
     assert table.columns["time"].tolist() == [2.0, 3.0] and table.units["x"] == ["mas"]
+
+
+def test_columns_count_as_in_the_file(tmp_path: Path) -> None:
+    """Those of text, which are left out, too."""
+    rows = "\n".join(f"{0.01 * k:.2f},on,{k % 7},{k % 5},{k % 3}" for k in range(300))
+    path = written(tmp_path / "a.csv", f"time,note,a_mas,b_mas,c_mas\n{rows}\n")
+    one, other = open_los(path, los="3,4")["truth/los"], open_los(path, los="a_mas,b_mas")["truth/los"]
+    np.testing.assert_array_equal(one.values, other.values)
+    with pytest.raises(TableError, match="los must be two columns of numbers, got note"):
+        open_los(path, los="2,3")
