@@ -19,8 +19,8 @@ import time
 from typing import Any
 
 import numpy as np
-from los_testbed.loop.scheduling import PRIORITIES, become_real_time, disable_idle_states, sharpen_timers
-from los_testbed.loop.tick_clock import TickClock
+from los_testbed.run.loop.scheduling import PRIORITIES, become_real_time, disable_idle_states, sharpen_timers
+from los_testbed.run.loop.tick_clock import TickClock
 
 from titop_plant.interface import TICK_NS
 

@@ -32,9 +32,9 @@ from los_testbed.campaign.execution import cluster, evaluate_chunk, identity, ru
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.portable import portable
 from los_testbed.campaign.sampling import MemberParameters
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts import start as run_start
+from los_testbed.run.loop.simulate import run_in_process
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import summarise

@@ -19,9 +19,9 @@ from statistics import median
 
 import numpy as np
 from los_testbed.bags.cdr import codec_for
+from los_testbed.config.topics import TRUTH_LOS
 from los_testbed.nodes.support.transport.middleware import choose_middleware
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-from los_testbed.topics import TRUTH_LOS
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node

@@ -17,13 +17,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from los_testbed.device.emulator import FAULTS
+from los_testbed.rig.emulator import FAULTS
 from real_time_loop import write_between
 
 from pointing_analysis.read.run import Run
 
 ROOT = Path(__file__).parents[1]
-DRIVER = "los_testbed.device.udp:UdpRig"
+DRIVER = "los_testbed.rig.udp:UdpRig"
 SECONDS, AT = 4.0, 2.0
 LOSS = "lost, reordered"
 CASES = (LOSS, *FAULTS)
@@ -45,7 +45,7 @@ def fly(case: str, bag: Path, domain: int) -> list[str]:
     command = [*python, "los_testbed.cli.app", "run", f"--device={DRIVER}", f"--device-address={address}"]
     command += ["--no-report", f"--duration={SECONDS}", "--camera-latency=9", "--max-missed=100", f"--domain={domain}"]
     emulator = subprocess.Popen(
-        [*python, "los_testbed.device.emulator", "--priority", "--config", settings, *options],
+        [*python, "los_testbed.rig.emulator", "--priority", "--config", settings, *options],
         stdout=subprocess.PIPE,
         text=True,
     )

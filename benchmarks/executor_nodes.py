@@ -20,13 +20,7 @@ import time
 from typing import Any
 
 import numpy as np
-from los_testbed.loop.closed_loop import aligned_start
-from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.nodes.support import node_context
-from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-from los_testbed.parts.run_parts import build_controller, build_estimator, build_plant
-from los_testbed.topics import (
+from los_testbed.config.topics import (
     ACCEL,
     COMMANDS,
     FSM_COMMAND,
@@ -39,6 +33,12 @@ from los_testbed.topics import (
     TRUTH_LOS,
     TopicDefinition,
 )
+from los_testbed.nodes.support import node_context
+from los_testbed.nodes.support.node_context import NodeContext, run_node
+from los_testbed.nodes.support.transport.raw_topics import MESSAGES
+from los_testbed.parts.run_parts import build_controller, build_estimator, build_plant
+from los_testbed.run.loop.closed_loop import aligned_start
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 

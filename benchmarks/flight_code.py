@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from los_testbed.flight_code.export import render
-from los_testbed.flight_code.laws import FlightLaws, laws_of
-from los_testbed.flight_code.tables import HEADER, UNITS
-from los_testbed.flight_code.vectors import magnitudes, without_frames
+from los_testbed.flight.export import render
+from los_testbed.flight.laws import FlightLaws, laws_of
+from los_testbed.flight.tables import HEADER, UNITS
+from los_testbed.flight.vectors import magnitudes, without_frames
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit import Port, SampledSystem

@@ -16,9 +16,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from los_testbed.flight_code.export import compiler, render
-from los_testbed.flight_code.laws import laws_of
-from los_testbed.flight_code.tables import HEADER, UNITS
+from los_testbed.flight.export import compiler, render
+from los_testbed.flight.laws import laws_of
+from los_testbed.flight.tables import HEADER, UNITS
 from real_time_loop import write_between
 
 ROOT = Path(__file__).parents[1]

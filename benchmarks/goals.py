@@ -105,7 +105,7 @@ def parts() -> dict[str, Any]:
     """Ticks, members and worst tone, in this process."""
     import campaign
     import tick
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
 
     base = RunConfig(mode="inprocess", scenario="design", duration=10.0)
     ticks, bag = tick.tick("design", 20000), tick.with_bag([20.0, 80.0])

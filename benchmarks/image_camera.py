@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 from los_testbed.bags.cdr import codec_for
-from los_testbed.config import RunConfig
-from los_testbed.loop.compiled_loop import compile_telescope
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import image_topic
 from los_testbed.parts.image_camera import image_camera_of
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.compiled_loop import compile_telescope
 from los_testbed.run.runner import Runner
-from los_testbed.topics import image_topic
 from real_time_loop import cpu_seconds, figures, machine
 from scipy import stats
 

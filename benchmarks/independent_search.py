@@ -30,9 +30,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
-from los_testbed.members import member_settings
+from los_testbed.config.members import member_settings
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from scipy import linalg, optimize
 from threadpoolctl import threadpool_limits
 

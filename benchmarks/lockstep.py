@@ -23,11 +23,8 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.bags.cdr import codec_for, stamp_of
-from los_testbed.config import RunConfig
-from los_testbed.loop.scheduling import CPU_INDEX, PRIORITIES, become_real_time
-from los_testbed.run.processes.node_launch import environment
-from los_testbed.run.runner import Runner
-from los_testbed.topics import (
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import (
     COMMANDS,
     FSM_COMMAND,
     ISOLATOR_ACCEL,
@@ -37,6 +34,9 @@ from los_testbed.topics import (
     TRUTH_LOS,
     TopicDefinition,
 )
+from los_testbed.run.loop.scheduling import CPU_INDEX, PRIORITIES, become_real_time
+from los_testbed.run.processes.node_launch import environment
+from los_testbed.run.runner import Runner
 
 TICK_NS, WAIT_NS, WARM_UP = 1_000_000, 50_000_000, 500
 FAST = tuple(topic for topic in SENSORS if not topic.framed)

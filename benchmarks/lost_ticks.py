@@ -17,8 +17,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from los_testbed.config import RunConfig
-from los_testbed.members import worst_member
+from los_testbed.config.members import worst_member
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 from lftkit.arrays import FloatArray

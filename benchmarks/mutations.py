@@ -90,7 +90,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "pointing_analysis/indices/metrics.py": ("tests/unit/pointing_analysis/test_index_laws.py",),
     "pointing_analysis/requirements/summary.py": ("tests/unit/pointing_analysis/test_summary_figures.py",),
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
-    f"{ROS_PACKAGE}/los_testbed/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
+    f"{ROS_PACKAGE}/los_testbed/run/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
     f"{ROS_PACKAGE}/los_testbed/campaign/campaign_verdict.py": ("tests/unit/los_testbed/test_campaign_verdict.py",),
     f"{ROS_PACKAGE}/los_testbed/run/summary/summary.py": (
         "tests/unit/los_testbed/test_summary_on_screen.py",

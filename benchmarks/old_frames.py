@@ -14,9 +14,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from los_testbed.config import OLD_FRAMES, RunConfig
-from los_testbed.loop.slow_sensor import SlowSensor
+from los_testbed.config.run_config import OLD_FRAMES, RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.slow_sensor import SlowSensor
 
 from pointing_analysis.indices.metrics import windows
 from pointing_analysis.units import RAD_PER_MAS

@@ -30,10 +30,10 @@ from pathlib import Path
 from typing import Any
 
 from bare_loop import bare_loops, summed_shares
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import NODES
 from los_testbed.run.results import Results
 from los_testbed.run.runner import Runner
-from los_testbed.topics import NODES
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"

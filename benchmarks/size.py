@@ -19,7 +19,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from processor_time import least
 from tick import present

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import NODES
 from los_testbed.run.runner import Runner
-from los_testbed.topics import NODES
 from scipy.stats import t
 
 PAGE = os.sysconf("SC_PAGE_SIZE")

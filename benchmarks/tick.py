@@ -35,12 +35,12 @@ import numpy as np
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters
-from los_testbed.config import RunConfig
-from los_testbed.loop import compiled_loop
-from los_testbed.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts import start as run_start
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop import compiled_loop
+from los_testbed.run.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
+from los_testbed.run.loop.simulate import run_in_process
 from processor_time import least
 
 from los_estimator.runtime import hold_values

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.bags.diagnostics import read_diagnostics
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.processes.viewers import Live
 from los_testbed.run.runner import Runner
 from mcap.reader import make_reader

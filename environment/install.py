@@ -22,7 +22,7 @@ LINE_EVERY = 5.0
 LOCKED = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
 PACKAGES = ["--no-deps", "--no-build-isolation", "-e", "./lftkit", "-e", "."]
 COMPILE = {
-    "run": ("the compiled code of the loop", "from los_testbed.loop.compiled_loop import prepare; prepare()"),
+    "run": ("the compiled code of the loop", "from los_testbed.run.loop.compiled_loop import prepare; prepare()"),
     "everything": (
         "the compiled code of the norms",
         "import numpy as np; from lftkit import hinf_norm; I = np.eye(2); "

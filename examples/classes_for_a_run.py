@@ -17,7 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 import fsm_pma_controller
 from lftkit.systems.sampled.sampled_system import SampledSystem

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from los_testbed.topics import TOPICS
+from los_testbed.config.topics import TOPICS
 from support.packages import FOLDERS, ROOT, files_of
 
 from pointing_analysis.indices.telescope_values import DEFAULTS

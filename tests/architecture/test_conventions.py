@@ -68,7 +68,8 @@ def test_what_is_imported_at_every_start_is_small() -> None:
 
     code = (
         "import sys, los_estimator.runtime, fsm_pma_controller.runtime, titop_plant.interface, los_testbed.cli.app\n"
-        "import los_testbed.bags.metadata as m, los_testbed.config as c; m.run_metadata(m.RunParts(c.RunConfig()))\n"
+        "import los_testbed.run.metadata as m, los_testbed.config.run_config as c\n"
+        "m.run_metadata(m.RunParts(c.RunConfig()))\n"
         "large = ['control', 'matplotlib', 'scipy.stats', 'scipy.optimize', 'scipy.signal', 'scipy.interpolate']\n"
         "first = [m for m in ('scipy', *large) if m in sys.modules]\n"
         "import los_testbed.run.summary.summary; print(first, [m for m in large if m in sys.modules])"

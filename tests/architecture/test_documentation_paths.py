@@ -236,7 +236,7 @@ def test_the_checks_find_mistakes() -> None:
     assert not exists("lftkit/no_such.py")
     assert named_objects("`lftkit.no_such`", False) == {"lftkit.no_such"} and not is_object("lftkit.no_such")
     assert not is_test("test_no_such") and is_test("test_faults") and is_test("test_named_tests_exist")
-    assert exists("los_testbed/config.py")
+    assert exists("los_testbed/config/run_config.py")
     assert exists("los_estimator/designs/*.json")
     commands = get_command(app).commands  # type: ignore[attr-defined]
     assert check_command("desing verify", commands) == "no command 'desing'"

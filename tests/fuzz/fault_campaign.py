@@ -32,8 +32,8 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.bags.repair import repair_bag
-from los_testbed.config import NAMESPACE
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import NAMESPACE
 from los_testbed.run.processes.domains import domain_lock
 from mcap.reader import NonSeekingReader
 

@@ -39,8 +39,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from fuzz.mutations import messages
 from fuzz.record_mutations import KINDS_OF_RECORDS, Record, put_together, taken_apart
 from los_testbed.bags.check import check_bag, sign_bag
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader

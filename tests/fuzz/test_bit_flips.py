@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from fuzz.mutations import Content, Key, messages, others_find, records
 from los_testbed.bags.repair import RepairResult, repair_bag
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
 from mcap.records import Chunk, McapRecord
 from support.simple_telescope import SimpleTelescope, write_controllers

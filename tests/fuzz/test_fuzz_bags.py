@@ -15,8 +15,8 @@ from fuzz.mutations import MUTATIONS, Content, Key, Mutation, messages, others_f
 from hypothesis import given
 from hypothesis import strategies as st
 from los_testbed.bags.repair import repair_bag
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.mcap.records import BagError

@@ -28,7 +28,7 @@ DOORS = [
     f"{RUN} --disturbance=source.toml",
     f"{RUN} --set=profile=FILE",
     f"{RUN} --requirements=FILE",
-    "run --output=new --device=los_testbed.device.udp:UdpRig --device-address=127.0.0.1:9 --device-key=FILE",
+    "run --output=new --device=los_testbed.rig.udp:UdpRig --device-address=127.0.0.1:9 --device-key=FILE",
     "run --output=new --live --live-tls-cert=FILE --live-tls-key=FILE",
     "campaign --samples=2 --output=new --scheduler=tls://127.0.0.1:9 --tls-ca-file=FILE --tls-cert=FILE",
     "analyse FILE --unit=rad --rate=100",

@@ -12,7 +12,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.overview import campaign_summary, worst_lines
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from support.command_line import call_command
 
 DURATION = {"time": 1.04, "model": 10.0}

@@ -16,7 +16,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import cluster, identity
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 PROGRAM = """
 import signal

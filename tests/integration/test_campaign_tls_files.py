@@ -14,7 +14,7 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import cluster, evaluate_chunk, identity
 from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 pytest.importorskip("cryptography")
 

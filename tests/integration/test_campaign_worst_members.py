@@ -10,7 +10,7 @@ import pytest
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters, members
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 from los_loop.closing import sampled_loop
 from los_loop.control_laws import ControlLaws

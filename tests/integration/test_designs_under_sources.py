@@ -12,8 +12,8 @@ import pytest
 from los_testbed.cli import app
 from los_testbed.cli.designs import mission
 from los_testbed.cli.designs.mission import sources_of_mission, verify_mission
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 
 import fsm_pma_controller
 import los_estimator

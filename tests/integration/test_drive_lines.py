@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.source_alone import errors_of_source
 
 from titop_plant.disturbances.drive_lines import fixed_lines, stepper_lines
 from titop_plant.interface import DT

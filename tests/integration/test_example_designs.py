@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs, of_scenario
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.stages import Plan, provenance
-from los_testbed.run_settings import of_designs, of_scenario
 
 from lftkit import SampledSystem
 from los_design.search.worst_points import load_worst_points

@@ -31,9 +31,9 @@ from los_testbed.campaign.dataset import Campaign, ResultFolder, read_manifest
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.cli.command_group import ENTRIES, loaded
 from los_testbed.cli.designs.folders import designs_in
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run_settings import of_designs
 from support.command_line import CommandLine
 
 from los_design.search.worst_points import load_worst_points

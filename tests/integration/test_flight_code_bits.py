@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.flight_code.export import FLAGS, SOURCES
-from los_testbed.flight_code.laws import FlightLaws, laws_of
-from los_testbed.flight_code.vectors import run_laws
+from los_testbed.flight.export import FLAGS, SOURCES
+from los_testbed.flight.laws import FlightLaws, laws_of
+from los_testbed.flight.vectors import run_laws
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.replay import controllers
 from los_testbed.run.replay_ports import layout_of

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from los_testbed.flight_code.laws import laws_of
-from los_testbed.flight_code.tables import UNITS
+from los_testbed.flight.laws import laws_of
+from los_testbed.flight.tables import UNITS
 from support.flight_library import LIBRARY, write
 
 ROOT = Path(__file__).parents[2]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.flight_code.laws import laws_of
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.flight.laws import laws_of
 from los_testbed.parts.flight_library import FlightLibraryError, LibraryLaw
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import controllers, drive, write_bag
 from support.flight_library import LIBRARY, build, write
 

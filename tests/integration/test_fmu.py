@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
-from los_testbed.flight_code import export
-from los_testbed.flight_code.fmu import plant_model
+from los_testbed.config.run_config import RunConfig
+from los_testbed.flight import export
+from los_testbed.flight.fmu import plant_model
 from los_testbed.parts.run_parts import RunParts
 from support.flight_library import STRICT, same_bits
 

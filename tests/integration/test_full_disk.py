@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from los_testbed.bags.repair import repair_bag
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from support.simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.run import Run

@@ -10,9 +10,9 @@ import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
 from los_testbed.campaign.sampling import MemberParameters, members
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import controller_of, controllers, drive, metrics
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_a_budget
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import simple_telescope
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import build_controller, build_estimator
+from los_testbed.run.loop.closed_loop import LoopDivergedError, SimulatedLoop
+from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 from support.call_count import calls
 
@@ -114,7 +114,7 @@ def test_no_ros_is_imported(config, tmp_path):
         "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'geometry_msgs', 'rosgraph_msgs']));"
         "sys.path.insert(0, sys.argv[1]);"
         "from pathlib import Path; from simple_telescope import *;"
-        "from los_testbed.config import RunConfig; from los_testbed.loop.simulate import run_in_process;"
+        "from los_testbed.config.run_config import RunConfig; from los_testbed.run.loop.simulate import run_in_process;"
         "import los_testbed.cli.app;"
         "p = Path(sys.argv[2]); c = RunConfig(duration=0.1, **write_controllers(p));"
         "run_in_process(c, p / 'bag', SimpleTelescope())"

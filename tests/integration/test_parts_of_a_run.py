@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
-from los_testbed.loop.source_alone import NOISE, parts_of
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import with_scenario
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
+from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.loop.source_alone import NOISE, parts_of
 from los_testbed.run.summary.source_shares import REST, TOGETHER, source_shares
-from los_testbed.run_settings import with_scenario
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.conditions import conditions_of, differences

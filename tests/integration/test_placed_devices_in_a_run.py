@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 
 from pointing_analysis.read.run import Run
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from los_testbed.run.summary import predictions as module
 from los_testbed.run.summary.predictions import predictions

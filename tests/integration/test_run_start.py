@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from support.true_los import true_los

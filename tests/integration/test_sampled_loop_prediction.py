@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import SimulatedLoop
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.closed_loop import SimulatedLoop
 
 from lftkit import SampledSystem
 from los_estimator.runtime import LosEstimator

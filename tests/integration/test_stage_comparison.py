@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run import stages_tables
 from los_testbed.run.stages import Plan, perform, select
 from los_testbed.run.stages_tables import markdown

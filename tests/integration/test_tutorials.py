@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from los_testbed.cli import app as cli
 from los_testbed.cli import run as run_command
-from los_testbed.members import check_ranges
+from los_testbed.config.members import check_ranges
 from scipy import linalg
 
 import fsm_pma_controller

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 from pointing_analysis.read.run import Run
 from titop_plant.interface import CAMERA, MEASUREMENTS

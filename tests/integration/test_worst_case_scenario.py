@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_scenario
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run_settings import of_scenario
 from support.true_los import true_los
 
 from los_loop.closing import sampled_loop

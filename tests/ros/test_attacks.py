@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("std_srvs")
 from attack_campaign import GOOD, case_of, judge, kind_of, messages_of, outcome, run_beside, text_of
 from attacker import EARLY, Attacker, Case
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.screen import Screen

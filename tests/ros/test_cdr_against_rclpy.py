@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import Codec, codec_for, stamp_of
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
+from los_testbed.config.topics import TOPICS
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-from los_testbed.topics import TOPICS
 from rclpy.serialization import deserialize_message, serialize_message
 
 from pointing_analysis.read.messages.cdr import Encoder

@@ -15,14 +15,14 @@ from bystander import Bystander, middleware
 from los_testbed import api
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.cli.run import configure
-from los_testbed.config import RunConfig
-from los_testbed.exit_codes import ExitCode
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
 from los_testbed.nodes.remote_control import remote_control
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.modes import EXERCISE_S, first_choice, in_lockstep
 from los_testbed.run.results import Exercised, RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, TRUTH_LOS
 from ros_faults import when_running
 from ros_runs import private_domain
 

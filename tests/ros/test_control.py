@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 pytest.importorskip("rclpy")
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.nodes.remote_control import NoAnswerError
 from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from ros_runs import private_domain
 from simple_telescope import write_controllers
 
@@ -21,7 +21,7 @@ from pointing_analysis.read.run import Run
 pytestmark = pytest.mark.ros
 SUPPORT = Path(__file__).parents[1] / "support"
 VARIABLES = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-DRIVER = "los_testbed.device.udp:UdpRig"
+DRIVER = "los_testbed.rig.udp:UdpRig"
 
 
 @contextmanager
@@ -32,7 +32,7 @@ def emulator(*options):
         address = f"127.0.0.1:{free.getsockname()[1]}"
     physics = json.dumps({"plant": "simple_telescope:SimpleTelescope", "device_address": address})
     process = subprocess.Popen(
-        [sys.executable, "-m", "los_testbed.device.emulator", "--priority", "--config", physics, *options],
+        [sys.executable, "-m", "los_testbed.rig.emulator", "--priority", "--config", physics, *options],
         stdout=subprocess.PIPE,
         text=True,
         cwd=SUPPORT,
@@ -104,7 +104,7 @@ def test_a_rig_that_freezes_ends_the_run_with_a_whole_bag_and_an_exit_code(tmp_p
 RIG = """
 import time
 import numpy as np
-from los_testbed.device.contract import Sample
+from los_testbed.parts.device_contract import Sample
 
 YEAR = 365 * 86_400 * 10**9
 

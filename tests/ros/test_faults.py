@@ -16,11 +16,11 @@ pytest.importorskip("rclpy")
 from bystander import Bystander
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.repair import repair_bag
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import FSM_COMMAND, ISOLATOR_ACCEL, PMA_COMMAND, SENSORS, TRUTH_LOS
 from los_testbed.run import replay
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import FSM_COMMAND, ISOLATOR_ACCEL, PMA_COMMAND, SENSORS, TRUTH_LOS
 from ros_faults import diagnostics, run_with_fault
 from ros_runs import (
     PLANT,

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.topics import image_topic
 from los_testbed.nodes.support.transport.raw_topics import MESSAGES
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.runner import Runner
-from los_testbed.topics import image_topic
 from rclpy.serialization import deserialize_message
 from ros_runs import config_for, topic_hashes
 

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 from bystander import Bystander
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.processes.domains import (
     DOMAIN_GAIN,
     FIRST_PARTICIPANT,

@@ -17,12 +17,12 @@ from bystander import middleware
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.diagnostics import read_diagnostics
-from los_testbed.config import RunConfig
-from los_testbed.loop.changes import NAMES as CHANGING
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import TOPICS
 from los_testbed.nodes.support import node_context
+from los_testbed.run.loop.changes import NAMES as CHANGING
 from los_testbed.run.processes.node_launch import environment, node_command
 from los_testbed.run.runner import Runner
-from los_testbed.topics import TOPICS
 from mcap.reader import make_reader
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.runner import Runner
 from ros_runs import assert_plant_is_recorded, config_for, topic_hashes
 

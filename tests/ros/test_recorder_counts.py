@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
-from los_testbed.loop.source_guard import OURS, SourceGuard
+from los_testbed.config.topics import FSM_COMMAND
 from los_testbed.nodes.support import track as recording
 from los_testbed.nodes.support.transport.serialized_reader import Taken
-from los_testbed.topics import FSM_COMMAND
+from los_testbed.run.loop.source_guard import OURS, SourceGuard
 
 from titop_plant.interface import TICK_NS
 

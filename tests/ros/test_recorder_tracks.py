@@ -10,12 +10,12 @@ import pytest
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status, write_diagnostics
-from los_testbed.loop.source_guard import OURS, Endpoint, SourceGuard
+from los_testbed.config.topics import TOPICS, TopicDefinition
 from los_testbed.nodes.recorder import Recorder
 from los_testbed.nodes.support.track import UNKNOWN_NS, ReportTrack, Track
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
-from los_testbed.topics import TOPICS, TopicDefinition
+from los_testbed.run.loop.source_guard import OURS, Endpoint, SourceGuard
 
 from titop_plant.interface import TICK_NS
 

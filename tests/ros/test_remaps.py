@@ -3,11 +3,11 @@
 import pytest
 
 pytest.importorskip("rclpy")
+from los_testbed.config.topics import SENSORS
 from los_testbed.nodes.support.unread_topics import bypassed_in_words
 from los_testbed.run.processes.node_launch import node_command
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import SENSORS
 from mcap.reader import make_reader
 from ros_runs import PLANT, config_for
 

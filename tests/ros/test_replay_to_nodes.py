@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.topics import IMAGE_NAME
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.runner import Runner
-from los_testbed.topics import IMAGE_NAME
 from ros_runs import PLANT, config_for
 from support.unjudged import judged
 

@@ -10,10 +10,10 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import CodecError
 from los_testbed.bags.diagnostics import HARDWARE, Status, read_diagnostics, write_diagnostics
-from los_testbed.loop.source_guard import Endpoint, SourceGuard
+from los_testbed.config.topics import NODES
 from los_testbed.nodes.support.source_watch import UNKNOWN_LOOKS, SourceWatch
+from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.run.runner import Runner
-from los_testbed.topics import NODES
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_runs import PLANT as PLANT_COMMAND
 from ros_runs import config_for

@@ -11,8 +11,8 @@ from bystander import Bystander
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from los_testbed.bags.cdr import codec_for
+from los_testbed.config.topics import FSM_COMMAND, TRUTH_LOS
 from los_testbed.nodes.support.parameters import FAULT
-from los_testbed.topics import FSM_COMMAND, TRUTH_LOS
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_faults import run_with_fault

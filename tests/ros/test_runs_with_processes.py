@@ -14,8 +14,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 import simple_telescope
-from los_testbed.loop.simulate import run_in_process
 from los_testbed.nodes.support.handshake import LISTEN_S
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner

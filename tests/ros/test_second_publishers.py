@@ -11,9 +11,9 @@ from bystander import Bystander
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.config.topics import FSM_COMMAND, TOPICS, TRUTH_LOS
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import FSM_COMMAND, TOPICS, TRUTH_LOS
 from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 from ros_faults import diagnostics, run_with_fault

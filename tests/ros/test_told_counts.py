@@ -3,7 +3,7 @@
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.runner import Runner
 
 TOPIC = "/telescope/truth/los"

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.loop.simulate import run_in_process
-from los_testbed.members import random_member
+from los_testbed.config.members import random_member
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.processes.node_launch import environment
 from los_testbed.run.runner import Runner
 from ros_runs import config_for, private_domain, topic_hashes

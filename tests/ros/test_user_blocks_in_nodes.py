@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.results import RunError
 from los_testbed.run.runner import Runner
 from ros_runs import PLANT, config_for, topic_hashes

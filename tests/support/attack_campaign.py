@@ -38,11 +38,11 @@ from pathlib import Path
 import attacker
 from attacker import CLOCK, EARLY, REQUESTS, SERVICES, SILENT, STAMPS, Attacker, Case
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.config.topics import NODES, PROGRESS_TOPIC, TOPICS, TRUTH_LOS
 from los_testbed.nodes.support.requesters import UNKNOWN
 from los_testbed.run.processes import node_process
 from los_testbed.run.results import Results, RunError
 from los_testbed.run.runner import Runner
-from los_testbed.topics import NODES, PROGRESS_TOPIC, TOPICS, TRUTH_LOS
 from mcap.reader import make_reader
 from node_template import NodeTemplate
 from ros_runs import PLANT, config_for

@@ -154,9 +154,9 @@ def main() -> None:
 def attack(domain: int, case: Case) -> None:
     """Perform a case."""
     from los_testbed.bags.cdr import stamp_of
+    from los_testbed.config.topics import TRUTH_LOS
     from los_testbed.nodes.support.transport.middleware import choose_middleware
     from los_testbed.nodes.support.transport.raw_topics import RawSubscription
-    from los_testbed.topics import TRUTH_LOS
 
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     choose_middleware(os.environ)
@@ -210,8 +210,8 @@ def _messages(name):
     from diagnostic_msgs.msg import DiagnosticArray
     from los_testbed.bags.cdr import codec_for
     from los_testbed.bags.diagnostics import Status, write_diagnostics
+    from los_testbed.config.topics import PROGRESS_TOPIC, TOPICS
     from los_testbed.nodes.support.transport.raw_topics import MESSAGES
-    from los_testbed.topics import PROGRESS_TOPIC, TOPICS
 
     from pointing_analysis.read.messages.cdr import STAMP, Encoder
     from pointing_analysis.read.messages.message_types import HEADER
@@ -246,8 +246,8 @@ def _sender(node, case):
 
 def _silent_reader(node, heard):
     """A function that stops this process as soon as the run is heard; its readers ask for every message again."""
+    from los_testbed.config.topics import TOPICS
     from los_testbed.nodes.support.transport.raw_topics import RawSubscription
-    from los_testbed.topics import TOPICS
 
     readers = [RawSubscription(node, f"/telescope/{topic.name}", topic.type_name, 5000) for topic in TOPICS]
 

@@ -13,10 +13,10 @@ import signal
 import sys
 
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.loop.scheduling import become_real_time
+from los_testbed.config.topics import TOPICS
 from los_testbed.nodes.support.transport.middleware import choose_middleware
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription, Waiter
-from los_testbed.topics import TOPICS
+from los_testbed.run.loop.scheduling import become_real_time
 
 from titop_plant.interface import TICK_NS
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.bags.diagnostics import read_diagnostics
+from los_testbed.config.topics import TopicDefinition
 from los_testbed.nodes.support.transport.middleware import (
     PROFILE_VARIABLES,
     TRANSPORT_VARIABLE,
@@ -17,7 +18,6 @@ from los_testbed.nodes.support.transport.middleware import (
 )
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
 from los_testbed.run.processes.node_launch import RANGE_VARIABLE
-from los_testbed.topics import TopicDefinition
 from rclpy.context import Context
 from rclpy.node import Node
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from los_testbed.flight_code.export import FILES, render
-from los_testbed.flight_code.laws import FlightLaws
-from los_testbed.flight_code.tables import HEADER, UNITS
+from los_testbed.flight.export import FILES, render
+from los_testbed.flight.laws import FlightLaws
+from los_testbed.flight.tables import HEADER, UNITS
 from los_testbed.parts.flight_library import LibraryLaw
 
 from lftkit.arrays import BoolArray, FloatArray

@@ -199,7 +199,7 @@ def first_moments() -> None:
     Type supports of messages, the shipped telescope, the search for libraries of linear algebra. The garbage collector
     leaves what is there alone from now on, so that a copy does not write to the pages of all objects.
     """
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
     from los_testbed.parts.run_parts import RunParts
     from rclpy.type_support import check_for_type_support
 

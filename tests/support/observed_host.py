@@ -57,7 +57,7 @@ def local_addresses() -> set[str]:
 
 def run(config: str, device: str, folder: str) -> dict[str, object]:
     """Run until the stranger has left."""
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
     from los_testbed.run.processes.viewers import Live
     from los_testbed.run.runner import Runner
     from ros_runs import PLANT

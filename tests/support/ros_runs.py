@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from mcap.reader import make_reader
 from simple_telescope import write_controllers
 from support.unjudged import judged

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import SimulatedLoop
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.closed_loop import SimulatedLoop
 
 
 def true_los(config: RunConfig) -> np.ndarray:

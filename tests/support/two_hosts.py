@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.processes.node_launch import environment, node_command, parameter_file
 
 LINK = str(Path(__file__).with_name("lossy_link.py"))

@@ -13,8 +13,8 @@ A tick has these steps, in this order; all but the second and third are there wh
 7. The camera replaces the angles by those of its images.
 
 :meth:`Plant.step` computes the second step with numpy, or, after :meth:`Plant.compile`, with the compiled code of
-:mod:`titop_plant.simulation.kernel`, which also runs whole loops (:mod:`los_testbed.loop.compiled_loop`). **All of them
-have the same bits.**
+:mod:`titop_plant.simulation.kernel`, which also runs whole loops (:mod:`los_testbed.run.loop.compiled_loop`). **All of
+them have the same bits.**
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ setup(
     packages=find_packages(exclude=["test"]),
     package_data={
         NAME: [
-            "profiles/*.xml",
-            "*.yaml",
+            "nodes/support/transport/profiles/*.xml",
+            "config/*.yaml",
             "campaign/*.html.j2",
-            "flight_code/templates/*.j2",
+            "flight/templates/*.j2",
             "py.typed",
             "live/static/*",
         ]

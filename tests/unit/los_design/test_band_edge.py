@@ -86,8 +86,8 @@ def test_search_worst_tone_and_members_look_in_its_bands(own: Telescope, system)
 
 
 def test_a_run_and_its_budget_of_tones_have_it(own: Telescope, tmp_path: Path) -> None:
-    from los_testbed.config import RunConfig
-    from los_testbed.loop.simulate import run_in_process
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.run.loop.simulate import run_in_process
 
     from pointing_analysis.read.run import Run
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 

@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter
-from los_testbed.exit_codes import ExitCode
-from los_testbed.topics import TRUTH_LOS
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.topics import TRUTH_LOS
 from support.forged_bags import forge, forge_with_manifest, places, without_chain
 
 from pointing_analysis.indices.synthetic import write_bag

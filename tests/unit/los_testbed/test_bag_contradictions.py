@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fuzz.record_mutations import put_together, taken_apart
 from los_testbed.bags.repair import repair_bag
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from support.forged_bags import forge, places
 
 from pointing_analysis.read.mcap.records import OP_MANIFEST

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import yaml
 from los_testbed.bags.repair import repair_bag
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader

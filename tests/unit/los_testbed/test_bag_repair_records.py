@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zstandard
 from los_testbed.bags.repair import RepairResult, repair_bag
-from los_testbed.topics import DIAGNOSTICS_TOPIC, TOPICS
+from los_testbed.config.topics import DIAGNOSTICS_TOPIC, TOPICS
 from mcap.reader import make_reader
 
 MAGIC = b"\x89MCAP0\r\n"

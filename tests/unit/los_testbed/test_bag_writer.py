@@ -8,7 +8,7 @@ import pytest
 import yaml
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter
-from los_testbed.topics import PMA_COMMAND, TOPICS, TRUTH_LOS
+from los_testbed.config.topics import PMA_COMMAND, TOPICS, TRUTH_LOS
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore

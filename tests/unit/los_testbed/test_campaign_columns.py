@@ -20,7 +20,7 @@ from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.cli.app import main
 from los_testbed.cli.campaign import _show
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from rich.console import Console
 

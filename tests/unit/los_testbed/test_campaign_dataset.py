@@ -12,7 +12,7 @@ import pytest
 from los_testbed.campaign.dataset import CHUNK, Campaign, ResultFolder
 from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, metric_table
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 BASE = RunConfig(mode="inprocess")

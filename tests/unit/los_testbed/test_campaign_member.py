@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import los_testbed.campaign.member
-import los_testbed.loop.compiled_loop
+import los_testbed.run.loop.compiled_loop
 import numpy as np
 import pytest
 from los_testbed.campaign.member import MemberEvaluator, metric_columns, row_hash
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
-from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.controllers import assemble_controller
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.closed_loop import LoopDivergedError, SimulatedLoop
+from los_testbed.run.loop.contract import RunFailedError
+from los_testbed.run.loop.simulate import run_in_process
 
 from los_estimator.runtime import LosEstimator
 from pointing_analysis.read import mapped_arrays
@@ -112,7 +112,7 @@ def test_a_member_has_the_bits_of_its_parts_called_tick_by_tick(
     given = replace(base, **REFERENCE.settings(member(1)))
     row = evaluator.row(1, member(1), "time")
     with monkeypatch.context() as patched:
-        patched.setattr(los_testbed.loop.compiled_loop, "kernel_for", lambda ticks: None)
+        patched.setattr(los_testbed.run.loop.compiled_loop, "kernel_for", lambda ticks: None)
         assert evaluator.row(1, member(1), "time") == row
 
     class Own(LosEstimator):

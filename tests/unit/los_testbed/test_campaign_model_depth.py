@@ -11,7 +11,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 from lftkit import SampledSystem

@@ -13,8 +13,8 @@ import pytest
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.reproduction import member_command
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
-from los_testbed.run_settings import with_stage
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import with_stage
 from support.command_line import call_command
 
 from los_loop.closing import sampled_loop

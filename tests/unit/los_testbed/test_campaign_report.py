@@ -16,7 +16,7 @@ from los_testbed.campaign.member import finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, verdict_table
 from los_testbed.campaign.page import write_page
 from los_testbed.campaign.sampling import MemberParameters
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from support import axe, headless_browser
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
-from los_testbed.members import check_ranges
+from los_testbed.config.members import check_ranges
+from los_testbed.config.run_config import RunConfig
 
 from titop_plant.telescope.load import load_telescope
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
-from los_testbed.topics import TOPICS
+from los_testbed.config.topics import TOPICS
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop.changes import MAX_WAITING, NAMES, Changes, parse_change
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import build_controller
+from los_testbed.run.loop.changes import MAX_WAITING, NAMES, Changes, parse_change
 
 from fsm_pma_controller.fade import FADE_TICKS, Fade
 from titop_plant.interface import COMMANDS, FORCES, MEASUREMENTS, MIRROR, STAGES, TICK_NS, TRUTH

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 import zstandard
 from fuzz.record_mutations import put_together, taken_apart
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.mcap import chunks as mcap_chunks

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
-from los_testbed.loop.command_gate import CommandGate
+from los_testbed.run.loop.command_gate import CommandGate
 
 from pointing_analysis.read.messages.message_types import VECTOR3
 

@@ -13,8 +13,8 @@ import pytest
 from command_line import CommandLine
 from los_testbed.cli.environment import TRACEBACK
 from los_testbed.cli.run import configure
-from los_testbed.config import RunConfig
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from simple_telescope import SimpleTelescope, write_controllers
 

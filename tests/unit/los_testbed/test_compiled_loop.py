@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop import compiled_loop
-from los_testbed.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
-from los_testbed.loop.compiled_loop import CompiledLoop, prepare
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop import compiled_loop
+from los_testbed.run.loop.closed_loop import SIGNALS, SampleBlock, SimulatedLoop
+from los_testbed.run.loop.compiled_loop import CompiledLoop, prepare
 
 from titop_plant.simulation import compilation
 from titop_plant.simulation.plant import Plant
@@ -96,7 +96,7 @@ def test_no_product_is_fused_with_a_sum() -> None:
 CODE = """
 import sys
 {before}
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from titop_plant.simulation.compilation import kernel
 parts = RunParts(RunConfig(scenario="imbalance", start="rest", loop="isolator", duration=0.1))

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.bags.metadata import run_metadata
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator
+from los_testbed.run.metadata import run_metadata
 from los_testbed.run.replay import controllers
 from simple_telescope import SimpleTelescope, write_controllers
 
@@ -213,7 +213,7 @@ def test_design_verify_compares_too(monkeypatch: pytest.MonkeyPatch, capsys: pyt
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    from los_testbed.loop.simulate import run_in_process
+    from los_testbed.run.loop.simulate import run_in_process
 
     files = write_controllers(tmp_path)
     run_in_process(RunConfig(duration=0.2, mode="inprocess", **files), tmp_path / "bag", SimpleTelescope())

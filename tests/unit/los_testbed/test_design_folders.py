@@ -10,9 +10,9 @@ from los_testbed.cli import app as cli
 from los_testbed.cli.designs.folders import name_unseen_requirements
 from los_testbed.cli.designs.redesign import check_output
 from los_testbed.cli.run import configure
-from los_testbed.members import WORST_POINTS, worst_member
+from los_testbed.config.members import WORST_POINTS, worst_member
+from los_testbed.config.run_settings import TELESCOPE_FILE, of_designs
 from los_testbed.run.summary.control_effect import ControlEffect
-from los_testbed.run_settings import TELESCOPE_FILE, of_designs
 
 from los_design.synthesis.store import design_file
 from titop_plant.interface import STAGES

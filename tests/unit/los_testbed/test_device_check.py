@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from los_testbed.cli.app import main
 from los_testbed.cli.device import _table
-from los_testbed.config import RunConfig
-from los_testbed.device import emulator, motions
-from los_testbed.device.check import faults, judge
-from los_testbed.device.contract import DeviceError, Sample
-from los_testbed.device.motions import model_response, motion, peaks_of, record
-from los_testbed.device.supervisor import Supervisor
-from los_testbed.device.wiring import MISTAKES, Wiring
-from los_testbed.exit_codes import ExitCode
-from los_testbed.loop.scheduling import real_time_thread
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.device_contract import DeviceError, Sample
+from los_testbed.rig import emulator, motions
+from los_testbed.rig.check import faults, judge
+from los_testbed.rig.motions import model_response, motion, peaks_of, record
+from los_testbed.rig.supervisor import Supervisor
+from los_testbed.rig.wiring import MISTAKES, Wiring
+from los_testbed.run.loop.scheduling import real_time_thread
 
 from titop_plant.interface import CAMERA, COLUMNS, FORCES, MEASURED, MIRROR, TICK_NS
 
@@ -199,7 +199,7 @@ def test_unknown_wirings_are_a_mistake_of_the_user(capsys):
 def bench(monkeypatch, model):
     """The command with a rig without real time and the model of it."""
     made = Bench("fsm_angle=sign")
-    monkeypatch.setattr("los_testbed.device.contract.make", lambda config, setting: made)
+    monkeypatch.setattr("los_testbed.parts.device_contract.make", lambda config, setting: made)
     monkeypatch.setattr(motions, "model_response", lambda plant, peaks: model)
     monkeypatch.setattr(motions, "record", lambda sup, peaks: record(sup, peaks, made, lambda: made.now))
     return made

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.device.contract import ACTIVE, ERROR, FINALIZED, DeviceError, Sample
-from los_testbed.device.emulator import Mirror, RigSettings
-from los_testbed.device.serial import SerialRig
-from los_testbed.device.supervisor import EVERY_TICK, Supervisor
-from los_testbed.device.udp import UdpRig
-from los_testbed.device.wire import Kind, encode
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.device_contract import ACTIVE, ERROR, FINALIZED, DeviceError, Sample
+from los_testbed.rig.emulator import Mirror, RigSettings
+from los_testbed.rig.serial import SerialRig
+from los_testbed.rig.supervisor import EVERY_TICK, Supervisor
+from los_testbed.rig.udp import UdpRig
+from los_testbed.rig.wire import Kind, encode
 
 from titop_plant.interface import COLUMNS, COMMANDS
 
@@ -35,7 +35,7 @@ class Rig:
             address = f"127.0.0.1:{free.getsockname()[1]}"
         self.config = RunConfig(device="rig", device_address=address, start="rest")
         physics = json.dumps({"plant": PLANT, "device_address": address})
-        command = [sys.executable, "-m", "los_testbed.device.emulator", "--config", physics, *options]
+        command = [sys.executable, "-m", "los_testbed.rig.emulator", "--config", physics, *options]
         variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=SUPPORT, env=variables)
         ready = self.next()
@@ -241,8 +241,8 @@ def test_the_counts_of_a_driver_begin_with_the_run_and_not_when_its_rig_is_opene
 
 OPENED_AND_KILLED = """
 import os, sys
-from los_testbed.config import RunConfig
-from los_testbed.device.udp import UdpRig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.rig.udp import UdpRig
 UdpRig().open(RunConfig(device="rig", device_address=sys.argv[1], start="rest"))
 os._exit(1)
 """
@@ -260,7 +260,7 @@ def test_a_rig_is_free_again_when_its_host_died_before_its_first_command(rig):
 def test_a_host_that_waits_for_its_run_keeps_its_rig(rig, monkeypatch):
     driver = UdpRig()
     driver.open(rig.config)
-    monkeypatch.setattr("los_testbed.device.driver.OPEN_S", 0.01)
+    monkeypatch.setattr("los_testbed.rig.driver.OPEN_S", 0.01)
     end = time.monotonic() + 2.0
     while time.monotonic() < end:  # longer than a host that has left is waited for
         time.sleep(0.02)
@@ -271,7 +271,7 @@ def test_a_host_that_waits_for_its_run_keeps_its_rig(rig, monkeypatch):
 
 
 def test_no_rig_is_a_mistake_of_the_user(monkeypatch):
-    monkeypatch.setattr("los_testbed.device.driver.OPEN_S", 0.1)
+    monkeypatch.setattr("los_testbed.rig.driver.OPEN_S", 0.1)
     config = RunConfig(device="my:Rig", device_address="127.0.0.1:9", start="rest")
     with pytest.raises(ValueError, match=r"device my:Rig must open, got RigSilentError: no answer from 127.0.0.1:9"):
         Supervisor(UdpRig(), config).open()

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.device import motions
-from los_testbed.device.contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
-from los_testbed.device.motions import record
-from los_testbed.device.supervisor import (
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
+from los_testbed.parts.device_contract import ERROR, FINALIZED, TRUTH_PORT, DeviceError, Sample
+from los_testbed.rig import motions
+from los_testbed.rig.motions import record
+from los_testbed.rig.supervisor import (
     EVERY_TICK,
     FROZEN_FRAMES,
     FROZEN_TICKS,
@@ -19,8 +20,7 @@ from los_testbed.device.supervisor import (
     as_stamp,
     refused_in_words,
 )
-from los_testbed.device.wire import Kind, Reader, encode
-from los_testbed.exit_codes import ExitCode
+from los_testbed.rig.wire import Kind, Reader, encode
 
 from titop_plant.interface import CAMERA_PORT, COLUMNS, COMMANDS, TICK_NS
 
@@ -74,7 +74,7 @@ def test_a_sample_of_a_time_that_cannot_be_costs_itself_alone(shift, monkeypatch
     device = Rig()
     supervisor = watched(device)
     now = time.monotonic_ns()
-    monkeypatch.setattr("los_testbed.device.supervisor.time", SimpleNamespace(monotonic_ns=lambda: now))
+    monkeypatch.setattr("los_testbed.rig.supervisor.time", SimpleNamespace(monotonic_ns=lambda: now))
     for port in (CAMERA_PORT, TRUTH_PORT, EVERY_TICK[0]):
         device.more = [Sample(port, now + shift, device.noise(port))]
         assert supervisor.read(now)

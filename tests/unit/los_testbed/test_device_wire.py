@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from los_testbed.config import RunConfig
-from los_testbed.device.clock_map import ClockMap
-from los_testbed.device.driver import PacketRig, secret_of
-from los_testbed.device.emulator import key_of
-from los_testbed.device.serial import BAUD, PacketSplitter, line_of
-from los_testbed.device.udp import address_of, other_machine
-from los_testbed.device.wire import Kind, Reader, encode, fits
+from los_testbed.config.run_config import RunConfig
+from los_testbed.rig.clock_map import ClockMap
+from los_testbed.rig.driver import PacketRig, secret_of
+from los_testbed.rig.emulator import key_of
+from los_testbed.rig.serial import BAUD, PacketSplitter, line_of
+from los_testbed.rig.udp import address_of, other_machine
+from los_testbed.rig.wire import Kind, Reader, encode, fits
 
 KEY, OTHER = b"12345678", b"12345679"
 VALUES = np.array([1e-6, -2e-6])

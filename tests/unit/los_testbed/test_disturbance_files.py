@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.disturbance_files import entries_of, make_sources
 from los_testbed.parts.run_parts import RunParts
 from scipy import io

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.plugins import in_one_line
+from los_testbed.config.plugins import in_one_line
 from simple_telescope import write_controllers
 from user_code import STORED_LAW
 

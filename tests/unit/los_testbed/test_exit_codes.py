@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from los_testbed.cli import app
 from los_testbed.cli import run as run_command
-from los_testbed.exit_codes import COMMANDS, MEANINGS, ExitCode
+from los_testbed.config.exit_codes import COMMANDS, MEANINGS, ExitCode
 from los_testbed.run.results import Results
 
 from pointing_analysis.read.run import Run

@@ -10,12 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.flight_code import export
-from los_testbed.flight_code.export import FILES, c_string, provenance, render
-from los_testbed.flight_code.laws import FlightLaws, laws_of
-from los_testbed.flight_code.tables import UNITS, hex_float, read_tables
-from los_testbed.flight_code.vectors import VERDICTS, gate_ticks, law_ticks
+from los_testbed.config.run_config import RunConfig
+from los_testbed.flight import export
+from los_testbed.flight.export import FILES, c_string, provenance, render
+from los_testbed.flight.laws import FlightLaws, laws_of
+from los_testbed.flight.tables import UNITS, hex_float, read_tables
+from los_testbed.flight.vectors import VERDICTS, gate_ticks, law_ticks
 from los_testbed.parts.run_parts import RunParts
 
 import fsm_pma_controller

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.image_camera import BEFORE_START, DROPPED, SEARCH_AFTER, ImageCamera, window_of
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 from mcap.reader import make_reader
 
 from lftkit.arrays import FloatArray

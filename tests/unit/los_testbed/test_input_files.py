@@ -12,7 +12,7 @@ import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import identity
 from los_testbed.campaign.portable import base_of, portable
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run import stages
 from los_testbed.run.input_files import input_digests, telescope_digest, with_files_beside

@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("cryptography")
 from cryptography import x509
 from los_testbed.cli import app
+from los_testbed.config.topics import NODES, TOPICS
 from los_testbed.run.processes.enclaves import ENCLAVES, enclave_path, governance, heard_by, permissions, sent_by
 from los_testbed.run.processes.node_launch import ros_arguments
-from los_testbed.topics import NODES, TOPICS
 
 SPACE = "/telescope"
 GRANT = ["subject_name", "validity", "allow_rule", "default"]

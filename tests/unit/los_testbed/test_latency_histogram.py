@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
 
 @pytest.mark.parametrize("probability", [0.01, 0.5, 0.9, 0.99, 0.999, 1.0])

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 
 PACKAGE = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed"
 

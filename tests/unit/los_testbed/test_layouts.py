@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from los_testbed.bags.schemas import DEFINITIONS
-from los_testbed.config import NAMESPACE
-from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, TOPICS
+from los_testbed.config.run_config import NAMESPACE
+from los_testbed.config.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, NODES, TOPICS
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
 from pointing_analysis.read.messages.message_types import JOINT_NAMES, JOINT_STATE
 

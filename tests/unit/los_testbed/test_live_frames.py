@@ -9,12 +9,12 @@ from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
 from los_testbed.cli.options.live_options import check_live
 from los_testbed.cli.run import with_lone_options
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
 from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.history import CAPACITY, MAX_POINTS, SPAN_TICKS, History, indices
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.processes.viewers import Live
-from los_testbed.topics import FSM_COMMAND, PMA_COMMAND, TRUTH_LOS, image_topic
 
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import rpe_rms

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.loop_curves import loop_curves
 
 from los_design.synthesis.store import load_designs

@@ -1,8 +1,8 @@
 """Levels of a loop: rate, execution time, silence."""
 
 import pytest
-from los_testbed.loop.health import LoopHealth
-from los_testbed.loop.latency_histogram import LatencyHistogram
+from los_testbed.run.loop.health import LoopHealth
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
 
 @pytest.mark.parametrize(

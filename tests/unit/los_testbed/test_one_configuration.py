@@ -12,7 +12,7 @@ import typer
 import yaml
 from los_testbed.cli.app import command_line
 from los_testbed.cli.run import configure, with_lone_options
-from los_testbed.config import RunConfig, physical_hash
+from los_testbed.config.run_config import RunConfig, physical_hash
 from los_testbed.run.processes.node_launch import parameter_text
 
 from pointing_analysis.read.run import Run

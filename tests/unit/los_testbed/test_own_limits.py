@@ -15,7 +15,7 @@ from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.member import MemberEvaluator, metric_columns
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from support.requirement_outputs import page_rows, screen_rows

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError
-from los_testbed.loop.contract import ContractError, RunFailedError, check_plant
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.closed_loop import LoopDivergedError
+from los_testbed.run.loop.contract import ContractError, RunFailedError, check_plant
+from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
 from pointing_analysis.read.run import Run

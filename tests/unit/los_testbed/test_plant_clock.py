@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from los_testbed.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
 from los_testbed.nodes.support.plant_clock import AGREED, PlantClock
+from los_testbed.run.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
 
 MS = 1_000_000
 OFFSET = 1_795_000_000_000 * MS

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from command_line import CommandLine
 from los_testbed.cli.run import configure
-from los_testbed.config import RunConfig, physical_hash
-from los_testbed.members import CASES, check_ranges, named_cases, random_member
+from los_testbed.config.members import CASES, check_ranges, named_cases, random_member
+from los_testbed.config.run_config import RunConfig, physical_hash
 from los_testbed.parts import run_parts
 
 from los_design.figures import plant_figures

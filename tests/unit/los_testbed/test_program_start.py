@@ -21,7 +21,7 @@ signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the tests may have been started
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 sys.meta_path.insert(0, Sender())
 sys.argv = ["los-testbed", "--version"]
-from los_testbed.program import main
+from los_testbed.__main__ import main
 sys.exit(main())
 """
 

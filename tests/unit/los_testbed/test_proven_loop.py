@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed.bags.metadata import final_metadata, run_metadata
-from los_testbed.bags.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.metadata import final_metadata, run_metadata
+from los_testbed.run.proven_loop import ADMITTED, JUDGED, PROOF_BOUNDS, PROOF_KEYS, proof_of
 from los_testbed.run.summary.local_proofs import confirmed, with_confirmed
 from los_testbed.run.summary.summary import judged, remarks_of
 from simple_telescope import SimpleTelescope

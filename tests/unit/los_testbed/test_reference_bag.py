@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 from los_testbed.bags.check import check_bag
+from los_testbed.config.topics import TOPICS
 from los_testbed.run import replay
-from los_testbed.topics import TOPICS
 
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare

@@ -8,8 +8,8 @@ import pytest
 from command_line import CommandLine
 from los_testbed.bags.writer import BagWriter
 from los_testbed.cli import app as cli
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 

@@ -6,12 +6,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
-from los_testbed.device.check import faults, judge
-from los_testbed.device.motions import model_response, peaks_of, record
-from los_testbed.device.supervisor import Supervisor
-from los_testbed.loop.slow_sensor import SlowSensor
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.rig.check import faults, judge
+from los_testbed.rig.motions import model_response, peaks_of, record
+from los_testbed.rig.supervisor import Supervisor
+from los_testbed.run.loop.slow_sensor import SlowSensor
 
 from titop_plant.interface import CAMERA_PORT, TICK_NS
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.processes.ros_variables import check_variables, domain_of
 
 

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from los_testbed.config import RunConfig, parse_value, physical_hash, read_yaml
+from los_testbed.config.run_config import RunConfig, parse_value, physical_hash, read_yaml
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ import subprocess
 import sys
 
 import pytest
-from los_testbed.loop.scheduling import enlarge_receive_buffers
+from los_testbed.run.loop.scheduling import enlarge_receive_buffers
 
 
 def test_what_is_not_permitted_is_named_and_not_an_error():
     code = (
         "import os, sys, ctypes\n"
-        "from los_testbed.loop import scheduling\n"
+        "from los_testbed.run.loop import scheduling\n"
         "def refuse(*a): raise PermissionError('no')\n"
         "os.sched_setscheduler = refuse\n"
         "class NoLock:\n"
@@ -28,7 +28,7 @@ def test_the_resending_thread_has_a_lower_priority_than_the_other_threads():
     """At the same priority, on the same processor, a polling thread would block the others of its process."""
     code = (
         "import os, threading, time\n"
-        "from los_testbed.loop.scheduling import become_real_time\n"
+        "from los_testbed.run.loop.scheduling import become_real_time\n"
         "def work():\n"
         "    open('/proc/thread-self/comm', 'w').write('dds.asyn.0.0')\n"
         "    time.sleep(30)\n"
@@ -45,7 +45,7 @@ def test_the_resending_thread_has_a_lower_priority_than_the_other_threads():
 def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
     """Nobody of lower priority on its processor could end it."""
     script = (
-        "import sys; from los_testbed.loop.scheduling import become_real_time; refused = become_real_time(1)\n"
+        "import sys; from los_testbed.run.loop.scheduling import become_real_time; refused = become_real_time(1)\n"
         "if 'real-time scheduling' in refused: sys.exit(77)\n"
         "while True: pass"
     )
@@ -58,7 +58,7 @@ def test_a_real_time_process_that_never_pauses_is_ended_by_the_kernel():
 def test_memory_that_takes_long_to_lock_is_locked_before_the_limit_holds():
     """As the first time on a virtual machine: the kernel must not take it for a process that never pauses."""
     script = (
-        "import os, time; from los_testbed.loop import scheduling\n"
+        "import os, time; from los_testbed.run.loop import scheduling\n"
         "class Library:\n"
         "    def mlockall(self, flags):\n"
         "        while time.process_time() < 1.5 + scheduling.MAX_BUSY_S:\n"
@@ -77,7 +77,7 @@ def test_a_process_ends_whose_parent_was_gone_before_it_asked_to_end_with_it(bef
     """The runner may be killed while its nodes import their modules."""
     number = "os.getppid()" + " + 1" * before
     script = (
-        "import os, sys; from los_testbed.loop.scheduling import end_with_parent\n"
+        "import os, sys; from los_testbed.run.loop.scheduling import end_with_parent\n"
         f"end_with_parent({number})\n"
         "sys.exit(7)"
     )
@@ -95,7 +95,7 @@ def test_receive_buffers_of_udp_sockets_are_enlarged_and_others_left_alone():
 
 def test_a_process_may_come_after_others_and_only_with_rights_before_them():
     """In a process of its own: what was given away does not come back without rights."""
-    code = "import os; from los_testbed.loop.scheduling import prefer\n"
+    code = "import os; from los_testbed.run.loop.scheduling import prefer\n"
     code += "print(prefer(5), os.nice(0), prefer(-5), os.nice(0))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert out[:2] == ["True", "5"] and out[2:] in (["True", "-5"], ["False", "5"])

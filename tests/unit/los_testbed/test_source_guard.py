@@ -1,8 +1,8 @@
 """Whose a message is: by the list of the run, or by the graph; floods, restarts, pauses, impostors."""
 
 import pytest
-from los_testbed.loop.members import OPEN, OTHER, OWN, PENDING, Members, complete_line
-from los_testbed.loop.source_guard import FOREIGN, MAX_STREAMS, OURS, UNMATCHED, Endpoint, SourceGuard
+from los_testbed.run.loop.members import OPEN, OTHER, OWN, PENDING, Members, complete_line
+from los_testbed.run.loop.source_guard import FOREIGN, MAX_STREAMS, OURS, UNMATCHED, Endpoint, SourceGuard
 
 from pointing_analysis.read.messages.cdr import STAMP
 from titop_plant.interface import TICK_NS

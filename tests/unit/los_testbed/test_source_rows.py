@@ -11,9 +11,9 @@ from los_testbed.campaign.dataset import Campaign
 from los_testbed.campaign.meanings import scenario_text
 from los_testbed.campaign.member import MemberEvaluator, source_columns
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.summary.pointing_budget_sources import testbed_sources as sources_of_table
 from los_testbed.run.summary.source_shares import source_shares
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy")
-from los_testbed.loop.members import OPEN, OTHER, OWN
-from los_testbed.loop.source_guard import Endpoint, SourceGuard
 from los_testbed.nodes.support.source_watch import UNKNOWN_LOOKS, UNKNOWN_NODE, SourceWatch
+from los_testbed.run.loop.members import OPEN, OTHER, OWN
+from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
 
 TOPIC, NODE = "/telescope/fsm/command", "/telescope/controller"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run import stages, stages_tables
 from los_testbed.run.stages import PLAN, Plan, StageRun, finish, perform
 

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 from los_testbed.bags.cdr import Codec
-from los_testbed.loop.slow_sensor import SlowSensor, frames_in_words
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, HORIZON_NS, NOT_KNOWN, StampSynchronizer, TickPart
+from los_testbed.run.loop.slow_sensor import SlowSensor, frames_in_words
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP, HORIZON_NS, NOT_KNOWN, StampSynchronizer, TickPart
 
 from pointing_analysis.read.messages.message_types import VECTOR3
 

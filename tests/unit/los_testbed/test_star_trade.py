@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 from los_testbed.cli.app import main
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import DESIGN_FILES, of_designs
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.star_trade import markdown, parameter_text
-from los_testbed.run_settings import DESIGN_FILES, of_designs
 
 from lftkit import SampledSystem
 from los_design import redesign

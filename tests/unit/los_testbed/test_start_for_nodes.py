@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts import run_parts
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_VARIABLE, RunStart, for_nodes

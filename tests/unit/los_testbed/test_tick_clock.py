@@ -1,8 +1,8 @@
 """Deadlines and overruns of the loop's clock, on a simulated steady clock."""
 
 import pytest
-from los_testbed.loop import tick_clock
-from los_testbed.loop.tick_clock import TickClock, wait_until
+from los_testbed.run.loop import tick_clock
+from los_testbed.run.loop.tick_clock import TickClock, wait_until
 
 MS = 1_000_000
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from los_testbed import plugins
 from los_testbed.cli import app
-from los_testbed.config import RunConfig
-from los_testbed.loop.contract import ContractError, RunFailedError
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config import plugins
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator
 from los_testbed.parts.start import RunStart
 from los_testbed.parts.user_blocks import BlockFailedError, UserBlock
+from los_testbed.run.loop.contract import ContractError, RunFailedError
+from los_testbed.run.loop.simulate import run_in_process
 from simple_telescope import SimpleTelescope, write_controllers
 
 from lftkit.systems.ports import Port

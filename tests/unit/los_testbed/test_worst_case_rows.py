@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.summary.worst_case_rows import level, limits_kept
 

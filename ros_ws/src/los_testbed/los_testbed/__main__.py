@@ -1,6 +1,40 @@
-"""``python -m los_testbed`` is the command ``los-testbed``."""
+"""Entry point of ``los-testbed`` and ``python -m los_testbed``: a signal ends it in one line from the first import.
 
-from los_testbed.program import main
+The imports take the greater part of a second, in which the handlers of the command line are not there yet.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import Any, NoReturn
+
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.run.processes.memory import check_command
+
+
+def _end(number: int, frame: Any) -> NoReturn:
+    """Nothing is open yet; an exception in the midst of an import could become another one."""
+    os.write(2, b"los-testbed: interrupted\n")
+    os._exit(ExitCode.INTERRUPTED)
+
+
+def main() -> int:
+    """Entry point: that of the command line, see `los_testbed.cli.app.main`."""
+    interrupt = signal.getsignal(signal.SIGINT)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    try:
+        check_command()
+    except ValueError as error:
+        os.write(2, f"los-testbed: {error}\n".encode())
+        return ExitCode.USER_ERROR
+    from los_testbed.cli.app import main as command_line
+
+    signal.signal(signal.SIGINT, interrupt)
+    return command_line()
+
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from los_testbed.run_settings import completed, layered, of_designs, with_scenario, with_stage
+from los_testbed.config.run_settings import completed, layered, of_designs, with_scenario, with_stage
 from pointing_analysis.requirements.requirement import Requirement
 from pointing_analysis.requirements.summary import Summary
 
@@ -185,7 +185,7 @@ def run(
         The run failed, was interrupted, or missed more ticks in real time than ``max_missed``; the message says where
         its record is, and ``code`` is the exit code of the command.
     """
-    from los_testbed.exit_codes import ExitCode
+    from los_testbed.config.exit_codes import ExitCode
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.bag_names import new_bag, recorded
     from los_testbed.run.execution import execute
@@ -278,7 +278,7 @@ def campaign(
     from los_testbed.campaign.dataset import Campaign, ResultFolder
     from los_testbed.campaign.execution import check_workers, cluster, identity, run_campaign
     from los_testbed.campaign.overview import campaign_summary
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
     from los_testbed.parts.run_parts import RunParts
 
     designs = settings.pop("designs", None)

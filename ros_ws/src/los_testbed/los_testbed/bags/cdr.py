@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.topics import TopicDefinition
+from los_testbed.config.topics import TopicDefinition
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.cdr import ENCAPSULATION, NS_PER_S, STAMP, STAMP_OFFSET, Encoder, layout
 from pointing_analysis.read.messages.message_types import JOINT_NAMES, JOINT_STATE

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from los_testbed.bags.contents import Contents
 from los_testbed.bags.signature import is_signed_by, signature_file, write_signature
-from los_testbed.exit_codes import ExitCode
-from los_testbed.topics import DIAGNOSTICS_TOPIC
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.topics import DIAGNOSTICS_TOPIC
 from pointing_analysis.read.mcap.bag_files import BagFiles, bag_files
 from pointing_analysis.read.mcap.bag_loss import TopicLoss
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, merged, value_of

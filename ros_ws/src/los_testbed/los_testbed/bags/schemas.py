@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from los_testbed.topics import DIAGNOSTICS
+from los_testbed.config.topics import DIAGNOSTICS
 from pointing_analysis.read.messages import message_types
 from pointing_analysis.read.messages.message_types import ACCEL, IMAGE, JOINT_STATE, VECTOR3
 

@@ -16,7 +16,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS
+from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS
 from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.run import Run

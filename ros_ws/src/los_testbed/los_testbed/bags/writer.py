@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
-from los_testbed.config import NAMESPACE
-from los_testbed.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS, TopicDefinition
+from los_testbed.config.run_config import NAMESPACE
+from los_testbed.config.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS, TopicDefinition
 from pointing_analysis.files.atomic_output import check_output, named_errors
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
 

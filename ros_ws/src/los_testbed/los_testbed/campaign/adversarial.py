@@ -10,7 +10,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
 from los_testbed.campaign.sampling import MemberParameters, members
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 
 METRICS = ("slow", "fast")

@@ -25,9 +25,9 @@ from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import with_scenario
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run_settings import with_scenario
 from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.requirement import Requirement

@@ -27,7 +27,7 @@ from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_secu
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.portable import base_of, portable
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import input_digests
 

@@ -1,8 +1,8 @@
 """One member of a campaign: its metrics from a simulated run, or from the matrices of its loop.
 
-The run is the one of :func:`los_testbed.loop.simulate.run_in_process`, the same bits without the bag; the metrics are
-those that :func:`pointing_analysis.requirements.summary.summarise` reads from that bag. What all members share (the LFT
-of the telescope, its parameter file, the controllers) is made once for a process.
+The run is the one of :func:`los_testbed.run.loop.simulate.run_in_process`, the same bits without the bag; the metrics
+are those that :func:`pointing_analysis.requirements.summary.summarise` reads from that bag. What all members share (the
+LFT of the telescope, its parameter file, the controllers) is made once for a process.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from los_loop.member_metrics import MemberMetrics, metric_names
 from los_testbed.campaign.campaign_verdict import judged, refused
 from los_testbed.campaign.meanings import RequirementColumns
 from los_testbed.campaign.sampling import MemberParameters
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError, SimulatedLoop
-from los_testbed.loop.compiled_loop import Signals
-from los_testbed.loop.contract import RunFailedError
-from los_testbed.loop.source_alone import errors_of_source
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.closed_loop import LoopDivergedError, SimulatedLoop
+from los_testbed.run.loop.compiled_loop import Signals
+from los_testbed.run.loop.contract import RunFailedError
+from los_testbed.run.loop.source_alone import errors_of_source
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.indices.errors import ErrorSeries, default_transient
 from pointing_analysis.read import mapped_arrays

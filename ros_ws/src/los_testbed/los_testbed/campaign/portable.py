@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from lftkit.support.input_files import read_text
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.input_files import with_files_beside
 
 FILES = ("k_fsm", "k_pma")

@@ -14,7 +14,7 @@ from typing import Any
 
 from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from pointing_analysis.requirements.rows import digits, with_unit
 
 FILES = ("k_fsm", "k_pma", "parameters")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
-from los_testbed.members import family, member_settings
+from los_testbed.config.members import family, member_settings
 from titop_plant.telescope.motion_profiles import read_csv
 
 SAMPLINGS = ("uniform", "lhs", "corners", "adversarial")

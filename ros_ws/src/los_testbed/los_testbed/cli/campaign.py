@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from lftkit.support.workers import Workers
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
 
 CAMPAIGN_EXAMPLES = """Evaluate many members of the telescope's family; one row a member in a Parquet data set.
 
@@ -106,9 +106,9 @@ def campaign(
     from los_testbed.campaign.execution import check_cluster, check_workers, cluster, identity
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.config.run_settings import with_scenario, with_stage
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run_settings import with_scenario, with_stage
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)
@@ -200,8 +200,8 @@ def _count(asked: Campaign, done: frozenset[int]) -> int:
 
 def _keep(asked: Campaign, folder: ResultFolder, worst: list[dict[str, Any]]) -> list[str]:
     """Run members again and record them; their bags."""
-    from los_testbed.loop.closed_loop import LoopDivergedError
-    from los_testbed.loop.simulate import run_in_process
+    from los_testbed.run.loop.closed_loop import LoopDivergedError
+    from los_testbed.run.loop.simulate import run_in_process
 
     if not worst:
         return []

@@ -11,8 +11,8 @@ from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.output import print_json, warn
-from los_testbed.config import RunConfig
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, numbers
 from pointing_analysis.requirements.rows import ABSENT, digits
 

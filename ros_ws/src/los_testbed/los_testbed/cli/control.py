@@ -10,8 +10,8 @@ import typer
 
 from los_testbed.cli.options.options import option
 from los_testbed.cli.output import number, seconds
-from los_testbed.config import NAMESPACE, RunConfig
-from los_testbed.loop.changes import owner_of
+from los_testbed.config.run_config import NAMESPACE, RunConfig
+from los_testbed.run.loop.changes import owner_of
 from pointing_analysis.files.structured_text import load_yaml
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ import typer
 
 from los_testbed.cli.options.options import Json, TelescopeFile, option
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.config import RunConfig
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, say
 
 if TYPE_CHECKING:
-    from los_testbed.device.check import DeviceCheckRow
+    from los_testbed.rig.check import DeviceCheckRow
 
 CHECK_EXAMPLES = """Move mirror and proof masses a little and compare what each sensor sees with the model.
 
@@ -32,7 +32,7 @@ Exit code 0: no fault, 1: faults, 6: the device failed.
 
     los-testbed device check my_rig:Rig
 
-    los-testbed device check los_testbed.device.udp:UdpRig --device-address 127.0.0.1:47800 --json
+    los-testbed device check los_testbed.rig.udp:UdpRig --device-address 127.0.0.1:47800 --json
 """
 
 device_app = typer.Typer(
@@ -55,13 +55,13 @@ def check(
     json_: Json = False,
 ) -> None:
     """See CHECK_EXAMPLES."""
-    from los_testbed.device.check import faults, judge
-    from los_testbed.device.contract import make_device
-    from los_testbed.device.motions import model_response, peaks_of, record
-    from los_testbed.device.supervisor import Supervisor
-    from los_testbed.loop.scheduling import PRIORITIES, real_time_thread
+    from los_testbed.config.run_settings import with_stage
+    from los_testbed.parts.device_contract import make_device
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run_settings import with_stage
+    from los_testbed.rig.check import faults, judge
+    from los_testbed.rig.motions import model_response, peaks_of, record
+    from los_testbed.rig.supervisor import Supervisor
+    from los_testbed.run.loop.scheduling import PRIORITIES, real_time_thread
 
     number("--scale", scale, 0.01, 10.0)
     telescope = with_stage({"start": "rest", "parameters": None if parameters is None else str(parameters)})

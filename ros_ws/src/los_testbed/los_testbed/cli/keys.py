@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from los_testbed.cli.options.options import option
-from los_testbed.config import NAMESPACE, RunConfig
+from los_testbed.config.run_config import NAMESPACE, RunConfig
 from los_testbed.run.processes.keystore import write_keystore
 from pointing_analysis.files.atomic_output import check_output
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.summary.screen import printable
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
-from los_testbed.members import CASES, check_ranges, named_cases
+from los_testbed.config.members import CASES, check_ranges, named_cases
 from los_testbed.run.summary.screen import Screen, numbers
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def cases(
     file: Annotated[Path, typer.Option(help="YAML file of cases of your own.")] = CASES,
 ) -> None:
     """See CASES_EXAMPLES."""
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
     from titop_plant.telescope.load import load_telescope
 
     table = Table("case", "telescope", title_justify="left")

@@ -15,7 +15,7 @@ from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, numbers, say
 
 if TYPE_CHECKING:

@@ -80,11 +80,11 @@ def stages(
 ) -> None:
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.config.run_settings import chosen_member, layered
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
-    from los_testbed.run_settings import chosen_member, layered
     from titop_plant.interface import SCENARIOS
 
     if samples is not None:

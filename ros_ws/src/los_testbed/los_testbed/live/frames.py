@@ -11,10 +11,10 @@ import numpy as np
 
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.diagnostics import Status
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import with_scenario
+from los_testbed.config.topics import IMAGE_NAME, image_topic
 from los_testbed.live.history import URAD, History, indices
-from los_testbed.run_settings import with_scenario
-from los_testbed.topics import IMAGE_NAME, image_topic
 from pointing_analysis.requirements.requirement import Requirement
 
 COMPUTED_S = 0.5

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, codec_for
-from los_testbed.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, TopicDefinition
+from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, TRUTH_LOS, TopicDefinition
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.indices.metrics import radial, windows
 from pointing_analysis.requirements.verdict import Requirement

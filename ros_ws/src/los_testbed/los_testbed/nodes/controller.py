@@ -15,17 +15,17 @@ from fsm_pma_controller.fade import Fade
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray, IntArray
 from los_testbed.bags.cdr import codec_for
-from los_testbed.config import ACTIVE, RunConfig
-from los_testbed.loop.changes import Apply
-from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
+from los_testbed.config.plugins import made_by
+from los_testbed.config.run_config import ACTIVE, RunConfig
+from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import RawPublisher, settle
 from los_testbed.parts.run_parts import RunParts, build_controller
 from los_testbed.parts.user_blocks import watched
-from los_testbed.plugins import made_by
-from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, LOS_ESTIMATE, actuator_topics, sensor_topics, shifted
+from los_testbed.run.loop.changes import Apply
+from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from pointing_analysis.replay.gap_stepping import GapStepper
 from titop_plant.interface import DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS

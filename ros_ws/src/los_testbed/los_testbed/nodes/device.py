@@ -12,12 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from los_testbed.device.contract import TRUTH_PORT, DeviceError, make_device
-from los_testbed.device.supervisor import Supervisor, as_stamp, refused_in_words
+from los_testbed.config.topics import CAMERA_LOS, UNSENT_TICKS
 from los_testbed.nodes.plant import RING, PlantLoop
 from los_testbed.nodes.support.handshake import OtherPlants
 from los_testbed.nodes.support.node_context import NodeContext, run_node
-from los_testbed.topics import CAMERA_LOS, UNSENT_TICKS
+from los_testbed.parts.device_contract import TRUTH_PORT, DeviceError, make_device
+from los_testbed.rig.supervisor import Supervisor, as_stamp, refused_in_words
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import TICK_NS
 

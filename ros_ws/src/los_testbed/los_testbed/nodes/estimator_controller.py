@@ -13,14 +13,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from lftkit.arrays import IntArray
-from los_testbed.loop.stamp_synchronizer import StampSynchronizer, TickPart
+from los_testbed.config.topics import ISOLATOR_ACCEL, TopicDefinition
 from los_testbed.nodes.controller import ControllerLaw
 from los_testbed.nodes.estimator import EstimatorLaw, slow_sensor
 from los_testbed.nodes.support.follower import Follower
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.transport.bundle import TickBundle, command_bundle, measurement_bundle
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.topics import ISOLATOR_ACCEL, TopicDefinition
+from los_testbed.run.loop.stamp_synchronizer import StampSynchronizer, TickPart
 from titop_plant.interface import MEASUREMENTS
 
 

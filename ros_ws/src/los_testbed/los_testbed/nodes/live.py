@@ -18,18 +18,18 @@ from typing import Any
 from rclpy.node import Node
 
 from los_testbed.bags.cdr import stamp_of
+from los_testbed.config.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 from los_testbed.live.access import certificate
 from los_testbed.live.foxglove_controls import FoxgloveControls
 from los_testbed.live.foxglove_server import FoxgloveServer
 from los_testbed.live.frames import ViewerFrames
 from los_testbed.live.page_server import PageServer
-from los_testbed.loop.scheduling import prefer
 from los_testbed.nodes.remote_control import RemoteControl
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.track import merge, report_tracks, topic_tracks
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.scheduling import prefer
 from los_testbed.run.processes.viewers import Live
-from los_testbed.topics import DIAGNOSTICS, DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 DEPTH = 1000
 PERIOD_S = 0.02

@@ -21,14 +21,9 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from lftkit.support.threads import one_thread
-from los_testbed.config import RunConfig
-from los_testbed.loop.changes import NAMES, RESET, STOP, Apply
-from los_testbed.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
-from los_testbed.loop.compiled_loop import compile_telescope
-from los_testbed.loop.contract import RunFailedError, check_plant
-from los_testbed.loop.health import ERROR, OK, WARN, LoopHealth
-from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.tick_clock import TickClock
+from los_testbed.config.plugins import RAISED, in_one_line, made_by
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from los_testbed.nodes.support.exercise import exercise
 from los_testbed.nodes.support.follower import SERVICE_NS
 from los_testbed.nodes.support.handshake import OtherPlants, wait_for_followers
@@ -40,9 +35,14 @@ from los_testbed.parts.image_camera import frame_counts, image_camera_of
 from los_testbed.parts.run_parts import RunParts, build_plant
 from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
 from los_testbed.parts.user_blocks import BlockFailedError, beyond, watched
-from los_testbed.plugins import RAISED, in_one_line, made_by
+from los_testbed.run.loop.changes import NAMES, RESET, STOP, Apply
+from los_testbed.run.loop.closed_loop import SIMULATED_START_NS, LoopDivergedError, aligned_start, readings_of
+from los_testbed.run.loop.compiled_loop import compile_telescope
+from los_testbed.run.loop.contract import RunFailedError, check_plant
+from los_testbed.run.loop.health import ERROR, OK, WARN, LoopHealth
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
+from los_testbed.run.loop.tick_clock import TickClock
 from los_testbed.run.results import Exercised, check_missed, in_statistics
-from los_testbed.topics import IMAGE_VECTOR, READINGS, UNSENT_TICKS
 from pointing_analysis.read.run_end import PLANNED, missed_share
 from pointing_analysis.read.unsent import UNSENT
 from titop_plant.interface import MEASUREMENTS, RATE, TICK_NS, TRUTH

@@ -15,11 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.bags.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.loop.health import ERROR, OK, STALE, WARN
-from los_testbed.loop.scheduling import enlarge_receive_buffers
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.config.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
 from los_testbed.nodes.support.node_context import NodeContext, run_node
 from los_testbed.nodes.support.report_watch import ReportWatch
 from los_testbed.nodes.support.source_watch import SourceWatch
@@ -28,8 +25,11 @@ from los_testbed.nodes.support.transport.raw_topics import RawPublisher
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST
 from los_testbed.run.bag_names import free_name
+from los_testbed.run.loop.health import ERROR, OK, STALE, WARN
+from los_testbed.run.loop.scheduling import enlarge_receive_buffers
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.run.metadata import METADATA_NAME, attachments, final_metadata, run_metadata
 from los_testbed.run.processes.node_launch import STATISTICS_VARIABLE
-from los_testbed.topics import NODES, PROGRESS_TOPIC, UNSENT_TICKS
 from pointing_analysis.read.mcap.bag_metadata import REMAPPED
 from pointing_analysis.read.messages.cdr import Encoder
 from pointing_analysis.read.messages.message_types import HEADER

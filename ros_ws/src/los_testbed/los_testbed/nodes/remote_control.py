@@ -18,9 +18,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from los_testbed.loop.changes import ALIASES, owner_of
 from los_testbed.nodes.support.parameters import FAULT
 from los_testbed.nodes.support.transport.middleware import choose_middleware
+from los_testbed.run.loop.changes import ALIASES, owner_of
 from los_testbed.run.processes.enclaves import CONTROL
 from los_testbed.run.processes.node_launch import RANGE_VARIABLE, enclave_arguments
 

@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of, with_stamp
-from los_testbed.config import NAMESPACE
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
-from los_testbed.loop.tick_clock import wait_until
-from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
-from los_testbed.nodes.support.node_context import NodeContext
-from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
-from los_testbed.run.processes.domains import domain_lock
-from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, domain_of
-from los_testbed.topics import (
+from los_testbed.config.run_config import NAMESPACE
+from los_testbed.config.topics import (
     FSM_COMMAND,
     IMAGE_NAME,
     LOS_ESTIMATE,
@@ -35,6 +28,13 @@ from los_testbed.topics import (
     TopicDefinition,
     further_topics,
 )
+from los_testbed.nodes.support.handshake import HOLD_PERIOD_S, OtherPlants
+from los_testbed.nodes.support.node_context import NodeContext
+from los_testbed.nodes.support.transport.raw_topics import RawPublisher, RawSubscription
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.run.loop.tick_clock import wait_until
+from los_testbed.run.processes.domains import domain_lock
+from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, domain_of
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import IMAGE
 from pointing_analysis.read.run import Run

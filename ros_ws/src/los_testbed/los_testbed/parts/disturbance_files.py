@@ -30,7 +30,7 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import TABLE
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from pointing_analysis.files.structured_text import load_toml, read_text
 from pointing_analysis.read.tables.los_table import read_table
 from pointing_analysis.read.tables.table import Table, split_unit

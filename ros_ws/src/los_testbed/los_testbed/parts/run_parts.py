@@ -19,16 +19,16 @@ from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import RunConfig, is_code
-from los_testbed.members import check_ranges
+from los_testbed.config.members import check_ranges
+from los_testbed.config.plugins import RAISED, in_one_line, make
+from los_testbed.config.run_config import RunConfig, is_code
+from los_testbed.config.run_settings import with_scenario
+from los_testbed.config.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.image_camera import ImageCamera
 from los_testbed.parts.start import AT_REST, RunStart, find_run_start, from_runner, needs_tone, with_tones
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.parts.user_blocks import LAWS, UserBlock, make_disturbance, make_law, read_law, with_further_ports
-from los_testbed.plugins import RAISED, in_one_line, make
-from los_testbed.run_settings import with_scenario
-from los_testbed.topics import TOPICS, TopicDefinition, actuator_topics, image_topic, sensor_topics
 from titop_plant.interface import FORCE_STAGES, MIRROR_STAGES, DesignBasis, design_warnings
 from titop_plant.simulation.plant_config import PlantConfig, motion
 from titop_plant.telescope.guide_camera import star_camera

@@ -22,7 +22,7 @@ from lftkit.arrays import FloatArray
 from lftkit.support.structured_text import load_json
 from lftkit.support.threads import one_thread
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def from_runner(settings: Mapping[str, Any]) -> RunStart | None:
     Parameters
     ----------
     settings : mapping
-        Of the run, as :meth:`los_testbed.config.RunConfig.to_plain` has them.
+        Of the run, as :meth:`los_testbed.config.run_config.RunConfig.to_plain` has them.
     """
     try:
         content = json.loads(Path(os.environ[START_VARIABLE]).read_bytes())

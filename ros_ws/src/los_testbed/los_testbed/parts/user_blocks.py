@@ -35,9 +35,9 @@ from lftkit.support.file_kind import kind_of_file
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
-from los_testbed.config import RunConfig, is_library
+from los_testbed.config.plugins import RAISED, in_one_line, load, make
+from los_testbed.config.run_config import RunConfig, is_library
 from los_testbed.parts.law_models import difference, element, told_model
-from los_testbed.plugins import RAISED, in_one_line, load, make
 from titop_plant.interface import DT, HELD, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 

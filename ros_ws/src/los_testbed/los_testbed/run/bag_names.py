@@ -7,7 +7,7 @@ import itertools
 from datetime import datetime
 from pathlib import Path
 
-from los_testbed.config import AUTO, RunConfig
+from los_testbed.config.run_config import AUTO, RunConfig
 
 
 def free_name(base: Path) -> Path:

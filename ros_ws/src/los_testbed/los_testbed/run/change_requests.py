@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from los_testbed.config import ACTIVE
-from los_testbed.loop.changes import RESET, STOP
-from los_testbed.topics import NODES
+from los_testbed.config.run_config import ACTIVE
+from los_testbed.config.topics import NODES
+from los_testbed.run.loop.changes import RESET, STOP
 from pointing_analysis.read.run import Run
 from titop_plant.interface import RATE
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from lftkit.support.progress import Progress
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.exit_codes import ExitCode
-from los_testbed.members import check_ranges
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.members import check_ranges
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.stepped_plant import SteppedPlant
 from los_testbed.run.modes import in_lockstep, late_answers
@@ -54,11 +54,11 @@ def check(parts: RunParts, own: SteppedPlant | None = None) -> tuple[str, ...]:
     if own is not None and config.mode != "inprocess":
         raise ValueError(f"mode must be inprocess with a plant that is an object, got {config.mode}")
     if own is not None or config.plant:
-        from los_testbed.loop.contract import check_plant
+        from los_testbed.run.loop.contract import check_plant
 
         check_plant(parts.plant() if own is None else own)
     if config.device:
-        from los_testbed.device.contract import make_device
+        from los_testbed.parts.device_contract import make_device
 
         make_device(config)
     if config.disturbance_source and config.disturbance:
@@ -116,10 +116,10 @@ def execute(parts: RunParts, nodes: Nodes = ALONE, own: SteppedPlant | None = No
             bar.report(ticks, config.ticks)
 
         if config.mode == "inprocess":
-            from los_testbed.loop.closed_loop import LoopDivergedError
-            from los_testbed.loop.contract import RunFailedError
-            from los_testbed.loop.simulate import record
             from los_testbed.run.bag_names import recorded
+            from los_testbed.run.loop.closed_loop import LoopDivergedError
+            from los_testbed.run.loop.contract import RunFailedError
+            from los_testbed.run.loop.simulate import record
 
             try:
                 record(parts, config.bag, progress, own)

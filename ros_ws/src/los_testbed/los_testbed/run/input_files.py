@@ -15,8 +15,8 @@ from typing import Any
 
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import PICTURE
-from los_testbed.config import RunConfig
-from los_testbed.plugins import source_hashes
+from los_testbed.config.plugins import source_hashes
+from los_testbed.config.run_config import RunConfig
 from pointing_analysis.files.structured_text import load_toml, read_text
 from titop_plant.telescope.load import FOLDER, load_telescope
 from titop_plant.telescope.telescope import Telescope

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import replace
 
-from los_testbed.config import AUTO, RunConfig
+from los_testbed.config.run_config import AUTO, RunConfig
 from los_testbed.run.results import Exercised
 
 EXERCISE_S = 1.5

@@ -22,18 +22,18 @@ from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_estimator.runtime import LosEstimator
 from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
-from los_testbed.bags.metadata import METADATA_NAME
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.config import is_library
-from los_testbed.loop.closed_loop import LoopDivergedError
-from los_testbed.loop.contract import first_not_finite
+from los_testbed.config.run_config import is_library
+from los_testbed.config.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.parts.user_blocks import with_further_ports
+from los_testbed.run.loop.closed_loop import LoopDivergedError
+from los_testbed.run.loop.contract import first_not_finite
+from los_testbed.run.metadata import METADATA_NAME
 from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.replay_ports import layout_of, rows_of
-from los_testbed.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
 from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,

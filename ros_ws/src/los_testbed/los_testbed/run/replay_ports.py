@@ -8,8 +8,8 @@ import numpy as np
 
 from lftkit.systems.ports import Port, total_size
 from lftkit.systems.sampled.sampled_system import SampledSystem
-from los_testbed.bags.metadata import FURTHER_AUTHORITY
-from los_testbed.topics import COMMANDS, ISOLATOR_ACCEL, SENSORS, actuator_topics, sensor_topics, shifted
+from los_testbed.config.topics import COMMANDS, ISOLATOR_ACCEL, SENSORS, actuator_topics, sensor_topics, shifted
+from los_testbed.run.metadata import FURTHER_AUTHORITY
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import LoopLayout

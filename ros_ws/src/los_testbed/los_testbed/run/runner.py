@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from los_testbed.bags.writer import check_new_bag
-from los_testbed.config import RunConfig
-from los_testbed.exit_codes import ExitCode
-from los_testbed.loop.members import MEMBERS_VARIABLE, complete_line
-from los_testbed.loop.slow_sensor import frames_in_words
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.topics import NODES
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_VARIABLE, for_nodes
 from los_testbed.run.bag_names import free_name, recorded
+from los_testbed.run.loop.members import MEMBERS_VARIABLE, complete_line
+from los_testbed.run.loop.slow_sensor import frames_in_words
 from los_testbed.run.processes.answer_watch import TICKS, AnswerWatch
 from los_testbed.run.processes.domains import domain_lock, output_lock
 from los_testbed.run.processes.isolation import Network, network_of_nodes
@@ -39,7 +40,6 @@ from los_testbed.run.processes.node_process import NodeProcess
 from los_testbed.run.processes.ros_variables import domain_of
 from los_testbed.run.processes.viewers import LIVE, Live
 from los_testbed.run.results import Exercised, Results, RunError, counted, late_reports
-from los_testbed.topics import NODES
 from titop_plant.interface import RATE
 
 LAWS = ("estimator", "controller")

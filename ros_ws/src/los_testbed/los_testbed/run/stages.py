@@ -22,16 +22,16 @@ import numpy as np
 from lftkit.arrays import FloatArray
 from lftkit.support.input_files import read_bytes
 from los_loop.tone_model import StageTones, tone_responses
-from los_testbed.bags.metadata import run_metadata
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError
-from los_testbed.loop.simulate import run_in_process
-from los_testbed.members import MEMBER, check_ranges, random_member, worst_member
+from los_testbed.config.members import MEMBER, check_ranges, random_member, worst_member
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import layered, of_scenario
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import input_digests
+from los_testbed.run.loop.closed_loop import LoopDivergedError
+from los_testbed.run.loop.simulate import run_in_process
+from los_testbed.run.metadata import run_metadata
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
-from los_testbed.run_settings import layered, of_scenario
 from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.run import Run

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from los_testbed.config import RunConfig
-from los_testbed.loop.closed_loop import LoopDivergedError
-from los_testbed.loop.simulate import run_in_process
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.input_files import content_digest, input_digests, map_files
-from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE
+from los_testbed.run.loop.closed_loop import LoopDivergedError
+from los_testbed.run.loop.simulate import run_in_process
 from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
 from pointing_analysis.units import RAD_PER_MAS

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from los_testbed.loop.scheduling import end_with_parent
 from los_testbed.run.bag_names import recorded
+from los_testbed.run.loop.scheduling import end_with_parent
 from los_testbed.run.results import RunError
 
 FORWARDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -72,10 +72,10 @@ def trade(
     """See TRADE_EXAMPLES."""
     import json
 
-    from los_testbed.config import RunConfig
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.config.run_settings import with_stage
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run import star_trade
-    from los_testbed.run_settings import with_stage
     from pointing_analysis.files.atomic_output import write_text
 
     number("--time-limit", time_limit, 1e-3, 1e7, "s")

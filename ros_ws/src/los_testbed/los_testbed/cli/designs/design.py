@@ -17,7 +17,7 @@ from los_testbed.cli.designs.verify import VERIFY_EXAMPLES, verify
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen, met, numbers
 from titop_plant.interface import LOOP_DELAY
 

@@ -9,7 +9,7 @@ import typer
 
 from los_testbed.cli.options.options import Designs, Json, TelescopeFile
 from los_testbed.cli.output import print_json, warn
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
 from los_testbed.run.summary.screen import Screen
 
 EXPORT_EXAMPLES = """The laws as C99: observer, mirror law, proof-mass law, command gates, with a self test.
@@ -61,9 +61,9 @@ def export_c(
     json_: Json = False,
 ) -> None:
     """See EXPORT_EXAMPLES."""
-    from los_testbed.flight_code.export import FILES, write_flight_code
-    from los_testbed.flight_code.laws import laws_of
-    from los_testbed.flight_code.tables import common_hash
+    from los_testbed.flight.export import FILES, write_flight_code
+    from los_testbed.flight.laws import laws_of
+    from los_testbed.flight.tables import common_hash
     from pointing_analysis.files.atomic_output import check_output
 
     check_output(output, "--output", new=True, folder=True)
@@ -99,8 +99,8 @@ def export_check(
     json_: Json = False,
 ) -> None:
     """See CHECK_EXAMPLES."""
-    from los_testbed.flight_code.laws import laws_of, laws_of_bundle
-    from los_testbed.flight_code.tables import check_tables
+    from los_testbed.flight.laws import laws_of, laws_of_bundle
+    from los_testbed.flight.tables import check_tables
 
     if not folder.is_dir():
         raise ValueError(f"FOLDER must be a folder of flight code, got {folder}")
@@ -129,11 +129,11 @@ def export_fmu(
     json_: Json = False,
 ) -> None:
     """See FMU_EXAMPLES."""
-    from los_testbed.config import RunConfig
-    from los_testbed.flight_code.fmu import LAW, PLANT, law_model, plant_model, write_fmu
-    from los_testbed.flight_code.laws import laws_of
+    from los_testbed.config.run_config import RunConfig
+    from los_testbed.config.run_settings import of_designs, with_stage
+    from los_testbed.flight.fmu import LAW, PLANT, law_model, plant_model, write_fmu
+    from los_testbed.flight.laws import laws_of
     from los_testbed.parts.run_parts import RunParts
-    from los_testbed.run_settings import of_designs, with_stage
     from pointing_analysis.files.atomic_output import check_output
 
     path = output or Path(f"{PLANT if plant else LAW}.fmu")

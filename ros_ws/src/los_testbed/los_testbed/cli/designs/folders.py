@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from los_testbed.run_settings import DESIGN_FILES, TELESCOPE_FILE
+from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem

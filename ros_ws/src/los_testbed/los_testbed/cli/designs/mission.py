@@ -9,10 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from los_testbed.config import RunConfig
-from los_testbed.members import worst_member
+from los_testbed.config.members import worst_member
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs, with_scenario
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run_settings import of_designs, with_scenario
 from pointing_analysis.requirements.rows import KEEPS, RequirementRow, digits, digits_beside, number
 from titop_plant.interface import NO_SCENARIO, STAGES
 
@@ -173,9 +173,9 @@ def verify_mission(folder: Path, report: Callable[[str], None] = lambda text: No
 
 def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVerdict], tuple[float, float] | None]:
     """Verdicts of a stage at a member, and its relative error with and without fine control [mas rms]."""
-    from los_testbed.loop.closed_loop import LoopDivergedError
-    from los_testbed.loop.contract import RunFailedError
-    from los_testbed.loop.simulate import run_in_process
+    from los_testbed.run.loop.closed_loop import LoopDivergedError
+    from los_testbed.run.loop.contract import RunFailedError
+    from los_testbed.run.loop.simulate import run_in_process
     from pointing_analysis.read.run import Run
     from pointing_analysis.requirements.summary import summarise
 

@@ -19,8 +19,8 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.exit_codes import ExitCode
-from los_testbed.members import WORST_POINTS
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.members import WORST_POINTS
 from los_testbed.run.summary.screen import Screen, numbers
 from pointing_analysis.files.atomic_output import atomic_file, check_output
 from pointing_analysis.files.structured_text import load_json, read_text

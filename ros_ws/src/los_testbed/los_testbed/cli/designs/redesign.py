@@ -26,10 +26,10 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import DesignSeed, Json, TelescopeFile, Uncertain
 from los_testbed.cli.output import number, print_json
-from los_testbed.exit_codes import ExitCode
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.run_settings import TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
-from los_testbed.run_settings import TELESCOPE_FILE
 from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
+from los_testbed.config.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
 from los_testbed.run.processes.viewers import Live
-from los_testbed.topics import IMAGE_NAME, OWN_DIAGNOSTICS, TOPICS
 
 LIVE_PORT = 8765
 MAX_PORT = 65534

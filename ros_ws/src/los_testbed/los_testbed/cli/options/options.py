@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from los_testbed.config import RunConfig
-from los_testbed.run_settings import of_designs
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs
 from titop_plant.physical_settings import TELESCOPE
 from titop_plant.settings import Setting
 

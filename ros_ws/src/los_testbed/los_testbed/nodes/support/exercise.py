@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
-from los_testbed.loop.tick_clock import TickClock
 from los_testbed.nodes.support.handshake import hold
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import CommandReader, PlantIo
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.run.loop.tick_clock import TickClock
 from los_testbed.run.results import Exercised
 from titop_plant.interface import RATE, TICK_NS
 

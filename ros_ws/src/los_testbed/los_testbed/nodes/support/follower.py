@@ -8,15 +8,15 @@ from typing import Protocol
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.loop.changes import Changes
-from los_testbed.loop.health import OK, WARN, LoopHealth
-from los_testbed.loop.latency_histogram import LatencyHistogram
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, StampSynchronizer
+from los_testbed.config.topics import TopicDefinition
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_clock import PlantClock
 from los_testbed.nodes.support.transport.bundle import TickBundle
 from los_testbed.nodes.support.transport.raw_topics import LOCKSTEP_DEPTH, READER_DEPTH, RawSubscription, Waiter
-from los_testbed.topics import TopicDefinition
+from los_testbed.run.loop.changes import Changes
+from los_testbed.run.loop.health import OK, WARN, LoopHealth
+from los_testbed.run.loop.latency_histogram import LatencyHistogram
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP, NOT_KNOWN, StampSynchronizer
 
 WAIT_NS = 50_000_000
 DECISION_NS = 20_000_000

@@ -13,15 +13,15 @@ from collections.abc import Callable
 import numpy as np
 
 from los_testbed.bags.cdr import stamp_of
-from los_testbed.loop.source_guard import Endpoint, SourceGuard
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.config.topics import ISOLATOR_ACCEL, SENSORS
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.plant_io import PlantIo
 from los_testbed.nodes.support.requesters import UNKNOWN
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.nodes.support.unread_topics import bypassed_in_words, unread_in_words
-from los_testbed.topics import ISOLATOR_ACCEL, SENSORS
+from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
 from titop_plant.interface import MEASUREMENTS, TRUTH
 
 LISTEN_S = 1.0

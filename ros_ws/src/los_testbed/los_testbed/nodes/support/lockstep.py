@@ -17,7 +17,7 @@ WAIT_NS = 50_000_000
 
 AHEAD_NS = 60 * TICK_NS
 """The plant waits for a recorder that is further behind: no publisher forgets a sample (its history is
-:data:`los_testbed.topics.DEPTH` long) before the recorder has it."""
+:data:`los_testbed.config.topics.DEPTH` long) before the recorder has it."""
 
 
 class LockstepPacer:

@@ -23,17 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from los_testbed.bags.diagnostics import Status, write_diagnostics
-from los_testbed.config import ACTIVE, NAMESPACE
-from los_testbed.loop.changes import NAMES, Apply, Changes
-from los_testbed.loop.members import members
-from los_testbed.loop.scheduling import (
-    CPU_INDEX,
-    PRIORITIES,
-    become_real_time,
-    disable_idle_states,
-    end_with_parent,
-    sharpen_timers,
-)
+from los_testbed.config.run_config import ACTIVE, NAMESPACE
+from los_testbed.config.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 from los_testbed.nodes.support.lifecycle import MANAGED, ManagedNode
 from los_testbed.nodes.support.parameters import ChangingParameters, declare_config
 from los_testbed.nodes.support.report_watch import report_quality
@@ -43,9 +34,18 @@ from los_testbed.nodes.support.transport.middleware import choose_middleware
 from los_testbed.nodes.support.transport.raw_topics import listed_publisher
 from los_testbed.nodes.support.transport.security import refuse_missing_security
 from los_testbed.nodes.support.transport.serialized_reader import publisher_gid
+from los_testbed.run.loop.changes import NAMES, Apply, Changes
+from los_testbed.run.loop.members import members
+from los_testbed.run.loop.scheduling import (
+    CPU_INDEX,
+    PRIORITIES,
+    become_real_time,
+    disable_idle_states,
+    end_with_parent,
+    sharpen_timers,
+)
 from los_testbed.run.processes.node_launch import EVENTS_VARIABLE
 from los_testbed.run.processes.ros_variables import check_variables
-from los_testbed.topics import DIAGNOSTICS_TOPIC, OWN_DIAGNOSTICS
 
 CHANGING = "set_parameters", "set_parameters_atomically"
 """Services of every node by which the run is changed. Those of the life cycle are made by a library below rclpy and

@@ -1,6 +1,6 @@
 """The run's configuration as ROS parameters, with description, range and unit; those that may change in a run do.
 
-Each node can change the settings that it applies (:data:`los_testbed.loop.changes.NAMES`), at its next tick; the
+Each node can change the settings that it applies (:data:`los_testbed.run.loop.changes.NAMES`), at its next tick; the
 parameter ``fault`` changes one of them at a tick that is named. All other parameters are read-only.
 """
 
@@ -15,8 +15,8 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from los_testbed.config import RunConfig
-from los_testbed.loop.changes import NAMES, Changes, parse_change
+from los_testbed.config.run_config import RunConfig
+from los_testbed.run.loop.changes import NAMES, Changes, parse_change
 from titop_plant.settings import Setting, unknown
 
 FAULT = "fault"

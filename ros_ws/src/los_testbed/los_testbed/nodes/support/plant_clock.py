@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from los_testbed.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
+from los_testbed.run.loop.stamp_synchronizer import HORIZON_NS, NOT_KNOWN
 
 AGREED = 20
 """So many samples in a row that are too early, each later than the one before, set the clock."""

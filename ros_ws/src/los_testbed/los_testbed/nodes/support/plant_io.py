@@ -10,7 +10,16 @@ import numpy as np
 
 from lftkit.arrays import FloatArray
 from los_testbed.bags.cdr import Codec, CodecError, codec_for
-from los_testbed.loop.command_gate import CommandGate
+from los_testbed.config.topics import (
+    FSM_COMMAND,
+    PMA_COMMAND,
+    PROGRESS_TOPIC,
+    SENSORS,
+    TOPICS,
+    TRUTH_LOS,
+    TopicDefinition,
+    actuator_topics,
+)
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.source_watch import SourceWatch
 from los_testbed.nodes.support.transport.bundle import TickBundle, command_bundle, measurement_bundle
@@ -23,16 +32,7 @@ from los_testbed.nodes.support.transport.raw_topics import (
 )
 from los_testbed.nodes.support.transport.serialized_reader import Taken
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.topics import (
-    FSM_COMMAND,
-    PMA_COMMAND,
-    PROGRESS_TOPIC,
-    SENSORS,
-    TOPICS,
-    TRUTH_LOS,
-    TopicDefinition,
-    actuator_topics,
-)
+from los_testbed.run.loop.command_gate import CommandGate
 from pointing_analysis.read.messages.message_types import HEADER
 from titop_plant.interface import TICK_NS
 

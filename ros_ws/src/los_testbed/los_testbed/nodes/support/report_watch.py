@@ -16,8 +16,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
+from los_testbed.config.topics import LATE_REPORTS, LIVELINESS_LOST, OWN_DIAGNOSTICS, REPORT_DEADLINE_S
 from los_testbed.nodes.support.transport.raw_topics import NoExecutorGroup
-from los_testbed.topics import LATE_REPORTS, LIVELINESS_LOST, OWN_DIAGNOSTICS, REPORT_DEADLINE_S
 
 _EVENTS = rclpy_implementation.rcl_subscription_event_type_t
 _DEADLINE = _EVENTS.RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED

@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service_introspection import ServiceIntrospectionState
 
-from los_testbed.loop.members import PREFIX_BYTES
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
+from los_testbed.run.loop.members import PREFIX_BYTES
 
 RECEIVED = 1
 """Kind of the event of a request that was taken (``service_msgs/msg/ServiceEventInfo``)."""

@@ -7,8 +7,8 @@ from typing import Any
 
 from rclpy.node import Node
 
-from los_testbed.loop.changes import RESET, STOP, Changes
 from los_testbed.nodes.support.requesters import Requesters
+from los_testbed.run.loop.changes import RESET, STOP, Changes
 
 WAITING, RUNNING, OVER = "waiting for its start", "running", "over"
 

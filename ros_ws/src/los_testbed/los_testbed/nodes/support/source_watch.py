@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 
-from los_testbed.loop.members import OPEN, OWN, PENDING
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
+from los_testbed.run.loop.members import OPEN, OWN, PENDING
 
 UNKNOWN_NODE, SAME_NAME = "unknown", "of the same name"
 UNKNOWN_LOOKS = 50

@@ -10,13 +10,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from los_testbed.bags.cdr import Codec, CodecError, codec_for, stamp_of
 from los_testbed.bags.diagnostics import Status, read_diagnostics
-from los_testbed.loop.members import OPEN, OWN, PENDING
-from los_testbed.loop.source_guard import OURS, UNMATCHED, Stream
-from los_testbed.loop.stamp_synchronizer import HOLD_STAMP
+from los_testbed.config.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS, TopicDefinition
 from los_testbed.nodes.support.node_context import NodeContext
 from los_testbed.nodes.support.transport.raw_topics import RawSubscription
 from los_testbed.nodes.support.transport.serialized_reader import Taken
-from los_testbed.topics import DIAGNOSTICS_TOPIC, NODES, OWN_DIAGNOSTICS, TOPICS, TopicDefinition
+from los_testbed.run.loop.members import OPEN, OWN, PENDING
+from los_testbed.run.loop.source_guard import OURS, UNMATCHED, Stream
+from los_testbed.run.loop.stamp_synchronizer import HOLD_STAMP
 from pointing_analysis.read.messages.cdr import ENCAPSULATION
 from titop_plant.interface import TICK_NS
 

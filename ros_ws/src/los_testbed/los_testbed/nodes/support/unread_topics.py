@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 
-from los_testbed.topics import BUNDLES, SENSORS, TopicDefinition
+from los_testbed.config.topics import BUNDLES, SENSORS, TopicDefinition
 from pointing_analysis.read.messages.message_types import ACCEL, JOINT_STATE, VECTOR3
 
 LISTENERS = ("recorder", "live")

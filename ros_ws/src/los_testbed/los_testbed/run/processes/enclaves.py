@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from xml.etree import ElementTree
 
+from los_testbed.config.topics import BUNDLES, COMMANDED, DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
 from los_testbed.run.processes.viewers import LIVE
-from los_testbed.topics import BUNDLES, COMMANDED, DIAGNOSTICS_TOPIC, IMAGE_NAME, NODES, PLACED, TOPICS
 
 CONTROL = "control"
 """Enclave of ``los-testbed control``."""

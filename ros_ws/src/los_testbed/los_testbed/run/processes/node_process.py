@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from typing import IO, Any
 
-from los_testbed.loop.scheduling import MAX_BUSY_S
+from los_testbed.run.loop.scheduling import MAX_BUSY_S
 from los_testbed.run.processes.memory import TOO_LITTLE_MEMORY, names_memory
 
 

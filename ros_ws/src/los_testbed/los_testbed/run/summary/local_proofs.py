@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from los_testbed.bags.proven_loop import PROOF_KEYS, proof_of
-from los_testbed.config import RunConfig, is_code
+from los_testbed.config.run_config import RunConfig, is_code
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.proven_loop import PROOF_KEYS, proof_of
 from los_testbed.run.replay import controller_of
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.read.mcap.bag_metadata import value_of

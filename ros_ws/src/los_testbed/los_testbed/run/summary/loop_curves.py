@@ -11,7 +11,7 @@ from lftkit.support.threads import one_thread
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.nyquist import broken_loops
 from los_loop.open_loop import OpenLoop
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import START_FILE, RunStart
 from los_testbed.run.replay import controller_of

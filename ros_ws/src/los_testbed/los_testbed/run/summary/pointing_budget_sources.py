@@ -18,11 +18,11 @@ from lftkit.support.threads import one_thread
 from los_loop.noise import correlation, covariances_in_window
 from los_loop.sampled_loop import SampledLoop
 from los_loop.tone_model import ToneModel
-from los_testbed.config import RunConfig
-from los_testbed.loop.source_alone import errors_of_source
-from los_testbed.members import MEMBER
+from los_testbed.config.members import MEMBER
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run_settings import of_designs
+from los_testbed.run.loop.source_alone import errors_of_source
 from pointing_analysis.budget import sources as kinds
 from pointing_analysis.budget.sources import ErrorSource
 from pointing_analysis.requirements.requirement import Requirement

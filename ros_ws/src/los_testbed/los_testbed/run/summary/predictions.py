@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from los_loop.tone_model import compare_tones
-from los_testbed.config import RunConfig
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
 from los_testbed.run.replay import controller_of

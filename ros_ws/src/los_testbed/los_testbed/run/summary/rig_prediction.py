@@ -15,10 +15,10 @@ import numpy as np
 
 from los_loop.sampled_loop import Delays
 from los_loop.tone_model import compare_settled
-from los_testbed.device.supervisor import delay_ticks
-from los_testbed.loop.slow_sensor import BEGINNING
+from los_testbed.config.topics import CAMERA_LOS
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.topics import CAMERA_LOS
+from los_testbed.run.loop.latency_histogram import shares_of_text
+from los_testbed.run.loop.slow_sensor import BEGINNING
 from pointing_analysis.read.run import Run
 from pointing_analysis.spectra.prediction import ToneComparison
 
@@ -47,7 +47,7 @@ def rig_tones(
         Delays that are not in the bag, or too long for a settled loop.
     """
     plant, observer = (statistics_of(run, node) for node in ("plant", "estimator"))
-    shares = delay_ticks(str(plant.get("device_delay_ticks", "")))
+    shares = shares_of_text(str(plant.get("device_delay_ticks", "")))
     late = sum(share for ticks, share in shares.items() if ticks > LONGEST)
     if not shares or not all(0.0 <= share <= 1.0 for share in shares.values()):
         raise ValueError("the bag does not say the delays of the rig")

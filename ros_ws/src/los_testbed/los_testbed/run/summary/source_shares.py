@@ -1,4 +1,4 @@
-"""What each part of a run's disturbances does to the line of sight (:mod:`los_testbed.loop.source_alone`).
+"""What each part of a run's disturbances does to the line of sight (:mod:`los_testbed.run.loop.source_alone`).
 
 **Shares.** The lines of sight of the parts add up to that of the run. The share of a part in the relative error is its
 covariance with the whole in the windows of the relative error, over the variance of the whole, both axes: for
@@ -14,10 +14,10 @@ from dataclasses import asdict
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from los_testbed.config import RunConfig
-from los_testbed.loop.source_alone import parts_of
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.parts.start import AT_REST, START_FILE, RunStart
+from los_testbed.run.loop.source_alone import parts_of
 from los_testbed.run.replay import controller_of
 from pointing_analysis.files.structured_text import load_yaml
 from pointing_analysis.indices.errors import default_transient, performance_error

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from los_testbed.members import MEMBER, random_member, worst_member
-from los_testbed.run_settings import layered
+from los_testbed.config.members import MEMBER, random_member, worst_member
+from los_testbed.config.run_settings import layered
 from pointing_analysis.budget.file import PointingBudget
 from pointing_analysis.budget.result_table import name_of
 from pointing_analysis.budget.total import PointingBudgetVerdict, evaluate

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from los_testbed.bags.cdr import Codec
+from los_testbed.config.topics import BUNDLES, COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.topics import BUNDLES, COMMANDS, SENSORS, TOPICS, TopicDefinition, actuator_topics, shifted
 from pointing_analysis.read.messages.message_types import JOINT_STATE
 from titop_plant.interface import MEASUREMENTS
 

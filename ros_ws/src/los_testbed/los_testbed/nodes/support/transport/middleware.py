@@ -19,7 +19,7 @@ from los_testbed.run.processes.node_launch import (
 )
 from los_testbed.run.processes.ros_variables import LAYER_VARIABLE
 
-_PROFILES = Path(__file__).parents[3] / "profiles"
+_PROFILES = Path(__file__).with_name("profiles")
 NETWORK_PROFILE = _PROFILES / "fastdds.xml"
 LOCALHOST_PROFILE = _PROFILES / "fastdds_localhost.xml"
 """Times of discovery and resending; the second one also keeps discovery to this machine."""

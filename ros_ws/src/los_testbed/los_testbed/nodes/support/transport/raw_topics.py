@@ -16,10 +16,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Header
 
-from los_testbed.loop.members import members
-from los_testbed.loop.source_guard import Endpoint, SourceGuard
+from los_testbed.config.topics import DEPTH
 from los_testbed.nodes.support.transport.serialized_reader import SerializedReader, Taken
-from los_testbed.topics import DEPTH
+from los_testbed.run.loop.members import members
+from los_testbed.run.loop.source_guard import Endpoint, SourceGuard
 from pointing_analysis.read.messages.message_types import ACCEL, HEADER, IMAGE, JOINT_STATE, VECTOR3
 
 MESSAGES = {ACCEL: AccelStamped, VECTOR3: Vector3Stamped, JOINT_STATE: JointState, HEADER: Header, IMAGE: Image}
@@ -131,7 +131,7 @@ class RawSubscription:
         """Oldest message with its times and its publisher, or None."""
 
     def sort(self, taken: Taken, now_ns: int) -> str:
-        """Whether a message is of the matched publisher: see :meth:`~los_testbed.loop.source_guard.SourceGuard.sort`.
+        """What :meth:`~los_testbed.run.loop.source_guard.SourceGuard.sort` says of the publisher of a message.
 
         Parameters
         ----------

@@ -1,0 +1,257 @@
+"""Members of the telescope's uncertain family: ranges, named cases, random ones, the worst one of a stage.
+
+What varies: the angle of the solar arrays (``theta`` [rad], or ``tau = tan(theta/4)``), the speeds of the wheels
+(``wheel_speed`` [rad/s]) and uncertain frequencies (``omega_1``, ``omega_2`` [rad/s] of the first array and those like
+it, or ``frequencies`` of all arrays and appendages). The ranges are those of the parameter file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lftkit.support.input_files import read_text
+from lftkit.support.structured_text import load_json
+from los_testbed.config.run_config import RunConfig, read_yaml
+from titop_plant.simulation.plant_config import check_wheels, frequencies
+from titop_plant.telescope.layout import ANGLE
+from titop_plant.telescope.load import load_telescope
+from titop_plant.telescope.motion_profiles import PROFILES, read_profile
+
+if TYPE_CHECKING:
+    from lftkit import RealParameter
+    from titop_plant.telescope.telescope import Telescope
+
+CASES = Path(__file__).with_name("plant_cases.yaml")
+"""Named cases of the reference telescope."""
+
+MEMBER = ("theta", "tau", "wheel_speed", "omega_1", "omega_2", "frequencies")
+"""Settings that choose a member of the family."""
+
+WORST_POINTS = "worst_points.json"
+"""File of the worst parameter values of each stage, beside the controllers that they were found for."""
+
+
+def family(parameters: str | None = None) -> dict[str, RealParameter]:
+    """Uncertain parameters of a parameter file, or of the reference telescope, in the order of Delta.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read or is no parameter file.
+    """
+    return dict(load_telescope(parameters).uncertain)
+
+
+def named_cases(path: Path = CASES) -> dict[str, dict[str, Any]]:
+    """Cases of a file: name to a table of run parameters, with an optional ``description``.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read or is not a table of tables.
+    """
+    content = read_yaml(path)
+    for name, settings in content.items():
+        if not isinstance(settings, dict):
+            raise ValueError(f"{path}: case {name!r} must be a table of parameters, got {settings!r}")
+    return content
+
+
+def case_settings(name: str, path: Path = CASES) -> dict[str, Any]:
+    """Settings of one named case.
+
+    Raises
+    ------
+    ValueError
+        No such case; the nearest one is proposed.
+
+    Examples
+    --------
+    >>> case_settings("arrays_half_turn")
+    {'tau': 1.0}
+    """
+    cases = named_cases(path)
+    if name not in cases:
+        near = difflib.get_close_matches(name, cases, 1)
+        hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(cases)}"
+        raise ValueError(f"{path.name} has no case {name!r}: {hint}")
+    return {key: value for key, value in cases[name].items() if key != "description"}
+
+
+def random_member(seed: int, parameters: str | None = None) -> dict[str, Any]:
+    """Settings of a random member of the family: uniform in the ranges, the same for the same seed.
+
+    It is the member that ``system.sample_values(numpy.random.default_rng(seed))`` of the telescope's
+    :class:`~lftkit.System` draws first.
+
+    Parameters
+    ----------
+    seed : int
+        Not negative.
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
+
+    Returns
+    -------
+    dict
+        As :func:`member_settings`.
+
+    Raises
+    ------
+    ValueError
+        A negative seed.
+
+    Examples
+    --------
+    >>> random_member(3) == random_member(3), random_member(3) == random_member(4)
+    (True, False)
+    """
+    if seed < 0:
+        raise ValueError(f"sample must be a seed that is not negative, got {seed}")
+    rng = np.random.default_rng(seed)
+    drawn = {name: float(rng.uniform(p.lower, p.upper)) for name, p in family(parameters).items()}
+    return member_settings(drawn)
+
+
+def member_settings(values: Mapping[str, float]) -> dict[str, Any]:
+    """Values of the uncertain parameters as settings of a run.
+
+    Returns
+    -------
+    dict
+        ``wheel_speed`` [rad/s]; ``tau`` where an array turns; of the reference's parameters ``omega_1``, ``omega_2``,
+        else ``frequencies`` [rad/s] in the order of Delta.
+
+    Examples
+    --------
+    >>> member_settings({"wheel_1.speed": 2.0, "boom.omega_1": 3.0})
+    {'wheel_speed': [2.0], 'frequencies': [3.0]}
+    """
+    angles = [value for name, value in values.items() if name.endswith(".tau")]
+    found: dict[str, Any] = {"tau": angles[0]} if angles else {}
+    found["wheel_speed"] = [value for name, value in values.items() if name.endswith(".speed")]
+    omegas = {name: value for name, value in values.items() if ".omega_" in name}
+    if tuple(omegas) == ("solar_array.omega_1", "solar_array.omega_2"):
+        found |= {name.rpartition(".")[2]: value for name, value in omegas.items()}
+    elif omegas:
+        found["frequencies"] = list(omegas.values())
+    return found
+
+
+def worst_member(loop: str, worst_of: str, parameters: str | None = None, designs: str = "") -> dict[str, Any]:
+    """Settings of the member of the family that is worst for a stage.
+
+    Parameters
+    ----------
+    loop : str
+        Stage.
+    worst_of : {"RPE", "APE", "slow", "fast"}
+    parameters : str, optional
+        Parameter file; default: the reference telescope.
+    designs : str
+        Folder of designs with :data:`WORST_POINTS`; empty for the stored designs.
+
+    Returns
+    -------
+    dict
+        As :func:`random_member`; empty where no worst values of this telescope are stored: nominal values are meant.
+
+    Raises
+    ------
+    ValueError
+        A file of another form.
+    """
+    from los_design.search import worst_points
+
+    folder = Path(designs) if designs else Path(worst_points.__file__).parent
+    path = folder / WORST_POINTS
+    if not path.exists():
+        return {}
+    used = load_telescope(parameters).parameters_hash
+    try:
+        content = load_json(read_text(path), path)
+        if content["parameters_hash"] != used:
+            return {}
+        return member_settings(content["stages"][loop][worst_of]["parameters"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path} must hold the worst values of {loop} for {worst_of}, got {error!r}") from None
+
+
+def check_ranges(config: RunConfig, telescope: Telescope) -> None:
+    """Refuse a configuration whose plant is not in the family, at its start or at the end of its ramps.
+
+    Parameters
+    ----------
+    config : RunConfig
+    telescope : Telescope
+        Of the telescope.
+
+    Raises
+    ------
+    ValueError
+        Names the parameter, its range and what came.
+
+    Examples
+    --------
+    >>> from titop_plant.telescope.load import load_telescope
+    >>> check_ranges(RunConfig(omega_1=2.0), load_telescope())
+    Traceback (most recent call last):
+        ...
+    ValueError: omega_1 must be between 0.70585 and 0.78015 rad/s, got 2 rad/s
+    """
+    table = telescope.uncertain
+    if config.loop not in (stages := telescope.stages):
+        raise ValueError(f"loop must be one of {', '.join(stages)} without proof-mass actuators, got {config.loop}")
+    for name, omega in frequencies(config, telescope).items():
+        _within(_setting_of(name, config), table[name], omega)
+    check_wheels(config, telescope)
+    if config.profile not in PROFILES:
+        _check_profile(config, telescope, table)
+        return
+    turn = config.theta_rate * config.ramp_duration
+    if ANGLE in table:
+        if config.tau is not None:
+            _within("tau", table[ANGLE], config.tau)
+        for angle, when in ((config.array_angle, ""), (config.array_angle + turn, " at the end of the ramp")):
+            _within_angle(table[ANGLE], angle, when)
+    for i, speed in enumerate(config.wheel_speed or (), start=1):
+        _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed)
+    if config.wheel_acceleration and config.ramp_duration:
+        speeds = config.wheel_speed or telescope.default_speeds
+        for i, (speed, gain) in enumerate(zip(speeds, config.wheel_acceleration), start=1):
+            end, when = speed + gain * config.ramp_duration, " at the end of the ramp"
+            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], end, when)
+
+
+def _check_profile(config: RunConfig, telescope: Telescope, table: Mapping[str, RealParameter]) -> None:
+    for time, theta, *speeds in read_profile(Path(config.profile), len(telescope.wheels)).table():
+        when = f" at {time:g} s of {config.profile}"
+        if ANGLE in table:
+            _within_angle(table[ANGLE], theta, when)
+        for i, speed in enumerate(speeds, start=1):
+            _within(f"wheel_speed (wheel {i})", table[f"wheel_{i}.speed"], speed, when)
+
+
+def _setting_of(name: str, config: RunConfig) -> str:
+    """Setting that gives an uncertain frequency."""
+    return name.rpartition(".")[2] if config.frequencies is None else f"frequencies ({name})"
+
+
+def _within_angle(tau: RealParameter, angle: float, when: str) -> None:
+    _between("theta", 4.0 * math.atan(tau.lower), 4.0 * math.atan(tau.upper), "rad", angle, when)
+
+
+def _within(name: str, parameter: RealParameter, value: float, when: str = "") -> None:
+    _between(name, parameter.lower, parameter.upper, "" if parameter.unit == "1" else parameter.unit, value, when)
+
+
+def _between(name: str, low: float, high: float, unit: str, value: float, when: str) -> None:
+    if not low - 1e-9 * (high - low) <= value <= high + 1e-9 * (high - low):
+        unit = f" {unit}" if unit else ""
+        raise ValueError(f"{name} must be between {low:g} and {high:g}{unit}, got {value:g}{unit}{when}")

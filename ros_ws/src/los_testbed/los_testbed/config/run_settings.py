@@ -1,0 +1,183 @@
+"""Settings of a run from what names several of them: folder of designs, member of the family, scenario.
+
+A later layer wins over an earlier one: folder of designs, file, named case, random member, single settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from los_testbed.config.members import CASES, MEMBER, case_settings, random_member, worst_member
+from los_testbed.config.run_config import RunConfig
+from titop_plant.interface import NO_SCENARIO, SCENARIOS
+from titop_plant.telescope.load import load_telescope
+
+if TYPE_CHECKING:
+    from titop_plant.telescope.telescope import Telescope
+
+DESIGN_FILES = {"k_fsm": "k_fsm.json", "k_pma": "k_pma.json"}
+"""Files of the controllers in a folder of designs."""
+
+TELESCOPE_FILE = "telescope.toml"
+"""Parameter file of the telescope that a folder of designs was made for."""
+
+
+def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of all layers; a later one wins, also its ``tau`` over an earlier ``theta`` and the other way round.
+
+    Examples
+    --------
+    >>> layered({"theta": 0.5, "seed": 1}, {"tau": 0.3})
+    {'seed': 1, 'tau': 0.3}
+    """
+    values: dict[str, Any] = {}
+    for layer in layers:
+        for name, other in (("tau", "theta"), ("theta", "tau")):
+            if name in layer and other not in layer:
+                values.pop(other, None)
+        values.update(layer)
+    return values
+
+
+def of_designs(designs: str) -> dict[str, Any]:
+    """Settings that a folder of designs stands for: its controllers, and its telescope where it holds one.
+
+    Raises
+    ------
+    ValueError
+        A controller is missing.
+    """
+    if not designs:
+        return {}
+    folder = Path(designs)
+    settings = {name: str(folder / file) for name, file in DESIGN_FILES.items()}
+    for path in settings.values():
+        if not Path(path).exists():
+            raise ValueError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
+    telescope = folder / TELESCOPE_FILE
+    return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
+
+
+def with_stage(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings with the last stage of their telescope where they name no loop.
+
+    Raises
+    ------
+    ValueError
+        The parameter file cannot be read.
+
+    Examples
+    --------
+    >>> with_stage({"seed": 1})
+    {'seed': 1}
+    """
+    parameters = settings.get("parameters")
+    if not parameters or "loop" in settings:
+        return {**settings}
+    return {**settings, "loop": load_telescope(parameters).stages[-1]}
+
+
+def chosen_member(
+    case: str | None, cases: Path | None, sample: str | None, before: Mapping[str, Any], after: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings that ``--case`` and ``--sample`` stand for.
+
+    The ranges of a random member are those of the parameter file that the rest of the configuration names.
+
+    Raises
+    ------
+    ValueError
+        No such case, a file of cases without a case, a seed that is no whole number.
+    """
+    if cases is not None and case is None:
+        raise ValueError(f"--case must be given with --cases {cases}, got none")
+    named = {} if case is None else case_settings(case, cases or CASES)
+    if sample is None:
+        return named, {}
+    try:
+        seed = int(sample)
+    except ValueError:
+        raise ValueError(f"sample must be a whole number, the seed of the member, got {sample!r}") from None
+    return named, random_member(seed, layered(before, named, after).get("parameters"))
+
+
+def of_scenario(settings: Mapping[str, Any], designs: str = "") -> dict[str, Any]:
+    """The scenario where the settings name none, and the member of the family that it asks for where they name none.
+
+    The scenario worst_case: the worst member of the stage. The scenario imbalance: wheel speeds at which harmonics are
+    at structural modes. Sources of the user without a scenario: none.
+
+    Parameters
+    ----------
+    settings : mapping
+        Of the run, those that are given.
+    designs : str
+        Folder of designs; empty for the stored ones.
+    """
+    given = RunConfig.from_mapping({**settings})
+    config = with_scenario(given)
+    found: dict[str, Any] = {} if given.scenario else {"scenario": config.scenario}
+    if config.scenario == "worst_case" and not any(name in settings for name in MEMBER):
+        found |= worst_member(config.loop, config.worst_of, config.parameters, designs)
+    if config.scenario == "imbalance" and "wheel_speed" not in settings:
+        from titop_plant.simulation.build import resonant_speeds
+
+        found["wheel_speed"] = list(resonant_speeds(config.parameters))
+    return found
+
+
+def completed(settings: Mapping[str, Any], designs: str = "") -> RunConfig:
+    """Configuration of a run from the settings that are given: stage, scenario and member where they name none.
+
+    With a plant of the user, or a rig, the start is at rest: what is steady is known of the telescope only.
+
+    Parameters
+    ----------
+    settings : mapping
+    designs : str
+        Folder of designs, whose worst members count; empty for the stored ones.
+
+    Raises
+    ------
+    ValueError
+        Unknown names, values that do not fit.
+    """
+    given = with_stage(settings)
+    if given.get("plant") or given.get("device"):
+        return RunConfig.from_mapping({"start": "rest", **given})
+    return RunConfig.from_mapping({**given, **of_scenario(given, designs)})
+
+
+def with_scenario(config: RunConfig, telescope: Telescope | None = None, usual: str = SCENARIOS[0]) -> RunConfig:
+    """The configuration with the scenario that acts where it says none: the usual one, or none beside other sources.
+
+    Parameters
+    ----------
+    config : RunConfig
+    telescope : Telescope, optional
+        Default: read from its file, if the configuration names one.
+    usual : str
+        Scenario of a run without other sources.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read.
+    """
+    if config.scenario is not None:
+        return config
+    alone = config.disturbance and not config.other_plant and _has_sources(config, telescope)
+    return replace(config, scenario=NO_SCENARIO if alone else usual)
+
+
+def _has_sources(config: RunConfig, telescope: Telescope | None) -> bool:
+    """Whether files, code or the telescope's tables make disturbances."""
+    if config.disturbance_source or config.files_of_disturbance:
+        return True
+    if not config.parameters:
+        return False
+    known = load_telescope(config.parameters) if telescope is None else telescope
+    return bool(known.sources) or bool(known.source_tables)

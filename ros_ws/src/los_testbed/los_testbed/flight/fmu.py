@@ -1,0 +1,216 @@
+"""Functional mock-up units (FMI 2.0, co-simulation) of the laws and of the telescope.
+
+A communication step is one tick, or several with the same inputs. After a step the outputs of the telescope are the
+samples of the tick at its beginning, those of the laws the command for the next tick: in each step the telescope first,
+then the laws, then the loop is that of the testbed.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lftkit.systems.ports import Port
+from los_testbed import __version__
+from los_testbed.flight.export import FLAGS, TIME_LIMIT_S, compiler, render, template
+from los_testbed.flight.laws import FlightLaws
+from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash
+from pointing_analysis.files.atomic_output import atomic_file
+from titop_plant.interface import (
+    COLUMNS,
+    COMMAND_PORTS,
+    COMMANDS,
+    DT,
+    K_FSM_OUTPUTS,
+    MEASURED_PORTS,
+    MEASUREMENTS,
+    TRUTH,
+    TRUTH_PORTS,
+    sample_ticks,
+)
+from titop_plant.simulation.constant_step import ConstantStep
+from titop_plant.simulation.plant import Plant
+
+LAW, PLANT = "los_law", "los_plant"
+PLATFORM = "linux64"
+TIME = (1980, 1, 1, 0, 0, 0)
+"""Of the entries of the archive: the same laws give the same sources."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Sources of a unit.
+
+    Parameters
+    ----------
+    identifier : str
+    description : str
+    inputs, outputs : tuple of (str, str)
+        Names and units.
+    files : mapping of str to str
+        C files and headers of the model.
+    sha256 : str
+        Of its tables.
+    """
+
+    identifier: str
+    description: str
+    inputs: tuple[tuple[str, str], ...]
+    outputs: tuple[tuple[str, str], ...]
+    files: dict[str, str]
+    sha256: str
+
+    def sources(self) -> dict[str, str]:
+        """All sources, with those of FMI."""
+        given = self._given()
+        return {**self.files, **{name: template(name).render(**given) for name in ("fmu_model.h", "fmi2.c")}}
+
+    def xml(self) -> str:
+        """The description of the model."""
+        names = sorted(name for name in self.sources() if name.endswith(".c"))
+        return template("modelDescription.xml").render(sources=names, **self._given())
+
+    def _given(self) -> dict[str, Any]:
+        return {
+            "identifier": self.identifier,
+            "description": self.description,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "guid": f"{{{self.sha256[:32]}}}",
+            "tick": repr(DT),
+            "version": __version__,
+        }
+
+
+def variables(ports: Sequence[Port]) -> tuple[tuple[str, str], ...]:
+    """Name and unit of each value of some ports.
+
+    Examples
+    --------
+    >>> variables([Port("fsm_angle", 2, "rad")])
+    (('fsm_angle_0', 'rad'), ('fsm_angle_1', 'rad'))
+    """
+    return tuple((f"{port.name}_{k}", port.unit) for port in ports for k in range(port.size))
+
+
+def law_model(laws: FlightLaws) -> Model:
+    """The laws: measurement to command and estimate."""
+    inputs, outputs = variables(MEASURED_PORTS), variables((*COMMAND_PORTS, *K_FSM_OUTPUTS))
+    names = (HEADER, *(f"{unit}.c" for unit in UNITS))
+    files = render(laws, names)
+    files[f"{LAW}.c"] = template(f"{LAW}.c").render(inputs=inputs, outputs=outputs)
+    digest = common_hash({unit: tables.sha256 for unit, tables in laws.tables().items()})
+    text = f"Observer {laws.k_fsm.name}, mirror law, proof-mass law {laws.k_pma.name}; camera inputs: NaN where absent"
+    return Model(LAW, text, inputs, outputs, files, digest)
+
+
+def plant_model(plant: object) -> Model:
+    """The telescope with its disturbance, without sensor noise: command to measurement and true line of sight.
+
+    Between its samples the value of a slower sensor is the last one.
+
+    Parameters
+    ----------
+    plant : Plant
+        It is reset.
+
+    Raises
+    ------
+    ValueError
+        A plant of another kind, one with further parts, or one whose parameters change.
+    """
+    if not isinstance(plant, Plant) or not plant.is_plain or not isinstance(plant.dynamics, ConstantStep):
+        raise ValueError(f"the plant must be the telescope with constant parameters, got {_kind_of(plant)}")
+    plant.reset()
+    step, order = plant.dynamics.arrays, plant.dynamics.numbers.order
+    tables = {
+        "OWN": step.own,
+        "CROSS": step.cross,
+        "DRIVE": step.driven,
+        **({"WITHIN": step.block} if order > len(step.own) else {}),
+        "OUTPUTS": step.outputs,
+        **({"TURN": step.turn} if step.turn.size else {}),
+        "START": plant.values,
+        "LIMITS": plant.authority,
+        "BIAS": plant.sensors.bias,
+    }
+    found = Tables.of(**tables)
+    every = [1] * MEASUREMENTS
+    for name, ticks in sample_ticks(plant.frame_ticks).items():
+        every[COLUMNS[name]] = [ticks] * (COLUMNS[name].stop - COLUMNS[name].start)
+    inputs, outputs = variables(COMMAND_PORTS), variables((*MEASURED_PORTS, *TRUTH_PORTS))
+    text = template(f"{PLANT}.c").render(
+        name=f"Values: {plant.parameters_hash}",
+        order=order,
+        plain=len(step.own),
+        pairs=step.pairs,
+        commands=COMMANDS,
+        tones=step.turn.shape[1],
+        driven=len(step.driven),
+        measurements=MEASUREMENTS,
+        truth=TRUTH,
+        every=every,
+        tables="\n".join(map(found.declaration, found.values)),
+    )
+    about = f"Telescope {plant.parameters_hash} with its disturbance, without sensor noise"
+    return Model(PLANT, about, inputs, outputs, {f"{PLANT}.c": text}, found.sha256)
+
+
+def _kind_of(plant: object) -> str:
+    """What a plant is, for an error: its class, or how it is no telescope with constant parameters alone."""
+    if not isinstance(plant, Plant):
+        return type(plant).__name__
+    return "one with further inputs, sensors or limits" if not plant.is_plain else "one whose parameters change"
+
+
+def write_fmu(model: Model, output: Path) -> str:
+    """Write a unit: description, sources, library where there is a compiler. Which one it was, or why there is none.
+
+    Raises
+    ------
+    ValueError
+        The compiler does not compile it.
+    """
+    sources = model.sources()
+    with atomic_file(output) as path, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        write = partial(_entry, archive)
+        write("modelDescription.xml", model.xml().encode())
+        for name, text in sorted(sources.items()):
+            write(f"sources/{name}", text.encode())
+        command = compiler()
+        if command is None or not sys.platform.startswith("linux"):
+            return "not built: no C compiler for a library of this system; the unit has its sources"
+        folder = Path(f"{path}.build")
+        folder.mkdir()
+        try:
+            write(f"binaries/{PLATFORM}/{model.identifier}.so", _library(model.identifier, sources, command, folder))
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        return f"built by {shlex.join(command)}"
+
+
+def _library(name: str, sources: dict[str, str], command: list[str], folder: Path) -> bytes:
+    for file, text in sources.items():
+        (folder / file).write_text(text, "utf-8")
+    files = [str(folder / file) for file in sources if file.endswith(".c")]
+    library = folder / f"{name}.so"
+    line = [*command, *FLAGS, "-fPIC", "-shared", "-fvisibility=hidden", *files, "-o", str(library), "-lm"]
+    done = subprocess.run(line, capture_output=True, text=True, errors="replace", timeout=TIME_LIMIT_S)
+    if done.returncode:
+        raise ValueError(f"{shlex.join(command)} must compile the unit, got {done.stderr.strip().splitlines()[:1]}")
+    return library.read_bytes()
+
+
+def _entry(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
+    entry = zipfile.ZipInfo(name, TIME)
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    entry.external_attr = 0o644 << 16
+    archive.writestr(entry, data)

@@ -1,0 +1,144 @@
+"""What is exported: the laws of a pair of designs, as the testbed runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsm_pma_controller.runtime import FsmPmaController
+from lftkit.arrays import FloatArray
+from lftkit.systems.sampled.sampled_system import SampledSystem
+from los_estimator.runtime import LosEstimator
+from los_testbed.bags.cdr import codec_for
+from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import of_designs
+from los_testbed.config.topics import FSM_COMMAND, PMA_COMMAND
+from los_testbed.flight.tables import Tables
+from los_testbed.parts.controllers import assemble_controller
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.loop.command_gate import CommandGate
+from titop_plant.interface import FORCES, MIRROR, STAGES
+
+
+@dataclass(frozen=True)
+class FlightLaws:
+    """Observer, controller and gates of a pair of designs.
+
+    Parameters
+    ----------
+    k_fsm, k_pma : SampledSystem
+        With the ports of the loop: a file that leaves sensors out has columns of zeros for them.
+    los_sensitivity : float
+        Line of sight by an angle of the mirror, rad/rad.
+    limits : ndarray, shape (8,)
+        Largest commands: mirror [rad], forces [N].
+    hold_ticks, fade_ticks : int
+        Of the gates.
+    warnings : tuple of str
+        What the designs were made for and the telescope is not.
+    """
+
+    k_fsm: SampledSystem
+    k_pma: SampledSystem
+    los_sensitivity: float
+    limits: FloatArray
+    hold_ticks: int
+    fade_ticks: int
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, estimator: LosEstimator, controller: FsmPmaController, warnings: tuple[str, ...] = ()) -> FlightLaws:
+        """The laws of an observer and a controller of the testbed, with the gates of a run.
+
+        Raises
+        ------
+        ValueError
+            A proof-mass law that is no `SampledSystem`.
+        """
+        if not isinstance(controller.k_pma, SampledSystem):
+            raise ValueError(f"k_pma must be a SampledSystem, got {type(controller.k_pma).__name__}")
+        run = RunConfig()
+        return cls(
+            estimator.k_fsm,
+            controller.k_pma,
+            controller.los_sensitivity,
+            controller.limits,
+            run.hold_ticks,
+            run.fade_ticks,
+            warnings,
+        )
+
+    def estimator(self) -> LosEstimator:
+        """The observer of the testbed, at rest."""
+        return LosEstimator(replace(self.k_fsm))
+
+    def controller(self, stage: str = STAGES[-1]) -> FsmPmaController:
+        """The controller of the testbed, at rest."""
+        mirror, force = self.authority
+        return FsmPmaController(
+            replace(self.k_pma),
+            stage,
+            los_sensitivity=self.los_sensitivity,
+            fsm_authority=mirror,
+            pma_authority=force,
+            fade_ticks=self.fade_ticks,
+        )
+
+    @property
+    def authority(self) -> tuple[float, float]:
+        """Largest mirror angle [rad] and largest force of one actuator [N]."""
+        return float(self.limits[MIRROR][0]), float(self.limits[FORCES][0])
+
+    def gates(self) -> tuple[CommandGate, CommandGate]:
+        """The gates of mirror and forces of the testbed."""
+        times = self.hold_ticks, self.fade_ticks
+        mirror, force = self.authority
+        return CommandGate(codec_for(FSM_COMMAND), mirror, *times), CommandGate(codec_for(PMA_COMMAND), force, *times)
+
+    def tables(self) -> Mapping[str, Tables]:
+        """Numbers of each translation unit, by its name."""
+        return {
+            "k_fsm": Tables.of(TABLE=_step_matrix(self.k_fsm)),
+            "k_pma": Tables.of(TABLE=_step_matrix(self.k_pma)),
+            "controller": Tables.of(MIRROR_GAIN=[self.controller().mirror_gain], LIMITS=self.limits),
+            "gate": Tables.of(LIMITS=self.authority, HOLD_TICKS=[self.hold_ticks], WEIGHTS=self.gates()[0].weights),
+        }
+
+
+def laws_of(designs: str | None = None) -> FlightLaws:
+    """The laws of a folder of designs, or of the shipped pair.
+
+    Raises
+    ------
+    ValueError
+        A folder without its controllers, a file that is none, one that does not fit the telescope.
+    """
+    parts = RunParts(RunConfig.from_mapping({**of_designs(designs or ""), "loop": STAGES[-1]}))
+    warnings = parts.check()
+    models: Mapping[str, Any] = parts.models
+    controller = assemble_controller(models, parts.basis, STAGES[-1])
+    return FlightLaws.of(LosEstimator(models["k_fsm"]), controller, warnings)
+
+
+def laws_of_bundle(path: Path) -> FlightLaws:
+    """The laws that a bundle of proofs is about; its proofs are not checked here.
+
+    Raises
+    ------
+    ValueError
+        A file that is no bundle, or is damaged.
+    """
+    from los_design.verification.bundle import open_bundle
+
+    with open_bundle(path) as bundle:
+        basis = bundle.telescope.design_basis
+        models = {"k_fsm": bundle.k_fsm, "k_pma": bundle.k_pma}
+        return FlightLaws.of(LosEstimator(bundle.k_fsm), assemble_controller(models, basis, STAGES[-1]))
+
+
+def _step_matrix(law: SampledSystem) -> FloatArray:
+    return np.block([[law.A, law.B], [law.C, law.D]])

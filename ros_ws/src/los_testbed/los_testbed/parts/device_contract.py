@@ -1,0 +1,89 @@
+"""What the loop needs of a device: a mirror, actuators, sensors and their clock, behind five methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from lftkit.arrays import FloatArray
+from los_testbed.config.exit_codes import ExitCode
+from los_testbed.config.plugins import RAISED, in_one_line, make
+from los_testbed.config.run_config import RunConfig
+
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED, ERROR = "unconfigured", "inactive", "active", "finalized", "error"
+"""States of a device, named as in the life cycle of a ROS 2 node."""
+
+METHODS = ("open", "read", "write", "safe", "close")
+
+TRUTH_PORT = "los_controlled"
+"""Port of the true line of sight, for a rig that measures it by another instrument. Not needed."""
+
+
+class DeviceError(RuntimeError):
+    """A device failed, or said nothing for too long: the run is over. The text says whether it is at zero."""
+
+    code = ExitCode.DEVICE
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample of one sensor.
+
+    Attributes
+    ----------
+    port : name of the sensor's port, as in :mod:`titop_plant.sensors`, or `TRUTH_PORT`
+    acquired_ns : time of acquisition on the steady clock of this host (``time.monotonic_ns``)
+    values : (size of the port,) [SI]
+    """
+
+    port: str
+    acquired_ns: int
+    values: FloatArray
+
+
+class Device(Protocol):
+    """A rig.
+
+    It is opened once, before the run begins, and never stepped for a trial; it need not be copied and need not know the
+    truth. In each tick `write` and then `read` are called once, at the deadline and never before it. Both return at
+    once: a `read` gives what has come since the last one, which may be nothing. Between `open` and the run only `read`
+    is called, every 20 ms. **Signs and units are those of :mod:`titop_plant.interface`.**
+
+    Two further methods may be there. ``notes()`` returns what the device says of itself, names and texts for the
+    statistics; it is called last between `safe` and `close`. ``begin_counts()`` sets its counts to zero for a run.
+    """
+
+    def open(self, config: RunConfig) -> None:
+        """Connect; the actuators stay at zero."""
+
+    def read(self, now_ns: int) -> Sequence[Sample]:
+        """What has come since the last call; `now_ns` is the deadline (steady clock)."""
+
+    def write(self, command: FloatArray, now_ns: int) -> None:
+        """Apply mirror angles [rad] and forces [N], (8,), until the next call."""
+
+    def safe(self) -> None:
+        """Bring mirror and forces to zero, in whatever state; it may be called more than once."""
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+def make_device(config: RunConfig) -> Any:
+    """Device that the setting ``device`` names; it is not opened.
+
+    Raises
+    ------
+    ValueError
+        It cannot be made, or lacks a method.
+    """
+    device = make(config, "device")
+    for name in METHODS:
+        try:
+            method = getattr(device, name, "none")
+        except RAISED as error:
+            raise ValueError(f"device {config.device} must have methods, got {in_one_line(error)}") from error
+        if not callable(method):
+            raise ValueError(f"device {config.device}: {name} must be a method, got {method!r}")
+    return device

@@ -1,0 +1,211 @@
+"""The closed loop in one process, tick by tick, without ROS: the step functions of the nodes.
+
+Tick k: the plant applies the command that was computed from tick k - 1, then measures; estimator and
+controller compute the next command from that measurement. :mod:`los_testbed.run.loop.compiled_loop` has the same ticks
+as compiled code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lftkit.arrays import FloatArray
+from los_testbed.config.plugins import RAISED, in_one_line
+from los_testbed.config.topics import IMAGE_VECTOR, READINGS
+from los_testbed.parts.image_camera import image_camera_of, window_of
+from los_testbed.parts.run_parts import RunParts
+from los_testbed.parts.stepped_plant import SteppedPlant
+from los_testbed.parts.user_blocks import BlockFailedError
+from los_testbed.run.loop.contract import RunFailedError, first_not_finite
+from titop_plant.interface import COMMANDS, ESTIMATES, MEASUREMENTS, PLATFORM, TICK_NS, TRUTH, period_ticks
+from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
+
+if TYPE_CHECKING:
+    from pointing_analysis.replay.replay import ControllerCore, EstimatorCore
+
+BLOCK = 1000
+"""Ticks that are simulated before they are written: one chunk of the bag."""
+
+SIGNALS = ("measurement", "truth", "los_estimate", "command")
+"""Vectors of a `SampleBlock`."""
+
+ACCELERATIONS = PLATFORM.stop - PLATFORM.start
+"""Values of the platform's accelerometer, which the controller takes."""
+
+SIMULATED_START_NS = 1_000_000_000
+"""Simulated time begins at 1 s: ROS takes a stamp of zero for a clock that is not set."""
+
+
+class LoopDivergedError(RuntimeError):
+    """The loop left the finite numbers: the controllers do not stabilise this plant."""
+
+
+def aligned_start(not_before_ns: int, frame_ticks: int) -> int:
+    """First tick of a run [ns]: a whole number of periods of the sensors, so that stamps tell the frames.
+
+    Parameters
+    ----------
+    not_before_ns : int
+    frame_ticks : int
+        Ticks of a frame of the camera.
+
+    Examples
+    --------
+    >>> aligned_start(1_000_000_001, 20)
+    1020000000
+    """
+    period = period_ticks(frame_ticks) * TICK_NS
+    return -(-not_before_ns // period) * period
+
+
+@dataclass(frozen=True)
+class SampleBlock:
+    """Signals of some consecutive ticks; row i belongs to stamp i.
+
+    Parameters
+    ----------
+    size : int
+    window : int
+        Pixels along each axis of the camera's images; 0 without images.
+    sensed : int
+        Values of the further sensors.
+    actuators : int
+        Forces of further actuators behind the commands.
+    """
+
+    size: int
+    window: int = 0
+    sensed: int = 0
+    actuators: int = 0
+    stamps: NDArray[np.int64] = field(init=False)
+    measurement: FloatArray = field(init=False)
+    truth: FloatArray = field(init=False)
+    los_estimate: FloatArray = field(init=False)
+    command: FloatArray = field(init=False)
+    image: FloatArray = field(init=False)
+    readings: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stamps", np.zeros(self.size, np.int64))
+        sizes = {"measurement": MEASUREMENTS, "truth": TRUTH, "los_estimate": ESTIMATES}
+        sizes |= {"command": COMMANDS + self.actuators}
+        sizes |= {IMAGE_VECTOR: self.window**2, READINGS: self.sensed}
+        for name, width in sizes.items():
+            object.__setattr__(self, name, np.zeros((self.size, width)))
+
+
+@dataclass(frozen=True)
+class SimulatedLoop:
+    """Plant, observer and controller that step each other in one process.
+
+    Parameters
+    ----------
+    plant, estimator, controller
+        In the state in which the run starts.
+    first_command : ndarray, shape (8,) or (8 + actuators,), optional
+        Command that the first tick applies [rad, N]; default: zero.
+    ports : LoopPorts
+        Rows of the telescope, whose further sensors are the readings of the plant.
+    used : (LoopPorts, LoopPorts)
+        Rows that observer and controller use.
+    """
+
+    plant: SteppedPlant
+    estimator: EstimatorCore
+    controller: ControllerCore
+    first_command: FloatArray | None = None
+    ports: LoopPorts = REFERENCE_PORTS
+    used: tuple[LoopPorts, LoopPorts] = (REFERENCE_PORTS, REFERENCE_PORTS)
+
+    @classmethod
+    def of(cls, parts: RunParts, own: SteppedPlant | None = None, *, readings: bool = True) -> SimulatedLoop:
+        """The loop of a run in the state in which it starts; `own` stands for the plant of `parts`.
+
+        Without `readings` further sensors that no controller uses are left out.
+        """
+        estimator, controller = parts.estimator(), parts.controller()
+        plant, first = (parts.plant(readings=readings), parts.start.command) if own is None else (own, None)
+        estimator.reset()
+        controller.reset()
+        return cls(plant, estimator, controller, first, parts.ports, (parts.used["k_fsm"], parts.used["k_pma"]))
+
+    def run(self, ticks: int, sink: Callable[[SampleBlock, int], None]) -> None:
+        """Run the loop and hand each block of ticks, with the number of its valid rows, to `sink`.
+
+        Raises
+        ------
+        LoopDivergedError
+            A signal is no longer finite; the ticks before it are in the sink.
+        RunFailedError
+            Plant, observer or controller raised an exception; what was computed until then is in the sink.
+        """
+        from los_testbed.run.loop.compiled_loop import CompiledLoop
+
+        command, plant = np.zeros(self.used[1].commands), self.plant
+        block = SampleBlock(BLOCK, window_of(plant), np.size(readings_of(plant)), command.size - COMMANDS)
+        if self.first_command is not None:
+            command[: len(self.first_command)] = self.first_command
+        start = aligned_start(SIMULATED_START_NS, plant.frame_ticks)
+        compiled = CompiledLoop.of(plant, self.estimator, self.controller, ticks)
+        for first in range(0, ticks, BLOCK):
+            rows = min(BLOCK, ticks - first)
+            block.stamps[:] = start + TICK_NS * np.arange(first, first + BLOCK)
+            if compiled is None or not compiled.run(command, block, rows):
+                error, done = self._step_by_step(command, block, rows, first)
+                if error is not None:
+                    sink(block, done)
+                    raise RunFailedError(str(error)) from error.__cause__
+            odd = first_not_finite({name: getattr(block, name) for name in SIGNALS}, rows)
+            sink(block, rows if odd is None else odd[0])
+            if odd is not None:
+                raise LoopDivergedError(f"the loop diverged: at tick {first + odd[0]} the {odd[1]}")
+
+    def _step_by_step(
+        self, command: FloatArray, block: SampleBlock, rows: int, first: int
+    ) -> tuple[RunFailedError | None, int]:
+        """Ticks of a block, one call of each part a tick; what went wrong, and the ticks until then."""
+        plant, estimate, control = self.plant, self.estimator.step, self.controller.step
+        plant_step, done, who = plant.step, 0, "plant"
+        camera = image_camera_of(plant)
+        image = None if camera is None else camera.image.ravel()
+        readings = readings_of(plant)
+        seen, felt = (self.ports.readings_of(ports) for ports in self.used)
+        observed, taken = np.zeros(MEASUREMENTS + len(seen)), np.zeros(ACCELERATIONS + len(felt))
+        try:
+            # what overflows is found by the caller, with tick and port
+            with np.errstate(over="ignore", invalid="ignore"):
+                for y, truth, los, u in zip(
+                    block.measurement[:rows], block.truth[:rows], block.los_estimate[:rows], block.command[:rows]
+                ):
+                    who = "plant"
+                    plant_step(command, y, truth)
+                    if image is not None and (first + done) % plant.frame_ticks == 0:
+                        block.image[done] = image
+                    block.readings[done] = readings
+                    who = "observer"
+                    observed[:MEASUREMENTS], observed[MEASUREMENTS:] = y, readings[seen]
+                    estimate(observed, los)
+                    who = "controller"
+                    taken[:ACCELERATIONS], taken[ACCELERATIONS:] = y[PLATFORM], readings[felt]
+                    control(los, taken, u)
+                    command[:] = u
+                    done += 1
+        except RAISED as error:
+            # a block of the user says itself who failed at which tick
+            own = isinstance(error, BlockFailedError)
+            text = str(error) if own else f"{who} failed at tick {first + done}: {in_one_line(error)}"
+            failed = RunFailedError(text)
+            failed.__cause__ = error
+            return failed, done
+        return None, done
+
+
+def readings_of(plant: object) -> FloatArray:
+    """Readings of the further sensors of a plant at its last tick, the same array at every tick; empty without any."""
+    found = getattr(plant, READINGS, None)
+    return np.zeros(0) if found is None else np.asarray(found)

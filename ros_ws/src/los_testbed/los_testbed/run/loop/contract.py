@@ -1,0 +1,93 @@
+"""Contract of a plant of one's own, checked before the run: what is wrong is named, with attribute, shape or value."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+
+import numpy as np
+
+from lftkit.arrays import BoolArray, FloatArray
+from los_testbed.config.plugins import RAISED, in_one_line
+from los_testbed.parts.law_models import element
+from los_testbed.parts.stepped_plant import SteppedPlant, plant_notes
+from los_testbed.parts.user_blocks import UNTOUCHED, ContractError, beyond
+from titop_plant.interface import COMMANDS, HELD, MEASURED_PORTS, MEASUREMENTS, RATE, TRUTH
+
+
+def port_of(vector: FloatArray, where: BoolArray) -> str:
+    """Name of the first marked element of a measurement (22,), for instance ``accel_M1[2]``; else its number."""
+    if len(vector) == MEASUREMENTS:
+        return element(MEASURED_PORTS, where)
+    return f"[{int(np.flatnonzero(where)[0])}]"
+
+
+class RunFailedError(RuntimeError):
+    """Plant, observer or controller failed during a run; the message says which, at which tick and how."""
+
+
+def first_not_finite(signals: Mapping[str, FloatArray], rows: int) -> tuple[int, str] | None:
+    """Row and port of the first value that is not finite (`beyond`), values that are held aside; None if all are.
+
+    Parameters
+    ----------
+    signals : name of the vector -> (n, size) values of consecutive ticks
+    rows : how many of the ticks are valid
+    """
+    found = []
+    for name, values in signals.items():
+        odd = beyond(values[:rows])
+        if name == "measurement":
+            odd[:, HELD] = False
+        ticks = np.flatnonzero(odd.any(axis=1))
+        if ticks.size:
+            row = int(ticks[0])
+            found.append((row, f"{name} {port_of(values[row], odd[row])} is {values[row][odd[row]][0]:g}"))
+    return min(found, key=lambda one: one[0]) if found else None
+
+
+def check_plant(plant: SteppedPlant) -> None:
+    """Try one step of a copy of a plant; one that cannot be copied is tried itself and reset afterwards.
+
+    Raises
+    ------
+    ContractError
+        An attribute is missing or of another type, `step` fails, leaves something unwritten, writes values that are not
+        finite, or changes the command.
+    """
+    for name in ("step", "reset"):
+        if not callable(getattr(plant, name, None)):
+            raise ContractError(f"plant.{name} must be a method, got {getattr(plant, name, 'none')!r}")
+    try:
+        frame = getattr(plant, "frame_ticks", None)
+        plant_notes(plant)
+    except RAISED as error:
+        names = "plant.frame_ticks, and tones and parameters_hash if there are any,"
+        raise ContractError(f"{names} must be values that can be recorded, got {in_one_line(error)}") from error
+    if isinstance(frame, bool) or not isinstance(frame, (int, np.integer)) or not 1 <= frame <= RATE:
+        raise ContractError(f"plant.frame_ticks must be a whole number of ticks from 1 to {RATE}, got {frame!r}")
+    command = np.zeros(COMMANDS)
+    measurement, truth = np.full(MEASUREMENTS, UNTOUCHED), np.full(TRUTH, UNTOUCHED)
+    shapes = f"command ({COMMANDS},), measurement ({MEASUREMENTS},), truth ({TRUTH},)"
+    try:
+        trial = copy.deepcopy(plant)
+    except Exception:
+        trial = plant
+    try:
+        trial.reset()
+        trial.step(command, measurement, truth)
+        trial.reset()
+    except RAISED as error:
+        raise ContractError(f"plant.step and plant.reset must work with {shapes}, got {in_one_line(error)}") from error
+    if command.any():
+        raise ContractError("plant.step must leave its command alone, got another one after the step")
+    held = np.zeros(MEASUREMENTS, bool)
+    held[HELD] = True
+    for name, vector, may_be_nan in (("measurement", measurement, held), ("truth", truth, np.zeros(TRUTH, bool))):
+        untouched = vector == UNTOUCHED
+        if untouched.any():
+            raise ContractError(f"plant.step must write all of {name}, got nothing in {port_of(vector, untouched)}")
+        odd = beyond(vector) & ~may_be_nan
+        if odd.any():
+            value = vector[np.flatnonzero(odd)[0]]
+            raise ContractError(f"plant.step must write finite values, got {value:g} in {name} {port_of(vector, odd)}")
