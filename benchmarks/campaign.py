@@ -28,12 +28,13 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster, evaluate_chunk, identity, run_campaign
+from los_testbed.campaign.execution import cluster, evaluate_chunk, run_campaign
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.portable import portable
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts import start as run_start
+from los_testbed.run.identity import identity
 from los_testbed.run.loop.simulate import run_in_process
 
 from pointing_analysis.read.run import Run

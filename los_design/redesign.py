@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from lftkit import SampledSystem
+from lftkit.support.atomic_output import write_text
+from lftkit.support.job import Job
 from lftkit.support.threads import one_thread
 from lftkit.support.workers import Workers
 from los_design.search.worst_case_search import Search, SearchOptions
@@ -36,7 +38,6 @@ from los_design.verification.verification import (
 )
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import LOOP_DELAY, MIRROR_STAGES, STAGES
 from titop_plant.telescope.control_plant import loop_plant
 from titop_plant.telescope.loop_ports import LoopPorts
@@ -228,21 +229,21 @@ def _pair(
 ) -> tuple[SampledSystem, SampledSystem]:
     """The designs in the folder if they were made with the same key; otherwise made, or continued, and written."""
     key = _key(telescope, options)
-    files, rounds = (folder / "k_fsm.json", folder / "k_pma.json"), folder / ROUNDS_FILE
+    files, job = (folder / "k_fsm.json", folder / "k_pma.json"), Job("design", key, folder / ROUNDS_FILE)
     if resume and all(path.exists() for path in files):
         k_fsm, k_pma = (SampledSystem.from_file(path) for path in files)
         same = all(system.provenance.get("design_all") == key for system in (k_fsm, k_pma))
-        if same and not (k_fsm.provenance["status"] == OUT_OF_TIME and rounds.exists()):
+        if same and not (k_fsm.provenance["status"] == OUT_OF_TIME and job.record.exists()):
             report("k_fsm.json, k_pma.json: kept")
             return k_fsm, k_pma
     if not resume:
-        rounds.unlink(missing_ok=True)
-    made = design_pair(telescope, options, report, (rounds, key), workers)
+        job.finish()
+    made = design_pair(telescope, options, report, job, workers)
     k_fsm, k_pma = (replace(system, provenance={**system.provenance, "design_all": key}) for system in made)
     k_fsm.to_file(files[0])
     k_pma.to_file(files[1])
     if k_fsm.provenance["status"] != OUT_OF_TIME:
-        rounds.unlink(missing_ok=True)
+        job.finish()
     report(f"k_fsm.json, k_pma.json: {k_fsm.provenance['status']}")
     return k_fsm, k_pma
 

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from lftkit import SampledSystem
+from lftkit.support.atomic_output import write_text
 from lftkit.support.threads import one_thread
 from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions
 from los_design.synthesis.round_state import Kept
 from los_design.synthesis.synthesis import design_actuators, design_observer
-from pointing_analysis.files.atomic_output import write_text
 from titop_plant.telescope.load import load_telescope
 
 HERE = Path(__file__).parent

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import io
 import pickle
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
+from lftkit.support.job import Job, lock
 from lftkit.support.workers import Workers
 
 Item = TypeVar("Item")
@@ -38,10 +37,8 @@ class KeptWorkers(Workers):
     ----------
     workers : Workers
         Who computes what is not there; they are not ended here.
-    path : Path
-        The file. One of another job is begun anew; what an interrupt cut off at its end is left out.
-    job : str
-        What the results depend on, versions of the code among them.
+    job : Job
+        Its record is the file. One of another job is begun anew; what an interrupt cut off at its end is left out.
     types : sequence of type
         Classes that the results consist of, besides arrays, numbers, texts, lists, tuples and dicts. No other class
         is ever loaded from the file.
@@ -52,8 +49,9 @@ class KeptWorkers(Workers):
         The file is another one, in use by another process, or cannot be written.
     """
 
-    def __init__(self, workers: Workers, path: Path, job: str, types: Sequence[type]) -> None:
+    def __init__(self, workers: Workers, job: Job, types: Sequence[type]) -> None:
         super().__init__(workers.count)
+        path = job.record
         self._workers, self._path, self._calls = workers, path, 0
         self._types = frozenset((one.__module__, one.__qualname__) for one in types)
         self._known: dict[tuple[int, int], bytes] = {}
@@ -63,11 +61,8 @@ class KeptWorkers(Workers):
         except OSError as error:
             raise ValueError(f"{path} must be a file that can be written, got {error.strerror}") from None
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._begin(job.encode())
-        except BlockingIOError:
-            self._file.close()
-            raise ValueError(f"{path} must not be in use by another process, got one that is") from None
+            lock(self._file, path)
+            self._begin(job.digest.encode())
         except BaseException:
             self._file.close()
             raise

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import check_file, read_text
 from lftkit.support.input_limits import SYSTEM, UNPACKED
 from lftkit.support.mat_structure import check_mat
@@ -338,10 +339,7 @@ def _element(content: dict[str, Any]) -> Element:
 
 def write_system(path: str | os.PathLike[str], system: System) -> None:
     """Write a JSON file, whole or not at all."""
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_text(to_json(system) + "\n", encoding="utf-8")
-    partial.replace(target)
+    write_text(Path(path), to_json(system) + "\n")
 
 
 def read_system(path: str | os.PathLike[str]) -> System:

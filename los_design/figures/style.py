@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from pointing_analysis.files.atomic_output import atomic_file
+from lftkit.support.atomic_output import atomic_file
 
 BLUE, ORANGE, LIMIT = "#0b5d8a", "#d95f02", "#b00020"
 FORMATS = ("png", "svg")

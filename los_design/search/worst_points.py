@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import ComplexArray
+from lftkit.support.atomic_output import write_text
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import load_json
-from pointing_analysis.files.atomic_output import write_text
 from titop_plant.interface import COMMANDS
 
 FILE = "worst_points.json"

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.input_files import read_text
-from lftkit.support.structured_text import load_json
+from lftkit.support.job import Job
 from lftkit.tuning import Descent, DescentState, TuningStatus
 from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_points import WorstPoint
-from pointing_analysis.files.atomic_output import write_text
-
-Kept = tuple[Path, Mapping[str, Any]]
-"""File of a state, and what it is made for."""
 
 
 @dataclass
@@ -65,16 +58,14 @@ class RoundState:
     commits: list[str] = field(default_factory=list)
     hidden: list[tuple[int, list[float]]] = field(default_factory=list)
 
-    def save(self, kept: Kept | None) -> None:
+    def save(self, job: Job | None) -> None:
         """Write the state with what it was made for.
 
         A descent that the wall limit cut short is not written: it goes on from its last look at all pairs.
         """
-        if kept is None or (self.descent and self.descent.status == "out_of_time"):
+        if job is None or (self.descent and self.descent.status == "out_of_time"):
             return
-        path, key = kept
         content = {
-            "key": dict(key),
             "x": self.x.tolist(),
             "number": self.number,
             "points": [p.tolist() for p in self.points],
@@ -91,18 +82,15 @@ class RoundState:
             "commits": self.commits,
             "hidden": self.hidden,
         }
-        write_text(path, json.dumps(content))
+        job.save(content)
 
     @classmethod
-    def load(cls, kept: Kept | None) -> RoundState | None:
+    def load(cls, job: Job | None) -> RoundState | None:
         """The state in a file; None where there is none that was made for the same."""
-        if kept is None:
+        content = None if job is None else job.state()
+        if content is None:
             return None
-        path, key = kept
         try:
-            content = load_json(read_text(path), path)
-            if content["key"] != dict(key):
-                return None
             points = [np.array(p, dtype=float) for p in content["points"]]
             around = [(float(omega), np.array(p, dtype=float)) for omega, p in content["around"]]
             known = {
@@ -126,7 +114,7 @@ class RoundState:
                 list(content.get("commits", ["unknown"])),
                 [(int(after), [float(omega) for omega in peaks]) for after, peaks in content.get("hidden", [])],
             )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
 
 

@@ -18,6 +18,7 @@ from itertools import islice
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.job import Job
 from lftkit.tuning import Descent, DescentOptions, DescentState, TuningStatus, descend
 from lftkit.tuning.responses import ResponseLook, ResponseProblem, ResponseSource
 from lftkit.tuning.responses.source import soft_level
@@ -26,7 +27,7 @@ from los_design.search.worst_case_search import SearchOptions, apart
 from los_design.search.worst_points import WorstPoint
 from los_design.synthesis.pair_problem import ALONE, BOTH, STAGE_NAMES, named
 from los_design.synthesis.provenance import commit
-from los_design.synthesis.round_state import Kept, Outcome, RoundState
+from los_design.synthesis.round_state import Outcome, RoundState
 from los_design.synthesis.task import Task, first_points, sample_around, sample_peaks, stable_point
 
 Report = Callable[[str], None]
@@ -80,7 +81,7 @@ def design_in_rounds(
     start: Callable[[], FloatArray],
     effort: Effort,
     report: Report = lambda text: None,
-    kept: Kept | None = None,
+    job: Job | None = None,
 ) -> Outcome:
     """Tune, search, add, until the thorough search finds nothing worse or the rounds are over.
 
@@ -96,13 +97,13 @@ def design_in_rounds(
     effort : Effort
     report : callable
         Receives one line for each step.
-    kept : (Path, mapping), optional
-        File of the state in and after each descent and each search, and what it must have been made for.
+    job : Job, optional
+        Its record keeps the state in and after each descent and each search.
     """
     begin = time.monotonic()
-    state = _begin(task, start, effort, report, kept)
+    state = _begin(task, start, effort, report, job)
     while True:
-        outcome = _in_rounds(_Design(task, state, effort, report, kept, begin))
+        outcome = _in_rounds(_Design(task, state, effort, report, job, begin))
         if not (peaks := task.missed_peaks(outcome.x, outcome.tuned)):
             return outcome
         if time.monotonic() >= begin + task.wall_limit:
@@ -114,7 +115,7 @@ def design_in_rounds(
         state.hidden.append((len(state.added), peaks))
         state.number, state.descent, state.searched, state.exceeded = 0, None, 0, []
         sample_peaks(task, peaks)
-        state.save(kept)
+        state.save(job)
 
 
 def _in_rounds(design: _Design) -> Outcome:
@@ -137,7 +138,7 @@ class _Design:
     state: RoundState
     effort: Effort
     report: Report
-    kept: Kept | None
+    job: Job | None
     begin: float
     found: dict[str, list[WorstPoint]] = field(default_factory=dict)
 
@@ -157,12 +158,12 @@ class _Design:
                 self.begin + self.task.wall_limit,
                 confirm=not effort.searches,
             )
-            found = _stabilising(self.task, self.problem, state, options, partial(self._step, number), self.kept)
+            found = _stabilising(self.task, self.problem, state, options, partial(self._step, number), self.job)
             if found.status is TuningStatus.ITERATIONS and np.array_equal(found.x, state.x):
                 found = replace(found, status=TuningStatus.STALLED)  # another one would do the same
             state.descent = found
             state.x, state.number, state.inside, state.watched = state.descent.x, number + 1, None, []
-            state.save(self.kept)
+            state.save(self.job)
         return state.descent
 
     def _step(self, number: int, iteration: int, look: ResponseLook) -> None:
@@ -185,7 +186,7 @@ class _Design:
             return Worse([], not ended)
         unfinished = tuned.point.value > self.problem.least_level and not ended
         searches = _searches(self.effort, self.state.searched, last, unfinished)
-        self.found, new = _searched(self.task, self.state, self.problem, searches, self.kept)
+        self.found, new = _searched(self.task, self.state, self.problem, searches, self.job)
         line = _line(number + 1, self.problem, tuned, *_worst(self.task, self.found), self._seconds())
         self.report(line)
         return Worse(new, unfinished and bool(self.effort.searches))
@@ -199,14 +200,12 @@ class _Design:
             _add(self.task, state, worse.new)
         state.descent, state.searched = None, 0
         vars(self).pop("problem", None)
-        state.save(self.kept)
+        state.save(self.job)
 
 
-def _begin(
-    task: Task, start: Callable[[], FloatArray], effort: Effort, report: Report, kept: Kept | None
-) -> RoundState:
-    """The state that is kept, or a new one; its parameter points are sampled."""
-    state = RoundState.load(kept)
+def _begin(task: Task, start: Callable[[], FloatArray], effort: Effort, report: Report, job: Job | None) -> RoundState:
+    """The state that is job, or a new one; its parameter points are sampled."""
+    state = RoundState.load(job)
     if state is None:
         state = RoundState(np.array(start(), dtype=float), points=first_points(task, effort.points))
         _begin_with_known(task, state)
@@ -218,7 +217,7 @@ def _begin(
         )
     state.commits += [now for now in [commit()] if now not in state.commits]
     _sample_again(task, state)
-    state.save(kept)
+    state.save(job)
     return state
 
 
@@ -261,7 +260,7 @@ def _searched(
     state: RoundState,
     problem: ResponseProblem,
     searches: Sequence[tuple[int, SearchOptions, bool]],
-    kept: Kept | None,
+    job: Job | None,
 ) -> tuple[dict[str, list[WorstPoint]], list[WorstPoint]]:
     """Worst points by name, and those that are worse than what is known, of the first search that finds such."""
     assert state.descent is not None
@@ -277,7 +276,7 @@ def _searched(
             return found, new
         if not final:
             state.searched = k + 1
-            state.save(kept)
+            state.save(job)
     return found, []
 
 
@@ -287,7 +286,7 @@ def _stabilising(
     state: RoundState,
     options: DescentOptions,
     step: Callable[[int, ResponseLook], None],
-    kept: Kept | None,
+    job: Job | None,
 ) -> Descent[ResponseLook]:
     """A descent that keeps stable what is; it is repeated with the parameter points at which its result is not."""
     loop = task.samples.open_loop
@@ -299,7 +298,7 @@ def _stabilising(
 
     def keep(inside: DescentState | None) -> None:
         state.inside = inside
-        state.save(kept)
+        state.save(job)
 
     while True:
         descent = descend(ResponseSource(problem, stable), state.x, options, step, keep, state.inside)

@@ -18,6 +18,7 @@ import numpy as np
 from fsm_pma_controller.problem import sampled_controller
 from lftkit import SampledSystem, state_space
 from lftkit.arrays import FloatArray
+from lftkit.support.job import Job
 from lftkit.support.workers import Workers
 from lftkit.tuning.responses import gain_matrices
 from los_design.search.worst_case_search import SearchOptions
@@ -36,7 +37,7 @@ from los_design.synthesis.pair_problem import (
 from los_design.synthesis.paper_problem import ORDERS, PaperSamples, PaperTask
 from los_design.synthesis.paper_start import choose_paper_start
 from los_design.synthesis.provenance import digest
-from los_design.synthesis.round_state import Kept, Outcome
+from los_design.synthesis.round_state import Outcome
 from los_design.synthesis.rounds import Effort, design_in_rounds
 from los_design.synthesis.start_choice import choose_start, is_reference
 from los_design.synthesis.starts import zero_controller
@@ -79,7 +80,7 @@ def design_observer(
     telescope: Telescope,
     options: DesignOptions,
     report: Report = _silent,
-    kept: Kept | None = None,
+    job: Job | None = None,
     start: SampledSystem | None = None,
 ) -> SampledSystem:
     """Tune K_FSM from the Kalman observer, or from a given one.
@@ -90,7 +91,7 @@ def design_observer(
     options : DesignOptions
     report : callable
         Receives one line for each step.
-    kept : (Path, mapping), optional
+    job : Job, optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
     start : SampledSystem, optional
         K_FSM of this order or lower that a design of the paper's problem begins with, with its continuous form in the
@@ -103,7 +104,7 @@ def design_observer(
         hash, seed, status, tuned values and the continuous controller.
     """
     _check_start(options, start)
-    return _Synthesis(telescope, options, "k-fsm", (OBSERVER,), observer=start).run(report, kept)[0]
+    return _Synthesis(telescope, options, "k-fsm", (OBSERVER,), observer=start).run(report, job)[0]
 
 
 def design_actuators(
@@ -111,7 +112,7 @@ def design_actuators(
     observer: SampledSystem,
     options: DesignOptions,
     report: Report = _silent,
-    kept: Kept | None = None,
+    job: Job | None = None,
     start: SampledSystem | None = None,
 ) -> SampledSystem:
     """Tune K_PMA with the mirror loop of an observer closed, from random starts or a given one.
@@ -124,7 +125,7 @@ def design_actuators(
     options : DesignOptions
     report : callable
         Receives one line for each step.
-    kept : (Path, mapping), optional
+    job : Job, optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
     start : SampledSystem, optional
         K_PMA of this order or lower that a design of the paper's problem begins with, with its continuous form in the
@@ -136,14 +137,14 @@ def design_actuators(
         K_PMA with the washout, ports of :mod:`fsm_pma_controller.runtime`; provenance as for K_FSM.
     """
     _check_start(options, start)
-    return _Synthesis(telescope, options, "k-pma", (ACTUATORS,), observer, law=start).run(report, kept)[1]
+    return _Synthesis(telescope, options, "k-pma", (ACTUATORS,), observer, law=start).run(report, job)[1]
 
 
 def design_pair(
     telescope: Telescope,
     options: DesignOptions,
     report: Report = _silent,
-    kept: Kept | None = None,
+    job: Job | None = None,
     workers: Workers | None = None,
     observer: SampledSystem | None = None,
 ) -> tuple[SampledSystem, SampledSystem]:
@@ -159,7 +160,7 @@ def design_pair(
     options : DesignOptions
     report : callable
         Receives one line for each step.
-    kept : (Path, mapping), optional
+    job : Job, optional
         As in :func:`los_design.synthesis.rounds.design_in_rounds`.
     workers : Workers, optional
         Of the searches; default: as many processes as the options say. The result does not depend on them.
@@ -172,8 +173,8 @@ def design_pair(
         With the same provenance.
     """
     if STAGE_NAMES[BOTH] in telescope.stages:
-        return _Synthesis(telescope, options, "all", (OBSERVER, ACTUATORS), observer).run(report, kept, workers)
-    k_fsm, _ = _Synthesis(telescope, options, "all", (OBSERVER,)).run(report, kept, workers)
+        return _Synthesis(telescope, options, "all", (OBSERVER, ACTUATORS), observer).run(report, job, workers)
+    k_fsm, _ = _Synthesis(telescope, options, "all", (OBSERVER,)).run(report, job, workers)
     made = {key: k_fsm.provenance[key] for key in ("command", "commit", "seed", "loop_delay", "status")}
     return k_fsm, replace(zero_controller("k-pma"), design_basis=k_fsm.design_basis, provenance=made)
 
@@ -207,7 +208,7 @@ class _Synthesis:
     law: SampledSystem | None = None
 
     def run(
-        self, report: Report, kept: Kept | None, workers: Workers | None = None
+        self, report: Report, job: Job | None, workers: Workers | None = None
     ) -> tuple[SampledSystem, SampledSystem]:
         """Design in rounds, and sample."""
         begin = time.monotonic()
@@ -215,7 +216,7 @@ class _Synthesis:
         with Workers(self.options.workers) as own:
             task = self._task(workers or own)
             start = partial(self._start, task, report, compared)
-            outcome = design_in_rounds(task, start, _effort(self.options), report, kept)
+            outcome = design_in_rounds(task, start, _effort(self.options), report, job)
         common = self._provenance(outcome, compared, time.monotonic() - begin)
         found = []
         ports = task.samples.open_loop.ports

@@ -47,6 +47,7 @@ from lftkit.proofs.trusted.entries import mapping, parsed, record, text, zip_mem
 from lftkit.proofs.trusted.noise import NoiseBound, NoiseProof, check_noise_proof
 from lftkit.proofs.trusted.proof import ProofError
 from lftkit.proofs.trusted.stability import whole_axis
+from lftkit.support.atomic_output import atomic_file
 from los_design.synthesis.provenance import commit
 from los_design.verification.check_proof_texts import require_plain
 from los_design.verification.combined_bounds import error_sums
@@ -59,7 +60,6 @@ from los_design.verification.proof_comparison import proof_of_loop
 from los_design.verification.subject import Subject
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.open_loop import OpenLoop
-from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS, K_PMA_INPUTS, K_PMA_OUTPUTS, MIRROR_STAGES
 from titop_plant.telescope.control_plant import control_loop_plant
 from titop_plant.telescope.layout import APPENDAGES, ARRAYS

@@ -7,10 +7,8 @@ into parts; each is proven by itself and kept in a file, so that an interrupted 
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -20,8 +18,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lftkit.proofs.proof_files import arrays_of, packed, read_content, unpacked, write_content
 from lftkit.proofs.sampled_loop import LoopModel, LoopProof, prove_level
 from lftkit.proofs.sampled_loop.bounds import BisectionOptions
@@ -30,10 +26,11 @@ from lftkit.proofs.trusted.entries import FORMAT, Form, each, header_of, index, 
 from lftkit.proofs.trusted.proof import Interval, ProofError, Strip, require_cover
 from lftkit.proofs.trusted.stability import nominal_windows, whole_axis, windows_above
 from lftkit.proofs.trusted.strips import check_strip, require_strip, windows_of
+from lftkit.support.atomic_output import atomic_file
+from lftkit.support.job import Job
 from los_design.search.worst_points import WorstPoint
 from los_design.verification.loop_models import Box, box_of, figures_of, provable, telescope_model
 from los_loop.implemented_loop import ImplementedLoop, LoopMetric
-from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT
 from titop_plant.telescope.layout import ANGLE
 
@@ -265,10 +262,8 @@ def keep_part(part: ProofPart, result: PartResult) -> None:
     if result.finished:
         summary = {name: value for name, value in vars(result).items() if name != "strips"}
         header = {"format": FORMAT, "kind": PART_KIND, "names": [""] * len(part.box), **summary}
-        with atomic_file(part.file) as temporary:
+        with atomic_file(part.file, durable=True) as temporary:
             write_content(temporary, (header, packed(result.strips, len(part.box))))
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())  # else a loss of power may leave the name of a file without its content
 
 
 def _strips(file: Path) -> tuple[Strip, ...]:
@@ -415,14 +410,9 @@ def stable_above(loop: ImplementedLoop) -> bool:
 
 
 def model_digest(model: LoopModel, box: Box) -> str:
-    """SHA-256 of all that a proof is about but its band and level: every field of the model."""
-    key = hashlib.sha256(repr(box).encode())
-    for field in fields(model):
-        value = getattr(model, field.name)
-        array = np.ascontiguousarray(value) if isinstance(value, np.ndarray) else None
-        key.update(repr((field.name, value if array is None else (array.dtype.str, array.shape))).encode())
-        key.update(b"" if array is None else array.tobytes())
-    return key.hexdigest()
+    """SHA-256 of all that a proof is about but its band and level: the box and every field of the model."""
+    values = {field.name: getattr(model, field.name) for field in fields(model)}
+    return Job("proof", {"box": box, **values}).digest
 
 
 def _values(loop: ImplementedLoop, point: Sequence[float]) -> dict[str, float]:

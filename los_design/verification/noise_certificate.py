@@ -24,6 +24,7 @@ from lftkit.proofs.sampled_loop.bounds import member_gains
 from lftkit.proofs.sampled_loop.files import write_loop_proof
 from lftkit.proofs.trusted.noise import NoisePart, NoiseProof, noise_bound, power_area
 from lftkit.proofs.trusted.proof import Interval, ProofError
+from lftkit.support.atomic_output import atomic_file
 from los_design.verification.certify import (
     FigureBounds,
     PartResult,
@@ -37,7 +38,6 @@ from los_design.verification.loop_models import NYQUIST, Box, box_of, noise_mode
 from los_loop.figures_of_merit import figure
 from los_loop.implemented_loop import ImplementedLoop
 from los_loop.noise import noise_covariances, noise_rms
-from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import DT, MIRROR_STAGES
 
 NOISE = "noise"

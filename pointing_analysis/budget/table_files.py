@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lftkit.support.atomic_output import atomic_file, write_text
 from lftkit.support.input_files import check_file
 from lftkit.support.input_limits import LINES, TEXT
 from pointing_analysis.budget.sources import PointingBudgetError
-from pointing_analysis.files.atomic_output import atomic_file, write_text
 from pointing_analysis.files.structured_text import read_text
 from pointing_analysis.read.tables.table import TableError, check_unpacked
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.support.atomic_output import write_text
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.image.fits_files import write_picture, write_table
 from pointing_analysis.image.motion_blur import centred, exposures, missing, sizes
 from pointing_analysis.indices.errors import ErrorSeries

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from lftkit.support.atomic_output import atomic_file
 from lftkit.support.input_limits import PICTURE
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.image.pupil import PixelPupil
 

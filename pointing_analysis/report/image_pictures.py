@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from pointing_analysis.files.atomic_output import atomic_file
+from lftkit.support.atomic_output import atomic_file
 from pointing_analysis.report.figures import STYLE, LaidOutFigure, RunView
 from pointing_analysis.report.image_figures import (
     ImageView,

@@ -16,8 +16,8 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from lftkit.support.atomic_output import check_output, write_text
 from pointing_analysis.arrays import FloatArray
-from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
 from pointing_analysis.indices.motion import motion_of

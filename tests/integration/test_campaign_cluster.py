@@ -23,10 +23,11 @@ from los_testbed.campaign.cluster.tls_files import TlsFiles
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.execution import _fetched as fetched
 from los_testbed.campaign.execution import _one_by_one as one_by_one
-from los_testbed.campaign.execution import check_workers, cluster, evaluate_chunk, identity, run_campaign
+from los_testbed.campaign.execution import check_workers, cluster, evaluate_chunk, run_campaign
 from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
+from los_testbed.run.identity import identity
 
 BASE = RunConfig(mode="inprocess", duration=1.1, loop="isolator", scenario="imbalance")
 OPTIONS = [

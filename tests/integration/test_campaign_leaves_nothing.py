@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster, identity
+from los_testbed.campaign.execution import cluster
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
+from los_testbed.run.identity import identity
 
 PROGRAM = """
 import signal
@@ -77,7 +78,10 @@ def test_another_campaign_in_the_folder_is_refused_without_a_cluster(temporary: 
         env={**os.environ, "TMPDIR": str(temporary)},
         check=False,
     )
-    message = f"los-testbed: {output} holds another campaign: samples must be 100 as there, got 200\n"
+    message = (
+        f"los-testbed: output must be a new folder or one of the same campaign, got {output}, "
+        "which holds another: samples must be 100 as there, got 200\n"
+    )
     assert (process.returncode, process.stdout, process.stderr) == (2, "", message)
     assert list(temporary.iterdir()) == [] and (output / "campaign.json").read_bytes() == manifest
 

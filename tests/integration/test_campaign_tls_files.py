@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from los_testbed.campaign.cluster.tls_files import TlsFiles
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import cluster, evaluate_chunk, identity
+from los_testbed.campaign.execution import cluster, evaluate_chunk
 from los_testbed.campaign.portable import portable
 from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
+from los_testbed.run.identity import identity
 
 pytest.importorskip("cryptography")
 

@@ -91,7 +91,7 @@ def test_a_run_of_the_worst_tone_keeps_the_limits(name: str, tmp_path: Path) -> 
 def test_stages_and_figures_are_those_that_the_telescope_has(tmp_path: Path) -> None:
     base = RunConfig.from_mapping({**of_designs(str(EXAMPLES / "small_telescope")), "mode": "inprocess"})
     plan = Plan(base, tmp_path / "stages", ("imbalance",), 1, ("all",))
-    assert [run.loop for run in plan.runs()] == ["none", "isolator", "fsm"] and plan.stages[-1] == MIRROR_STAGES[0]
+    assert [run.loop for run in plan.runs] == ["none", "isolator", "fsm"] and plan.stages[-1] == MIRROR_STAGES[0]
     assert base.loop == "fsm+pma" and plan.base.loop == "fsm" and provenance(plan)
     with pytest.raises(ValueError, match="loop must be one of none, isolator, fsm without proof-mass actuators"):
         RunParts(replace(base, loop="fsm+pma")).settings  # noqa: B018

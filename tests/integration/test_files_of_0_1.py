@@ -164,7 +164,10 @@ def test_a_campaign_with_another_default_is_refused_in_one_line(command: Command
     given = ["--samples=2", "--duration=0.2", "--k-fsm=k_fsm.json", "--k-pma=k_pma.json", "--output=campaign"]
     code, out, err = command("campaign", *given, "--resume")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("los-testbed: campaign holds another campaign: ") and " as there, got " in err
+    assert (
+        err.startswith("los-testbed: output must be a new folder or one of the same campaign, got campaign, ")
+        and " as there, got " in err
+    )
 
 
 def options_of_today() -> Iterator[tuple[str, set[str]]]:

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
+from lftkit.support.atomic_output import write_text
 from lftkit.support.format_names import current_name
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import StructuredTextError, load_json
@@ -183,10 +184,7 @@ class SampledSystem:
 
     def to_file(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file that :meth:`from_file` reads, whole or not at all."""
-        target = Path(path)
-        partial = target.with_name(target.name + ".partial")
-        partial.write_text(self.to_json(), encoding="utf-8")
-        partial.replace(target)
+        write_text(Path(path), self.to_json())
 
     @classmethod
     def from_control(cls, system: Any, units: Mapping[str, str] | None = None, name: str = "") -> SampledSystem:

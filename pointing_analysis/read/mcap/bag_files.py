@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pointing_analysis.files.atomic_output import MAX_NAME
+from lftkit.support.atomic_output import MAX_NAME
 from pointing_analysis.files.structured_text import StructuredTextError, load_yaml, read_text
 from pointing_analysis.read.mcap.records import SQLITE, BagError
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from lftkit import SampledSystem
+from lftkit.support.job import Job
 from los_design.synthesis.design_folder import DesignFolder
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.round_state import Kept, RoundState
+from los_design.synthesis.round_state import RoundState
 from los_design.synthesis.starts import zero_controller
 
 PAIR = zero_controller("k-fsm"), zero_controller("k-pma")
@@ -24,9 +25,9 @@ class Maker:
     def __init__(self, *ends: str) -> None:
         self.ends, self.rounds = list(ends), list[int]()
 
-    def __call__(self, kept: Kept) -> list[SampledSystem]:
-        state = RoundState.load(kept) or RoundState(np.zeros(2))
-        RoundState(state.x, state.number + 1).save(kept)
+    def __call__(self, job: Job) -> list[SampledSystem]:
+        state = RoundState.load(job) or RoundState(np.zeros(2))
+        RoundState(state.x, state.number + 1).save(job)
         self.rounds.append(state.number + 1)
         provenance = {"status": self.ends.pop(0), "command": "another"}
         return [replace(system, provenance=provenance) for system in PAIR]
@@ -45,7 +46,7 @@ def test_a_design_is_made_once(tmp_path: Path, capsys: pytest.CaptureFixture[str
     before = [(tmp_path / name).read_bytes() for name in ("one.json", "two.json")]
     assert made(tmp_path, maker, replace(OPTIONS, wall_limit=1.0, progress=True)) == ["converged"] * 2
     assert before == [(tmp_path / name).read_bytes() for name in ("one.json", "two.json")]
-    assert maker.rounds == [1] and [path.name for path in (tmp_path / "build").iterdir()] == ["two.key"]
+    assert maker.rounds == [1] and [path.name for path in (tmp_path / "build").iterdir()] == ["two.json"]
 
 
 @pytest.mark.parametrize("change", ["telescope", "options", "given", "file"])

@@ -33,11 +33,11 @@ def stand_ins(monkeypatch) -> list[str]:
     made: list[str] = []
     k_fsm, k_pma = load_designs("implemented")
 
-    def pair(telescope, options, report, kept, workers):
+    def pair(telescope, options, report, job, workers):
         made.append(f"pair, seed {options.seed}, {'short' if options.short else 'full'}")
-        made.append("goes on" if kept[0].exists() else "begins")
+        made.append("goes on" if job.record.exists() else "begins")
         report("round 1: fine")
-        kept[0].write_text("{}")
+        job.record.write_text("{}")
         return k_fsm, k_pma
 
     def points(telescope, k_fsm, k_pma, options, workers):
@@ -106,9 +106,9 @@ def test_a_design_that_the_wall_limit_ended_goes_on(stand_ins, telescope, tmp_pa
     late = tuple(replace(k, provenance={**k.provenance, "status": "out_of_time"}) for k in load_designs("implemented"))
     pair, limits = redesign.design_pair, []
 
-    def ended(telescope, options, report, kept, workers):
+    def ended(telescope, options, report, job, workers):
         limits.append(options.wall_limit)
-        pair(telescope, options, report, kept, workers)
+        pair(telescope, options, report, job, workers)
         return late
 
     monkeypatch.setattr(redesign, "design_pair", ended)

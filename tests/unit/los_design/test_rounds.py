@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import json
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lftkit.support.job import Job
 from lftkit.tuning import Descent, DescentState, TuningStatus
 from lftkit.tuning.responses import ResponseLook
 from los_design.search.worst_case_search import SearchOptions
@@ -92,12 +91,12 @@ class Bench:
     def stable(self, task, x, values=None):
         return not (values and self.lost and abs(values["p"] - self.lost[0]) < 1e-12 and self.lost.pop(0) >= 0.0)
 
-    def design(self, count: int = 5, kept=None, points: int = 0, known=(), hidden=list, limit=np.inf):
+    def design(self, count: int = 5, job=None, points: int = 0, known=(), hidden=list, limit=np.inf):
         effort = Effort(count, points, 6, 3, 0.0, (QUICK, THOROUGH))
         self.lines: list[str] = []
         self.hidden = hidden
         task = ImplementedTask(self.samples, (BOTH,), (0, 1), 0, limit, known=known, sampled=no_controllers)
-        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, kept)
+        return design_in_rounds(task, lambda: np.zeros(2), effort, self.lines.append, job)
 
 
 @pytest.fixture
@@ -220,63 +219,63 @@ def test_random_points_and_corners_come_first(bench) -> None:
 
 def test_an_interrupted_design_goes_on_after_its_last_descent(bench, tmp_path) -> None:
     """The search of the third round is interrupted; a second call begins with it, at the point of the third descent."""
-    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    job = Job("design", {"seed": 0}, tmp_path / "rounds.json")
     made = bench([[peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]])
     with pytest.raises(StopIteration):
-        made.design(kept=(kept, key))
-    assert json.loads(kept.read_text())["number"] == 3
+        made.design(job=job)
+    assert (job.state() or {}).get("number") == 3
     again = bench([[], []])
-    found = again.design(kept=(kept, key))
+    found = again.design(job=job)
     assert again.lines[0] == "goes on after 3 rounds, before the searches of the last" and again.tuned == []
     assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]] and again.samples.around == [10.0, 20.0]
     assert again.searched[0][2] == 1  # climbed from, as it would have been
     np.testing.assert_array_equal(found.x, [3.0, 3.0])
     other = bench([[], []])
-    other.design(kept=(kept, {"seed": 1}))  # made for something else: not used
+    other.design(job=Job("design", {"seed": 1}, job.record))  # made for something else: not used
     assert other.tuned == [1]
-    kept.write_text("{")
-    assert bench([[], []]).design(kept=(kept, key)).status == "converged"
+    job.record.write_text("{")
+    assert bench([[], []]).design(job=job).status == "converged"
 
 
 def test_the_result_names_every_source_that_it_was_made_with(bench, tmp_path, monkeypatch) -> None:
     """The commit is that of the beginning, not of the end; a design that goes on with another names both."""
-    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
+    job = Job("design", {}, tmp_path / "rounds.json")
     commits = iter(["one", "two", "two"])
     monkeypatch.setattr(rounds, "commit", lambda: next(commits))
     for _ in range(2):
         with pytest.raises(StopIteration):
-            bench([[peak("soft tones", 0.6, 10.0)]]).design(kept=kept)
-    assert bench([[], []]).design(kept=kept).commits == ["one", "two"]
+            bench([[peak("soft tones", 0.6, 10.0)]]).design(job=job)
+    assert bench([[], []]).design(job=job).commits == ["one", "two"]
 
 
 def test_a_search_that_found_nothing_is_not_repeated(bench, tmp_path) -> None:
     """Interrupted in the thorough search of the first round: neither its descent nor its quick search is made again."""
-    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    job = Job("design", {"seed": 0}, tmp_path / "rounds.json")
     whole = bench([[], [peak("hard tones", 1.5, 33.0)], [], []]).design()
     with pytest.raises(StopIteration):
-        bench([[]]).design(kept=(kept, key))
+        bench([[]]).design(job=job)
     again = bench([[peak("hard tones", 1.5, 33.0)], [], []])
-    found = again.design(kept=(kept, key))
+    found = again.design(job=job)
     assert [seed for seed, _, _ in again.searched] == [2, 1, 2] and again.tuned == [2]
     np.testing.assert_array_equal(found.x, whole.x)
     assert (found.tuned, found.active, found.worst_cases()) == (whole.tuned, whole.active, whole.worst_cases())
 
 
 def test_an_interrupted_descent_begins_after_the_last_whole_round(bench, tmp_path, monkeypatch) -> None:
-    kept = tmp_path / "rounds.json", {"seed": 0}
+    job = Job("design", {"seed": 0}, tmp_path / "rounds.json")
     made, descend = bench([[peak("soft tones", 0.6, 10.0)]]), rounds.descend
     monkeypatch.setattr(rounds, "descend", lambda *rest: next(iter(())) if made.tuned else descend(*rest))
     with pytest.raises(StopIteration):
-        made.design(kept=kept)
+        made.design(job=job)
     again = bench([[], []])
-    found = again.design(kept=kept)
+    found = again.design(job=job)
     assert again.lines[0] == "goes on after 1 rounds" and again.tuned == [2]
     np.testing.assert_array_equal(found.x, [2.0, 2.0])
 
 
 def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> None:
     """Interrupted after the second look, with a point that is watched: both are there again."""
-    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
+    job = Job("design", {}, tmp_path / "rounds.json")
     made, looks = bench([[], []], lost=[0.5]), []
     whole = made.descend
 
@@ -291,7 +290,7 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
     monkeypatch.setattr(rounds, "descend", descend)
     made.lost = [made.samples.open_loop.point({})[0]]
     with pytest.raises(StopIteration):
-        made.design(kept=kept)
+        made.design(job=job)
     assert looks == [None, None]
     again = bench([[], []])
 
@@ -300,7 +299,7 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
         return again.descend(*given)
 
     monkeypatch.setattr(rounds, "descend", goes_on)
-    assert again.design(kept=kept).status == "converged"
+    assert again.design(job=job).status == "converged"
     assert again.lines[0] == "goes on after 0 rounds, in the descent of the next"
     inside = looks[-1]
     np.testing.assert_array_equal(inside.best, [0.1, 1.0 / 3.0])
@@ -308,10 +307,10 @@ def test_a_descent_goes_on_at_its_last_look(bench, tmp_path, monkeypatch) -> Non
 
 
 def test_a_descent_that_the_wall_limit_cut_short_goes_on(bench, tmp_path) -> None:
-    kept: tuple[Path, dict[str, Any]] = (tmp_path / "rounds.json", {})
-    assert bench([[]], status="out_of_time").design(kept=kept).status == "converged"
+    job = Job("design", {}, tmp_path / "rounds.json")
+    assert bench([[]], status="out_of_time").design(job=job).status == "converged"
     again = bench([[], []])
-    found = again.design(kept=kept)
+    found = again.design(job=job)
     assert again.lines[0] == "goes on after 0 rounds" and again.tuned == [1]
     np.testing.assert_array_equal(found.x, [1.0, 1.0])
 
@@ -347,7 +346,7 @@ def test_hidden_peaks_begin_the_rounds_anew_with_what_is_there(bench) -> None:
 
 
 def test_an_interrupted_design_has_its_hidden_peaks_again_in_their_order(bench, tmp_path) -> None:
-    kept, key = tmp_path / "rounds.json", {"seed": 0}
+    job = Job("design", {"seed": 0}, tmp_path / "rounds.json")
     known, late = [peak("soft tones", 0.6, 10.0)], [peak("soft tones", 0.6, 20.0)]
     hidden = iter([[7.0], [8.0], []])
 
@@ -355,9 +354,9 @@ def test_an_interrupted_design_has_its_hidden_peaks_again_in_their_order(bench, 
         return next(hidden)
 
     with pytest.raises(StopIteration):
-        bench([known, [], [], late, [], []]).design(kept=(kept, key), hidden=peaks)
+        bench([known, [], [], late, [], []]).design(job=job, hidden=peaks)
     again = bench([[], []])
-    found = again.design(kept=(kept, key), hidden=peaks)
+    found = again.design(job=job, hidden=peaks)
     assert found.status == "converged" and again.tuned == []
     assert again.samples.points == [[0.5, 0.5], [0.01, 0.5], [0.02, 0.5]]
     assert again.samples.around == [10.0, 7.0, 20.0, 8.0]

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import identity
 from los_testbed.campaign.meanings import RequirementColumns, meaning
 from los_testbed.campaign.member import COMMON_METRICS, MemberEvaluator, _Record, finished_row, metric_columns
 from los_testbed.campaign.overview import campaign_summary, metric_table, verdict_table
@@ -22,6 +21,7 @@ from los_testbed.cli.app import main
 from los_testbed.cli.campaign import _show
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
+from los_testbed.run.identity import identity
 from rich.console import Console
 
 from pointing_analysis.image.optics import optics_of
@@ -335,10 +335,9 @@ def test_optics_are_part_of_a_campaign_where_metrics_depend_on_them(tmp_path: Pa
     reference, other = (
         identity(base_of(telescope(tmp_path / f"{k}.toml", star, text))) for k, text in enumerate(("", wave))
     )
-    assert set(other) - set(reference) == {"optics"}
-    assert "optics" not in identity(base_of(telescope(tmp_path / "none.toml", {}, wave)))
+    assert {name for name in reference if reference[name] != other[name]} == {"telescope"}
     lost = telescope(tmp_path / "lost.toml", star, '[optics]\npupil = "none.fits"\n')
-    with pytest.raises(ValueError, match="cannot read the pupil"):
+    with pytest.raises(ValueError, match=r"cannot read .*none\.fits"):
         identity(base_of(lost))
 
 

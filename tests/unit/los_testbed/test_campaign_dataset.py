@@ -61,7 +61,10 @@ def test_folder_of_another_campaign_is_refused(change: dict[str, Any], key: str,
     folder = ResultFolder(tmp_path / "c")
     assert folder.open(campaign(), False) == frozenset()
     assert folder.open(campaign(), True) == frozenset()
-    with pytest.raises(ValueError, match=f"c holds another campaign: {key} must be .* as there, got "):
+    with pytest.raises(
+        ValueError,
+        match=f"one of the same campaign, got .*c, which holds another: {key} must be ",
+    ):
         folder.open(campaign(**change), True)
 
 
@@ -86,10 +89,10 @@ def test_rows_come_back_in_order_and_partial_files_are_forgotten(tmp_path: Path)
     folder.open(asked, False)
     for number in (2, 0):
         folder.write(number, rows(asked, number))
-    (folder.path / "rows" / "part-0000001.parquet.partial").write_bytes(b"half")
+    (folder.path / "rows" / ".part-0000001.parquet.0123abcd").write_bytes(b"half")
     assert folder.open(asked, True) == {0, 2}
     with folder.alone():
-        assert not list((folder.path / "rows").glob("*.partial"))
+        assert not list((folder.path / "rows").glob(".*"))
     expected = rows(asked, 0) + rows(asked, 2)
     assert folder.table().to_pylist() == expected
     first = folder.rows_hash()
@@ -101,9 +104,9 @@ def test_a_folder_that_another_process_writes_to_is_refused(tmp_path: Path) -> N
     folder = ResultFolder(tmp_path / "c")
     folder.open(campaign(), False)
     with folder.alone():
-        partial = folder.path / "rows" / "part-0000001.parquet.partial"
+        partial = folder.path / "rows" / ".part-0000001.parquet.0123abcd"
         partial.write_bytes(b"half")
-        with pytest.raises(ValueError, match="c must not be written to by another process, got one that does"):
+        with pytest.raises(ValueError, match="c must not be in use by another process, got one that is"):
             ResultFolder(folder.path).check(True)
         assert partial.exists()
     ResultFolder(folder.path).check(True)

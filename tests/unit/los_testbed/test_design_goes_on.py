@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from los_testbed.cli import app
 
+from lftkit.support.job import Job
 from los_design.synthesis import synthesis
 from los_design.synthesis.options import DesignOptions
-from los_design.synthesis.round_state import Kept, RoundState
+from los_design.synthesis.round_state import RoundState
 from los_design.synthesis.store import load_designs
 
 
@@ -23,9 +24,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Stand-in for the tuning: keeps its state, then does what stands first in the list: a status, or an error."""
     ends: list[Any] = []
 
-    def design(telescope: Any, options: DesignOptions, report: Any, kept: Kept) -> Any:
-        state = RoundState.load(kept) or RoundState(np.zeros(2))
-        RoundState(state.x, state.number + 1).save(kept)
+    def design(telescope: Any, options: DesignOptions, report: Any, job: Job) -> Any:
+        state = RoundState.load(job) or RoundState(np.zeros(2))
+        RoundState(state.x, state.number + 1).save(job)
         end = ends.pop(0)
         if isinstance(end, type):
             raise end

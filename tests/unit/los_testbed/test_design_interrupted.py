@@ -19,10 +19,10 @@ from los_design.search.worst_case_search import SearchOptions
 from los_testbed.cli.app import main
 
 search = SearchOptions(frequencies=40, points=8, ascents=4, iterations=2, patience=0)
-synthesis.SHORT_EFFORT = Effort(rounds=1000, points=1, first=6, iterations=6, target=0.5, searches=(search,))
+synthesis.SHORT_EFFORT = Effort(rounds=1000, points=1, first=6, iterations=6, target=0.8, searches=(search,))
 sys.exit(main(["design", "all", "--effort", "short", "--workers", "2", "--output", sys.argv[1]]))
 """
-"""The command with a design of small effort: rounds that never end by themselves, because nothing is below 0.5."""
+"""The command with a design of small effort: rounds that never end by themselves, because nothing is below 0.8."""
 
 
 def started(folder: Path) -> subprocess.Popen[str]:

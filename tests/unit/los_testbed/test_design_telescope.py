@@ -15,7 +15,7 @@ from los_testbed.cli.designs.redesign import check_output
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.input_files import telescope_digest
+from los_testbed.run.identity import telescope_digest
 
 from lftkit import SampledSystem
 from lftkit.support.workers import Workers

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.campaign.dataset import Campaign, ResultFolder
-from los_testbed.campaign.execution import identity
 from los_testbed.campaign.portable import base_of, portable
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run import stages
-from los_testbed.run.input_files import input_digests, telescope_digest, with_files_beside
+from los_testbed.run.identity import identity, telescope_digest
+from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.stages import Plan, perform
 from los_testbed.run.star_trade import Trade
 
@@ -84,15 +84,16 @@ def test_the_content_of_files_counts_and_their_place_does_not(tmp_path: Path) ->
 
 
 def test_files_of_a_run_are_in_its_digests(tmp_path: Path) -> None:
-    """Of sources that no telescope has, and of a profile; of the reference telescope with its tones there is none."""
-    assert input_digests(RunConfig()) == {}
+    """Of sources that no telescope has, and of a profile."""
+    alone = identity(RunConfig())
+    assert set(alone) == {"version", "numpy", "scipy", "telescope", "k_fsm", "k_pma"}
     found = []
     for force in (0.1, 30.0):
         shaken(tmp_path, force)
         written(tmp_path / "ramp.csv", f"time,theta,w1,w2,w3,w4\n0,0,1,1,1,1\n{force},0,1,1,1,1\n")
-        found.append(input_digests(RunConfig(disturbance_files=str(tmp_path / "shake.csv"))))
-        found.append(input_digests(RunConfig(profile=str(tmp_path / "ramp.csv"))))
-    assert [set(one) for one in found] == [{"disturbances"}, {"profile"}] * 2
+        found.append(identity(RunConfig(disturbance_files=str(tmp_path / "shake.csv"))))
+        found.append(identity(RunConfig(profile=str(tmp_path / "ramp.csv"))))
+    assert [set(one) - set(alone) for one in found] == [{"disturbances"}, {"profile"}] * 2
     assert found[0] != found[2] and found[1] != found[3]
 
 
@@ -107,7 +108,7 @@ def test_a_campaign_does_not_go_on_with_another_disturbance(make: Any, tmp_path:
     folder = ResultFolder(tmp_path / "c")
     folder.open(asked(0.2), False)
     assert folder.open(asked(0.2), True) == frozenset()
-    with pytest.raises(ValueError, match=r"c holds another campaign: telescope must be .* as there, got "):
+    with pytest.raises(ValueError, match=r"which holds another: telescope must be .* as there, got "):
         folder.open(asked(20.0), True)
 
 
@@ -133,7 +134,7 @@ def test_stages_do_not_go_on_with_another_disturbance(tmp_path: Path, monkeypatc
         with pytest.raises(KeyboardInterrupt):
             perform(plan)
     shaken(tmp_path, 20.0)
-    with pytest.raises(ValueError, match="--output must be a new folder, or one of the same stages"):
+    with pytest.raises(ValueError, match="--output must be a new folder or one of the same comparison"):
         perform(plan)
 
 

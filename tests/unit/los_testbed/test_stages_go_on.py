@@ -56,9 +56,10 @@ def test_another_plan_does_not_go_on_in_the_folder(tmp_path: Path, monkeypatch: 
     with pytest.raises(KeyboardInterrupt):
         perform(plan)
     other = replace(plan, base=replace(plan.base, seed=plan.base.seed + 1))
-    with pytest.raises(ValueError, match="--output must be a new folder, or one of the same stages"):
+    with pytest.raises(ValueError, match="--output must be a new folder or one of the same comparison"):
         perform(other)
     finish(plan)
+    (plan.folder / "report.html").write_text("of a comparison that is done", "utf-8")
     with pytest.raises(ValueError, match="--output must be a new folder"):
         perform(plan)
 

@@ -11,7 +11,7 @@ import pytest
 from fuzz.mutations import messages, records
 from los_testbed.bags.repair import repair_bag
 
-from pointing_analysis.files.atomic_output import write_text
+from lftkit.support.atomic_output import write_text
 from pointing_analysis.read.mcap.records import OP_CHUNK, OP_DATA_END, OP_FOOTER, BagError
 from pointing_analysis.read.run import Run
 

@@ -276,10 +276,11 @@ def campaign(
         Settings that do not fit, a folder that exists, or another campaign in it.
     """
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_workers, cluster, identity, run_campaign
+    from los_testbed.campaign.execution import check_workers, cluster, run_campaign
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.config.run_config import RunConfig
     from los_testbed.parts.run_parts import RunParts
+    from los_testbed.run.identity import identity
 
     designs = settings.pop("designs", None)
     given = layered({"mode": "inprocess"}, of_designs("" if designs is None else str(designs)), _plain(settings))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lftkit.support.job import Job
 from lftkit.support.kept_workers import _HEAD, MAGIC, KeptWorkers
 from lftkit.support.workers import Workers
 
@@ -39,7 +40,7 @@ def find(item: int) -> Found:
 
 def kept(path: Path, job: str = "one") -> KeptWorkers:
     COUNTED.clear()
-    return KeptWorkers(Workers(), path, job, (Found,))
+    return KeptWorkers(Workers(), Job("sums", {"name": job}, path), (Found,))
 
 
 def same(one: Found, other: Found) -> bool:
@@ -106,7 +107,7 @@ class Evil:
 @pytest.mark.parametrize("result", [Evil(), Path("here"), subprocess.Popen])
 def test_no_other_class_is_loaded(tmp_path: Path, result: object, capsys: pytest.CaptureFixture[str]) -> None:
     record = pickle.dumps((1, 0, result))
-    job = b"one"
+    job = Job("sums", {"name": "one"}).digest.encode()
     with (tmp_path / "parts").open("wb") as file:
         file.write(MAGIC)
         for one in (job, record):
@@ -128,7 +129,8 @@ def test_other_files_are_left_alone(tmp_path: Path) -> None:
 def test_a_file_in_use_is_refused(tmp_path: Path) -> None:
     workers = kept(tmp_path / "parts")
     code = (
-        f"from lftkit.support.kept_workers import *; KeptWorkers(Workers(), Path({str(tmp_path / 'parts')!r}), 'x', ())"
+        "from pathlib import Path; from lftkit.support.job import Job; from lftkit.support.kept_workers import *\n"
+        f"KeptWorkers(Workers(), Job('x', {{}}, Path({str(tmp_path / 'parts')!r})), ())"
     )
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "must not be in use by another process" in there.stderr

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from lftkit.support.atomic_output import atomic_folder, check_space
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from pointing_analysis.files.atomic_output import atomic_folder, check_space
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.mcap.bag_loss import LossLedger, TopicLoss, contradictions, repair_entries
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, merged

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.support.atomic_output import write_text
 from lftkit.support.input_limits import SECRET
-from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.mcap.chain import Chain
 

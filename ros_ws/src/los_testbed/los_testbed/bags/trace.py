@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 
+from lftkit.support.atomic_output import atomic_file
 from los_testbed.bags.cdr import stamp_of
 from los_testbed.config.topics import FSM_COMMAND, LOS_ESTIMATE, PMA_COMMAND, SENSORS
-from pointing_analysis.files.atomic_output import atomic_file
 from pointing_analysis.read.mcap.bag_files import bag_files
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS

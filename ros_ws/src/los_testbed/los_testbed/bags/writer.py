@@ -14,11 +14,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from lftkit.support.atomic_output import check_output, named_errors, write_text
 from los_testbed.bags.mcap_blocks import McapBlockWriter
 from los_testbed.bags.schemas import DEFINITIONS, TYPE_HASHES
 from los_testbed.config.run_config import NAMESPACE
 from los_testbed.config.topics import DEPTH, DIAGNOSTICS, DIAGNOSTICS_TOPIC, TOPICS, TopicDefinition
-from pointing_analysis.files.atomic_output import check_output, named_errors
 from pointing_analysis.read.mcap.bag_metadata import METADATA_NAME, REPAIR_NAME, with_hash
 
 QOS = [
@@ -188,9 +188,7 @@ class BagWriter:
         text = _yaml(description)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
         self._mcap.finish()
-        partial = self.path / "metadata.yaml.partial"
-        partial.write_text(_yaml({"rosbag2_bagfile_information": description}), "utf-8")
-        partial.replace(self.path / "metadata.yaml")
+        write_text(self.path / "metadata.yaml", _yaml({"rosbag2_bagfile_information": description}))
 
     def _description(self) -> dict[str, Any]:
         start, end = (min(stamp, _LATEST) for stamp in (self._mcap.start_time, self._mcap.end_time))

@@ -8,18 +8,16 @@ on when or where it was computed.
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import hashlib
-import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from lftkit.arrays import FloatArray
+from lftkit.support.atomic_output import check_output, write_bytes
 from lftkit.support.input_files import read_text
+from lftkit.support.job import Job
 from lftkit.support.structured_text import load_json
 from lftkit.support.workers import Workers
 from los_testbed.campaign.adversarial import adversarial_members
@@ -28,7 +26,6 @@ from los_testbed.campaign.sampling import MemberParameters, member_seeds, member
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import with_scenario
 from los_testbed.parts.run_parts import RunParts
-from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.requirement import Requirement
 from titop_plant.interface import CAMERA_RATE, FRAME_TICKS
@@ -157,8 +154,12 @@ class Campaign:
         """Number of chunks."""
         return -(-self.samples // CHUNK[self.depth])
 
+    def job(self, folder: Path) -> Job:
+        """The campaign as a job whose rows lie in a folder; its record is ``campaign.json``."""
+        return Job("campaign", self.manifest(), folder / MANIFEST, "output")
+
     def manifest(self) -> dict[str, Any]:
-        """Content of ``campaign.json``."""
+        """What the rows depend on."""
         return {
             "format": FORMAT,
             "depth": self.depth,
@@ -232,15 +233,7 @@ class ResultFolder:
         present = read_manifest(self.path)
         with contextlib.suppress(ValueError, KeyError):  # settings that are none of today's are compared as they are
             present["run"] = _settings(RunConfig.from_mapping(present["run"]))
-        for key, value in campaign.manifest().items():
-            if (there := present.get(key)) == value:
-                continue
-            if isinstance(there, dict) and isinstance(value, dict):  # of a table, the first entry that is another
-                key = next(name for name in (*value, *there) if there.get(name) != value.get(name))
-                there, value = there.get(key), value.get(key)
-            raise ValueError(
-                f"{self.path} holds another campaign: {key} must be {_short(there)} as there, got {_short(value)}"
-            )
+        campaign.job(self.path).require_same(present)
 
     def open(self, campaign: Campaign, resume: bool) -> frozenset[int]:
         """Make the folder, or go on in it; the chunks that are there already.
@@ -254,8 +247,8 @@ class ResultFolder:
         """
         self.check(resume)
         if not resume:
-            (self.path / ROWS).mkdir(parents=True)
-            _write_whole(self.path / MANIFEST, (json.dumps(campaign.manifest(), indent=1) + "\n").encode())
+            campaign.job(self.path).begin()
+            (self.path / ROWS).mkdir()
             return frozenset()
         self.compare(campaign)
         (self.path / ROWS).mkdir(exist_ok=True)
@@ -268,25 +261,14 @@ class ResultFolder:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """No other process writes rows here during the block; what one that was killed left half written is removed.
-
-        The lock is the system's and ends with the process. On file systems without locks there is none.
+        """No other process writes rows here during the block, see :meth:`lftkit.support.job.Job.alone`.
 
         Raises
         ------
         ValueError
             Another process does.
         """
-        with (self.path / MANIFEST).open("r+b") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ValueError(f"{self.path} must not be written to by another process, got one that does") from None
-            except OSError as error:
-                if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
-                    raise
-            for left in (self.path / ROWS).glob("*.partial"):
-                left.unlink(missing_ok=True)
+        with Job("campaign", {}, self.path / MANIFEST).alone(self.path / ROWS):
             yield
 
     def parts(self) -> list[Path]:
@@ -304,7 +286,7 @@ class ResultFolder:
 
         sink = pyarrow.BufferOutputStream()
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), sink)
-        _write_whole(self.part(number), sink.getvalue().to_pybytes())
+        write_bytes(self.part(number), sink.getvalue().to_pybytes(), durable=True)
 
     def table(self, columns: Sequence[str] | None = None) -> Any:
         """All rows as a ``pyarrow.Table``, in the order of the members."""
@@ -364,21 +346,3 @@ def _complete(part: Path, members: Sequence[Mapping[str, Any]], metrics: frozens
         return False
     same = all(found[key] == [member[key] for member in members] for key in ("index", "seed"))
     return same and CRASHED not in found["status"]
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:  # a full disk, a key
-        partial.unlink(missing_ok=True)
-        raise
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

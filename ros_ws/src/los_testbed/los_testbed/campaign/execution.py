@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import json
 import os
 import ssl
@@ -13,23 +12,15 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from functools import lru_cache
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-import scipy
-
-from lftkit.support.input_files import read_bytes
 from lftkit.support.workers import processors
-from los_testbed import __version__
 from los_testbed.campaign.cluster.local_cluster import local_cluster
 from los_testbed.campaign.cluster.tls_files import SCHEME, TlsFiles, client_security
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.member import CRASHED, MemberEvaluator, finished_row
 from los_testbed.campaign.portable import base_of, portable
-from los_testbed.config.run_config import RunConfig
-from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.input_files import input_digests
+from los_testbed.run.identity import identity
 
 AHEAD = 3  # chunks per worker that are handed out before their turn: what bounds the memory of client and scheduler
 CONNECT = 15.0
@@ -46,54 +37,6 @@ CRASHES = 3
 
 EXTRA = {"distributed": "dask.distributed", "pyarrow": "pyarrow", "cryptography": "cryptography"}
 """Modules of the extra ``campaign``, and how they are called."""
-
-
-def identity(base: RunConfig) -> dict[str, str]:
-    """Version of the package and hashes of what the rows depend on: the same on all workers, or there is no campaign.
-
-    Requirements are named where they are not those of the reference telescope, and so are its optics where requirements
-    are on the image of a star. A parameter file has a digest of its own of all its values, sources of disturbance and
-    sensors, too, and of the files that it names: ``parameters`` is the hash of what designs depend on.
-
-    Raises
-    ------
-    ValueError
-        A file that cannot be read.
-    """
-    from pointing_analysis.requirements.requirement import entries
-    from titop_plant.telescope.load import load_telescope
-
-    parts = RunParts(base)
-    required = json.dumps(entries(parts.telescope.requirements))
-    reference = json.dumps(entries(load_telescope().requirements))
-    controllers = {name: _digest(path) for name, path in parts.model_files.items()}
-    return {
-        "version": __version__,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "parameters": parts.telescope.parameters_hash,
-        **controllers,
-        **({} if required == reference else {"requirements": hashlib.sha256(required.encode()).hexdigest()[:16]}),
-        **_image_optics(parts),
-        **_star_camera(parts),
-        **input_digests(base),
-    }
-
-
-def _image_optics(parts: RunParts) -> dict[str, str]:
-    """Digest of the optics where metrics depend on them and they are not the reference telescope's."""
-    if not any(r.of_image for r in parts.telescope.requirements) or parts.optics == RunParts(RunConfig()).optics:
-        return {}
-    return {"optics": hashlib.sha256(repr(parts.optics).encode() + parts.optics.pupil_file).hexdigest()[:16]}
-
-
-def _star_camera(parts: RunParts) -> dict[str, str]:
-    """Digest of a camera that takes images: its star and detector are not in the hash of the parameters."""
-    made = parts.star_camera
-    if made is None:
-        return {}
-    text = repr((made.optics, made.camera)).encode() + parts.pupil_file
-    return {"camera": hashlib.sha256(text).hexdigest()[:16]}
 
 
 class WorkerMismatchError(RuntimeError):
@@ -391,10 +334,3 @@ def _evaluator(content: str) -> MemberEvaluator:
     if difference := _difference(json.loads(content)["identity"], worker_identity(content)):
         raise WorkerMismatchError(f"a worker has another installation: {difference}")
     return MemberEvaluator.of(base_of(content))
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(read_bytes(path)).hexdigest()[:12]
-    except OSError as error:
-        raise ValueError(f"cannot read the controller file {path}: {error.strerror}") from None

@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from lftkit.arrays import FloatArray
+from lftkit.support.atomic_output import write_text
 from los_testbed.campaign.campaign_verdict import LOST
 from los_testbed.campaign.dataset import Campaign, ResultFolder
 from los_testbed.campaign.influence import MOST_BINS, PER_BIN, yield_curve
 from los_testbed.campaign.meanings import MEANINGS, RANKED, meaning
 from los_testbed.campaign.overview import quantile_heads
-from pointing_analysis.files.atomic_output import write_text
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, picture
 
 TEMPLATE = Path(__file__).with_name("campaign.html.j2")

@@ -103,12 +103,13 @@ def campaign(
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.cluster.tls_files import TlsFiles
     from los_testbed.campaign.dataset import Campaign, ResultFolder
-    from los_testbed.campaign.execution import check_cluster, check_workers, cluster, identity
+    from los_testbed.campaign.execution import check_cluster, check_workers, cluster
     from los_testbed.campaign.overview import campaign_summary
     from los_testbed.campaign.page import write_page
     from los_testbed.config.run_config import RunConfig
     from los_testbed.config.run_settings import with_scenario, with_stage
     from los_testbed.parts.run_parts import RunParts
+    from los_testbed.run.identity import identity
 
     number("--samples", samples, 0, 1_000_000)  # their parameters are in memory
     number("--seed", seed, 0, 2**31 - 1)

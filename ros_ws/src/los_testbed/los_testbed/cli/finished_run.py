@@ -32,7 +32,7 @@ def check_trace(path: Path, config: RunConfig) -> None:
     ValueError
         A run that is not in real time, a path that is taken or cannot be written.
     """
-    from pointing_analysis.files.atomic_output import check_output
+    from lftkit.support.atomic_output import check_output
 
     if config.mode != "realtime":
         raise ValueError(f"mode must be realtime with --trace, got {config.mode}")

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from lftkit.support.atomic_output import check_output
 from los_testbed.cli.options.options import option
 from los_testbed.config.run_config import NAMESPACE, RunConfig
 from los_testbed.run.processes.keystore import write_keystore
-from pointing_analysis.files.atomic_output import check_output
 
 KEYS_EXAMPLES = """Keys, certificates and signed permissions of the nodes, for a ROS 2 with DDS security (SROS 2).
 

@@ -79,8 +79,8 @@ def figures(
     parameters: TelescopeFile = None,
 ) -> None:
     """See FIGURES_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output
     from los_design.figures.plant_figures import draw_figures
-    from pointing_analysis.files.atomic_output import check_output
 
     check_output(output, "--output", folder=True)
     from lftkit.support.progress import Progress

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from lftkit.support.atomic_output import write_text
 from lftkit.support.progress import Progress
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import (
@@ -27,7 +28,6 @@ from los_testbed.cli.options.options import (
 )
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.run.summary.screen import Screen, say
-from pointing_analysis.files.atomic_output import write_text
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -118,7 +118,7 @@ def _perform(plan: Plan) -> tuple[StageResult, ...]:
     from los_testbed.run.stages import perform
 
     with Progress("stages") as bar:
-        runs, each = plan.runs(), plan.base.ticks
+        runs, each = plan.runs, plan.base.ticks
         index = {run.name: i for i, run in enumerate(runs)}
 
         def progress(run: StageRun, ticks: int) -> None:

@@ -15,13 +15,13 @@ from typing import Any
 
 import jinja2
 
+from lftkit.support.atomic_output import atomic_folder
 from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
 from los_testbed import __version__
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash, hex_float
 from los_testbed.flight.vectors import gate_ticks, law_ticks
-from pointing_analysis.files.atomic_output import atomic_folder
 from titop_plant.interface import (
     COLUMNS,
     COMMAND_PORTS,

@@ -18,12 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lftkit.support.atomic_output import atomic_file
 from lftkit.systems.ports import Port
 from los_testbed import __version__
 from los_testbed.flight.export import FLAGS, TIME_LIMIT_S, compiler, render, template
 from los_testbed.flight.laws import FlightLaws
 from los_testbed.flight.tables import HEADER, UNITS, Tables, common_hash
-from pointing_analysis.files.atomic_output import atomic_file
 from titop_plant.interface import (
     COLUMNS,
     COMMAND_PORTS,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fsm_pma_controller.runtime import FsmPmaController
 from lftkit.arrays import FloatArray
+from lftkit.support.atomic_output import atomic_folder
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SYSTEM
 from lftkit.support.threads import one_thread
@@ -34,7 +35,6 @@ from los_testbed.run.loop.contract import first_not_finite
 from los_testbed.run.metadata import METADATA_NAME
 from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.replay_ports import layout_of, rows_of
-from pointing_analysis.files.atomic_output import atomic_folder
 from pointing_analysis.indices.errors import (
     RAD_PER_ARCSEC,
     RAD_PER_MAS,

@@ -7,8 +7,6 @@ tone, one for each index (:mod:`los_testbed.run.summary.worst_case_rows`).
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -20,20 +18,18 @@ from typing import Any
 import numpy as np
 
 from lftkit.arrays import FloatArray
-from lftkit.support.input_files import read_bytes
+from lftkit.support.job import Job
 from los_loop.tone_model import StageTones, tone_responses
 from los_testbed.config.members import MEMBER, check_ranges, random_member, worst_member
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import layered, of_scenario
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.input_files import input_digests
+from los_testbed.run.identity import identity
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.metadata import run_metadata
 from los_testbed.run.runner import Runner
 from los_testbed.run.summary.worst_case_rows import WORST_INDICES, WorstToneRun, worst_tone_of
-from pointing_analysis.files.atomic_output import write_text
-from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.summary import Summary, summarise
 from titop_plant.interface import SCENARIOS, STAGES
@@ -104,6 +100,7 @@ class Plan:
         """Stages that the telescope has."""
         return RunParts(self.base).telescope.stages
 
+    @cached_property
     def runs(self) -> list[StageRun]:
         """All runs, in the order of the tables; the noise alone does not depend on the scenario and is run once."""
         found = []
@@ -238,11 +235,11 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
     if MOVING in plan.scenarios:
         for config in plan.members().values():
             RunParts(replace(config, scenario=MOVING)).settings  # noqa: B018, refuses what cannot move
-    for run in plan.runs():  # of all telescopes, those of the worst case, too: before there is a folder
+    for run in plan.runs:  # of all telescopes, those of the worst case, too: before there is a folder
         check_ranges(run.config, RunParts(run.config).telescope)
     _begin(plan)
     results = []
-    for run in plan.runs():
+    for run in plan.runs:
         bag = plan.folder / run.name
         try:
             note = "" if bag.exists() else _recorded(run, bag, partial(progress, run))
@@ -255,7 +252,7 @@ def perform(plan: Plan, progress: Callable[[StageRun, int], None] = lambda run, 
 
 
 def _begin(plan: Plan) -> None:
-    """Make the folder; or leave of one of the same plan, which was interrupted, the bags of its finished runs.
+    """Begin or continue the job of a plan, and leave of an interrupted one the bags of its finished runs.
 
     Runs that do not pass in one process are made again: what their processes had to say is not in the bags. So are runs
     that diverged, whose bags end there.
@@ -265,16 +262,9 @@ def _begin(plan: Plan) -> None:
     ValueError
         A folder of something else.
     """
-    file, runs = plan.folder / PLAN, plan.runs()
-    telescope = RunParts(plan.base).telescope.parameters_hash
-    inputs = {"inputs": digests} if (digests := input_digests(plan.base)) else {}
-    origin = {**provenance(plan), "parameters": telescope, **inputs}
-    asked = json.loads(json.dumps({"runs": {run.name: run.config.to_mapping() for run in runs}, "origin": origin}))
-    if not plan.folder.exists():
-        plan.folder.mkdir(parents=True)
-    elif not file.exists() or load_json(read_text(file), file) != asked:
-        raise ValueError(f"--output must be a new folder, or one of the same stages, got {plan.folder}")
-    write_text(file, json.dumps(asked, indent=1) + "\n")
+    runs = plan.runs
+    asked = {"identity": identity(plan.base), "runs": {run.name: run.config.to_mapping() for run in runs}}
+    Job("comparison", asked, plan.folder / PLAN).begin()
     for bag in (plan.folder / run.name for run in runs):
         if plan.base.mode != "inprocess" or not _finished(bag):
             shutil.rmtree(bag, ignore_errors=True)
@@ -290,8 +280,8 @@ def _finished(bag: Path) -> bool:
 
 
 def finish(plan: Plan) -> None:
-    """What is in the folder is whole: there is nothing to go on with."""
-    (plan.folder / PLAN).unlink()
+    """What is in the folder is whole: there is nothing to continue."""
+    Job("comparison", {}, plan.folder / PLAN).finish()
 
 
 def _recorded(run: StageRun, bag: Path, progress: Callable[[int], None]) -> str:
@@ -349,7 +339,7 @@ def provenance(plan: Plan) -> dict[str, Any]:
     keys = ("software_version", "commit", "python")
     parts = RunParts(plan.base)
     metadata = run_metadata(parts)
-    designs = {name: hashlib.sha256(read_bytes(path)).hexdigest()[:16] for name, path in parts.model_files.items()}
+    digests = identity(plan.base)
     return {
         **{key: metadata[key] for key in keys},
         "mode": plan.base.mode,
@@ -360,5 +350,5 @@ def provenance(plan: Plan) -> dict[str, Any]:
             name: {key: c.to_mapping()[key] for key in ("theta", "tau", "wheel_speed", "omega_1", "omega_2")}
             for name, c in plan.members().items()
         },
-        "controllers_sha256": designs,
+        "controllers_sha256": {name: digests[name] for name in parts.model_files},
     }

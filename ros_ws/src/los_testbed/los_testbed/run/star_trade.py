@@ -6,7 +6,6 @@ with parameter file, designs, bag and ``row.json``, which is there when all is d
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -14,13 +13,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lftkit.support.atomic_output import check_output, write_text
+from lftkit.support.job import Job
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, TELESCOPE_FILE
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.input_files import content_digest, input_digests, map_files
+from los_testbed.run.identity import identity
+from los_testbed.run.input_files import map_files
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.simulate import run_in_process
-from pointing_analysis.files.atomic_output import check_output, write_text
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.load import load_telescope
@@ -96,18 +97,14 @@ class Trade:
             raise ValueError(f"rates must be positive, got {', '.join(f'{rate:g}' for rate in rates)} Hz")
         asked = _asked(base, magnitudes, rates, redesign)
         check_output(folder, "--output", folder=True)
-        known = folder / SETTINGS
-        if folder.exists() and any(folder.iterdir()):
-            if not known.exists() or load_json(read_text(known), known) != asked:
-                raise ValueError(f"--output must be a new folder or one of the same trade, got {folder}")
-            return cls(folder, _points(base, folder, magnitudes, rates), redesign)
+        job = Job("trade", asked, folder / SETTINGS)
+        continued = job.begin()
         try:
-            found = _points(base, folder, magnitudes, rates)
+            return cls(folder, _points(base, folder, magnitudes, rates), redesign)
         except ValueError:
-            shutil.rmtree(folder, ignore_errors=True)
+            if not continued:
+                shutil.rmtree(folder, ignore_errors=True)
             raise
-        write_text(known, json.dumps(asked, indent=1) + "\n")
-        return cls(folder, found, redesign)
 
     def row(
         self, point: TradePoint, seconds: float, report: Callable[[str], None], workers: Workers | None = None
@@ -152,17 +149,14 @@ class Trade:
 
 
 def _asked(base: RunConfig, magnitudes: Sequence[float], rates: Sequence[float], redesign: bool) -> dict[str, Any]:
-    """What a trade depends on, as it is read from JSON."""
-    files = [] if redesign else list(RunParts(base).model_files.values())
-    found = {
+    """What a trade depends on."""
+    return {
+        "identity": identity(base, controllers=not redesign),
         "magnitudes": list(magnitudes),
         "rates": list(rates),
         "redesign": redesign,
-        "run": dataclasses.asdict(base),
-        "sha256": [content_digest(file) for file in files],
-        **({"inputs": digests} if (digests := input_digests(base)) else {}),
+        "run": base.to_plain(),
     }
-    return dict(json.loads(json.dumps(found, default=str)))
 
 
 def _points(

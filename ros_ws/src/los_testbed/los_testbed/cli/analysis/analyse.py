@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lftkit.support.atomic_output import check_output
 from los_testbed.cli.analysis.recordings import (
     Bags,
     Los,
@@ -22,7 +23,6 @@ from los_testbed.cli.analysis.recordings import (
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
 from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen
-from pointing_analysis.files.atomic_output import check_output
 
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording

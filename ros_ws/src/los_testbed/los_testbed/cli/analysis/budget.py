@@ -76,13 +76,13 @@ def budget(
 ) -> None:
     """See BUDGET_EXAMPLES."""
     import pointing_analysis.budget.file as budget_file
+    from lftkit.support.atomic_output import check_output, write_text
     from los_testbed.run.summary.pointing_budget_sources import testbed_requirements, testbed_sources, with_designs
     from los_testbed.run.summary.worst_pointing_budget import members_of
     from pointing_analysis.budget.result_table import result_rows
     from pointing_analysis.budget.source_table import COLUMNS, source_rows
     from pointing_analysis.budget.table_files import require_writable, write_rows
     from pointing_analysis.budget.total import as_dict, evaluate
-    from pointing_analysis.files.atomic_output import check_output, write_text
     from pointing_analysis.report.pointing_budget_page import render_budget
 
     number("--members", members, 0, 100_000)

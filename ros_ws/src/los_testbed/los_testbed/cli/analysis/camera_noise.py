@@ -47,8 +47,8 @@ def noise(
     json_: Json = False,
 ) -> None:
     """See NOISE_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output, write_text
     from los_design.synthesis.provenance import commit
-    from pointing_analysis.files.atomic_output import check_output, write_text
     from pointing_analysis.image.noise_curve import NoiseCurve, to_text
 
     number("--frames", frames, 10, 10_000_000)

@@ -83,7 +83,7 @@ def figures(
     json_: Json = False,
 ) -> None:
     """See FIGURES_EXAMPLES."""
-    from pointing_analysis.files.atomic_output import check_output
+    from lftkit.support.atomic_output import check_output
     from pointing_analysis.image.optics import NONE_KNOWN, optics_of
     from pointing_analysis.report.image_pictures import draw_pictures
     from pointing_analysis.report.report import labels, view
@@ -120,7 +120,7 @@ def export(
     json_: Json = False,
 ) -> None:
     """See EXPORT_EXAMPLES."""
-    from pointing_analysis.files.atomic_output import check_output
+    from lftkit.support.atomic_output import check_output
     from pointing_analysis.image.export import write_kernel, write_path
     from pointing_analysis.indices.errors import performance_error
 

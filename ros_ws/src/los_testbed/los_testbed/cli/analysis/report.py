@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from lftkit.support.atomic_output import check_output
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
 from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen, numbers, say
-from pointing_analysis.files.atomic_output import check_output
 
 if TYPE_CHECKING:
     from pointing_analysis.requirements.summary import Summary

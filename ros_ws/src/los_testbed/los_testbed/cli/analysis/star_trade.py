@@ -72,11 +72,11 @@ def trade(
     """See TRADE_EXAMPLES."""
     import json
 
+    from lftkit.support.atomic_output import write_text
     from los_testbed.config.run_config import RunConfig
     from los_testbed.config.run_settings import with_stage
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run import star_trade
-    from pointing_analysis.files.atomic_output import write_text
 
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
     given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}

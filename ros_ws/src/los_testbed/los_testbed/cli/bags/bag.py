@@ -84,8 +84,8 @@ def trace(
     json_: Json = False,
 ) -> None:
     """See TRACE_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output
     from los_testbed.bags.trace import write_trace
-    from pointing_analysis.files.atomic_output import check_output
     from pointing_analysis.read.run import Run
 
     if not 0.0 <= start < stop:

@@ -121,12 +121,13 @@ def _make(
     kind: str, options: DesignOptions, file: Path | None, observer: Path | None, output: Path | None, json_: bool
 ) -> None:
     from lftkit import SampledSystem
+    from lftkit.support.atomic_output import check_output
+    from lftkit.support.job import Job
     from lftkit.support.threads import one_thread
     from los_design.redesign import OUT_OF_TIME, ROUNDS_FILE
     from los_design.synthesis.provenance import digest
     from los_design.synthesis.store import design_file
     from los_design.synthesis.synthesis import design_actuators, design_observer
-    from pointing_analysis.files.atomic_output import check_output
     from titop_plant.interface import design_warnings
     from titop_plant.telescope.load import load_telescope
 
@@ -135,19 +136,20 @@ def _make(
     telescope = load_telescope(file)
     name_unseen_requirements(telescope)
     rounds = path.with_name(f"{path.stem}.{ROUNDS_FILE}")
-    key = {"kind": kind, "parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
+    key = {"parameters_hash": telescope.parameters_hash, **asdict(options), "wall_limit": 0.0}
     go_on = told_how_to_go_on("rounds so far", path, state=rounds)
     with one_thread(), go_on, Progress(kind) as bar:
         if kind == "k-fsm":
-            system = design_observer(telescope, options, bar.print, (rounds, key))
+            job = Job(kind, key, rounds)
+            system = design_observer(telescope, options, bar.print, job)
         else:
             k_fsm = SampledSystem.from_file(observer or design_file("k-fsm", options.variant))
             warn(design_warnings([k_fsm], telescope.design_basis, closed=True))
-            key |= {"k_fsm": digest(k_fsm)}
-            system = design_actuators(telescope, k_fsm, options, bar.print, (rounds, key))
+            job = Job(kind, {**key, "k_fsm": digest(k_fsm)}, rounds)
+            system = design_actuators(telescope, k_fsm, options, bar.print, job)
     system.to_file(path)
     if system.provenance["status"] != OUT_OF_TIME:
-        rounds.unlink(missing_ok=True)
+        job.finish()
     _show_design(system, path, json_)
     if not_met := _not_met(system):
         for text in not_met:
@@ -219,9 +221,9 @@ def figures(
     designs: Designs = None,
 ) -> None:
     """Draw the stages over sampled parameters with their templates, and the controllers."""
+    from lftkit.support.atomic_output import check_output
     from lftkit.support.threads import one_thread
     from los_design.figures.figures import draw
-    from pointing_analysis.files.atomic_output import check_output
 
     number("--samples", samples, 0, 10_000)
     check_output(output, "--output", folder=True)

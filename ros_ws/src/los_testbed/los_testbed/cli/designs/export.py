@@ -61,10 +61,10 @@ def export_c(
     json_: Json = False,
 ) -> None:
     """See EXPORT_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output
     from los_testbed.flight.export import FILES, write_flight_code
     from los_testbed.flight.laws import laws_of
     from los_testbed.flight.tables import common_hash
-    from pointing_analysis.files.atomic_output import check_output
 
     check_output(output, "--output", new=True, folder=True)
     laws = laws_of(designs)
@@ -129,12 +129,12 @@ def export_fmu(
     json_: Json = False,
 ) -> None:
     """See FMU_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output
     from los_testbed.config.run_config import RunConfig
     from los_testbed.config.run_settings import of_designs, with_stage
     from los_testbed.flight.fmu import LAW, PLANT, law_model, plant_model, write_fmu
     from los_testbed.flight.laws import laws_of
     from los_testbed.parts.run_parts import RunParts
-    from pointing_analysis.files.atomic_output import check_output
 
     path = output or Path(f"{PLANT if plant else LAW}.fmu")
     check_output(path, "--output", new=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Column, Table
 
+from lftkit.support.atomic_output import atomic_file, check_output
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.interrupts import told_how_to_go_on
@@ -22,7 +23,6 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
 from los_testbed.run.summary.screen import Screen, numbers
-from pointing_analysis.files.atomic_output import atomic_file, check_output
 from pointing_analysis.files.structured_text import load_json, read_text
 from pointing_analysis.rounding import at_least, at_most
 from titop_plant.interface import (

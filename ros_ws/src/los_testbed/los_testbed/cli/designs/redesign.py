@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from lftkit.support.atomic_output import atomic_file
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.mission import (
@@ -30,7 +31,6 @@ from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_settings import TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
 from los_testbed.run.summary.screen import Screen, met, numbers
-from pointing_analysis.files.atomic_output import atomic_file
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
+from lftkit.support.atomic_output import check_output, write_text
+from lftkit.support.job import Job
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import designs_in, name_unseen_requirements
 from los_testbed.cli.designs.mission import Mission, verify_mission
@@ -25,7 +26,6 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
 from los_testbed.run.summary.screen import Screen
-from pointing_analysis.files.atomic_output import check_output, write_text
 
 if TYPE_CHECKING:
     from lftkit import SampledSystem
@@ -104,13 +104,16 @@ def _going_on(
     from los_design.synthesis.provenance import source_digest
     from los_design.verification.stage_check import RESULTS
     from los_testbed.campaign.cluster_work import versions
-    from los_testbed.run.input_files import telescope_digest
+    from los_testbed.run.identity import telescope_digest
 
-    subject = [telescope_digest(telescope), [dict(values) for values in at]]
-    depends = [versions(), source_digest(), subject, [one.to_json() for one in designs]]
-    job = hashlib.sha256(json.dumps(depends, default=repr).encode()).hexdigest()
+    depends = {
+        "software": [versions(), source_digest()],
+        "telescope": telescope_digest(telescope),
+        "points": [dict(values) for values in at],
+        "designs": [one.to_json() for one in designs],
+    }
     parts, done = output.with_name(f"{output.name}.parts"), False
-    kept = KeptWorkers(workers, parts, job, RESULTS)
+    kept = KeptWorkers(workers, Job("verification", depends, parts), RESULTS)
     if kept.known:
         sys.stderr.write(f"{kept.known} parts are taken from {parts}\n")
     with told_how_to_go_on("parts that are done", output, state=parts):

@@ -14,8 +14,8 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lftkit.support.atomic_output import atomic_folder
 from los_testbed.run.processes.enclaves import ENCLAVES, enclave_path, governance, permissions
-from pointing_analysis.files.atomic_output import atomic_folder
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import yaml
 
+from lftkit.support.atomic_output import write_text
 from los_testbed.bags.writer import check_new_bag
 from los_testbed.config.run_config import COMPOSED, RunConfig
 from los_testbed.config.topics import BOTH_LAWS, NODES
 from los_testbed.run.processes.enclaves import enclave_path
 from los_testbed.run.processes.memory_file import memory_file
 from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, check_variables
-from pointing_analysis.files.atomic_output import write_text
 
 EVENTS_VARIABLE = "LOS_TESTBED_EVENTS"
 """Process number of the runner; if set, a node tells what happens, one JSON object per line on its output."""

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from lftkit.support.atomic_output import check_output
 from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
@@ -20,7 +21,6 @@ from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.summary.local_proofs import stated_lines, with_confirmed
 from los_testbed.run.summary.screen import met, numbers, printable, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
-from pointing_analysis.files.atomic_output import check_output
 from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read import run_end
 from pointing_analysis.read.recording import Recording

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -85,6 +86,9 @@ def check_space(path: Path, size: float, what: str) -> None:
         )
 
 
+_TEMPORARY = re.compile(r"\A\..+\.[0-9a-f]{8}\Z")
+
+
 def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
 
@@ -100,9 +104,20 @@ def named_errors(path: Path, temporary: Path) -> Iterator[None]:
         raise OSError(error.errno, os.strerror(error.errno or 0), str(path)) from error
 
 
+def leftovers(folder: Path) -> list[Path]:
+    """Temporary files in a folder that a killed process left."""
+    return [path for path in folder.glob(".*") if _TEMPORARY.search(path.name) and path.is_file()]
+
+
 @contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path, durable: bool = False) -> Iterator[Path]:
     """A path to write to; the file gets its name when the block ends without an exception.
+
+    Parameters
+    ----------
+    path : Path
+    durable : bool
+        The content is on the disk before the file gets its name: a loss of power cannot leave a name without content.
 
     Examples
     --------
@@ -118,6 +133,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     try:
         with named_errors(path, temporary):
             yield temporary
+            if durable:
+                with temporary.open("rb") as file:
+                    os.fsync(file.fileno())
             os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -144,7 +162,12 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, durable: bool = False) -> None:
     """Write a whole file, replacing an existing one."""
-    with atomic_file(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_bytes(path, text.encode("utf-8"), durable)
+
+
+def write_bytes(path: Path, content: bytes, durable: bool = False) -> None:
+    """Write a whole file, replacing an existing one."""
+    with atomic_file(path, durable) as temporary:
+        temporary.write_bytes(content)
