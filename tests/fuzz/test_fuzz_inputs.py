@@ -105,7 +105,7 @@ OPTIONS = {
         "--omega-1",
         "--ramp-duration",
     ],
-    "report": ["--transient", "--start", "--stop", "--namespace", "--max-chunk", "--requirements"],
+    "report": ["--transient", "--from", "--to", "--namespace", "--max-chunk", "--requirements"],
     "replay": ["--transient", "--timeout", "--domain", "--loop", "--k-fsm", "--max-chunk"],
     "bag repair": ["--max-chunk", "--output"],
     "design verify": ["--samples"],

@@ -78,7 +78,7 @@ def test_certify_takes_a_figure_that_was_added(copy: PackageCopy) -> None:
     """A second is too short for a proof; the whole one is below."""
     copy.follow("Add a figure of merit")
     with pytest.raises(RuntimeError, match=r"fsm\+pma, force, slow: open"):
-        copy.run(f"{CERTIFY} --wall-limit 1")
+        copy.run(f"{CERTIFY} --time-limit 1")
 
 
 @pytest.mark.slow

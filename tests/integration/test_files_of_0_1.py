@@ -49,7 +49,13 @@ ARCSEC, MAS = np.pi / 180 / 3600, np.pi / 180 / 3600e3
 OWN_HASH = "acae87c1dd00"
 """``parameters_hash`` of ``telescope.toml`` in 0.1; it stands in the bag and in the designs."""
 RUN = ["--mode=inprocess", "--no-report", "--json", "--output=new"]
-SUCCESSORS = {("design k-fsm", "--starts"): "design k-pma"}
+SUCCESSORS = {
+    ("report", "--start"): "now --from",
+    ("report", "--stop"): "now --to",
+    ("stages", "--keep"): "now --keep-all",
+    ("design k-fsm", "--starts"): "an option of design k-pma",
+    ("design certify", "--wall-limit"): "now --time-limit",
+}
 """Options that a command has no more, and what the message about each one names."""
 
 
@@ -188,4 +194,4 @@ def test_options_are_there_or_name_their_successor(command: CommandLine) -> None
     assert gone == set(SUCCESSORS) and len(older) > 20
     for (name, option), successor in SUCCESSORS.items():
         code, _, err = command(*name.split(), option, "2", "--output=x.json")
-        assert code == 2 and f"{option} is an option of {successor}" in err
+        assert code == 2 and f"{option} is {successor}" in err

@@ -31,7 +31,7 @@ TICKS = 300
 def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmu")
     assert cli.main(["export", "fmu", "--output", str(folder / "law.fmu")]) == 0
-    assert cli.main(["export", "fmu", "--plant", "--output", str(folder / "plant.fmu")]) == 0
+    assert cli.main(["export", "fmu", "--telescope", "--output", str(folder / "plant.fmu")]) == 0
     return folder
 
 

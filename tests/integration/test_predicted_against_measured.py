@@ -228,9 +228,9 @@ def test_what_cannot_be_modelled_says_why(quiet, tmp_path, change, words) -> Non
 
 
 def test_a_later_part_is_not_compared(quiet, tmp_path) -> None:
-    assert cli.main(["report", str(quiet), "--start", "1", "--output", str(tmp_path / "r.html")]) == 0
+    assert cli.main(["report", str(quiet), "--from", "1", "--output", str(tmp_path / "r.html")]) == 0
     page = (tmp_path / "r.html").read_text()
     assert "starts with the run" in page and not ratios(page)
-    assert cli.main(["report", str(quiet), "--stop", "3", "--output", str(tmp_path / "r.html")]) == 0
+    assert cli.main(["report", str(quiet), "--to", "3", "--output", str(tmp_path / "r.html")]) == 0
     found = [float(text.split()[0]) for text in ratios((tmp_path / "r.html").read_text())]
     assert found and found == pytest.approx([1.0] * len(found), abs=0.02)

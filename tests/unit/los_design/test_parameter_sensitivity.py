@@ -55,6 +55,6 @@ def test_what_is_no_entry_of_numbers_is_refused_in_one_line(entry: str, capsys: 
     with pytest.raises(ValueError, match="must be TABLE"):
         changed_entry(load_telescope(), entry, 1.0)
     with pytest.raises(SystemExit) as ended:
-        main(["design", "sensitivity", "--of", entry])
+        main(["design", "sensitivity", "--entry", entry])
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert ended.value.code == 2 and entry in line

@@ -121,11 +121,11 @@ def test_command_refuses_the_proof_of_another_pair(
     (tmp_path / "proof.json").write_text("{}")
     for file, code in (("proof.npz", 1), ("proof.json", 2)):
         with pytest.raises(SystemExit) as ended:
-            main(["design", "check-proof", str(tmp_path / file), "--of", str(tmp_path)])
+            main(["design", "check-proof", str(tmp_path / file), "--designs", str(tmp_path)])
         assert ended.value.code == code
     refused, mistake = capsys.readouterr().err.strip().splitlines()
     assert refused.startswith(f"refused: it is not of the controllers and the telescope of {tmp_path}: other ")
-    assert "--of must be given with an .npz" in mistake
+    assert "--designs must be given with an .npz" in mistake
 
 
 def test_a_stored_proof_of_the_telescope_is_readable(tmp_path: Path) -> None:

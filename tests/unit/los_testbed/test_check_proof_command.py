@@ -87,4 +87,4 @@ def test_without_a_file_the_shipped_proofs_are_checked(
         r"^proven: fsm\+pma, .* of the limit, from 126 to 128.5 rad/s$", capsys.readouterr().out, re.MULTILINE
     )
     with pytest.raises(SystemExit, match="2"):
-        main(["design", "check-proof", "--of", str(tmp_path)])
+        main(["design", "check-proof", "--designs", str(tmp_path)])

@@ -107,7 +107,7 @@ def test_a_full_disk_is_one_line_and_leaves_whole_parts(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_out_of_time_says_what_is_open(tmp_path: Path) -> None:
     """The wall limit ends it; bounds.json has the lower bound, no upper one, and the part that is not covered."""
-    process = started(tmp_path, "--wall-limit=1")
+    process = started(tmp_path, "--time-limit=1")
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 8, errors
     (found,) = json.loads((tmp_path / "bounds.json").read_text("utf-8"))["figures"]
@@ -190,7 +190,7 @@ def test_unknown_stages_and_figures_are_refused(capsys: pytest.CaptureFixture[st
         "-", "_"
     )
     assert "--gap" in refused(capsys, out, "--gap=nan")
-    assert "--wall-limit" in refused(capsys, out, "--wall-limit=-1")
+    assert "--time-limit" in refused(capsys, out, "--time-limit=-1")
     assert not (tmp_path / "new").exists()
 
 

@@ -190,6 +190,6 @@ def test_a_bag_larger_than_the_memory(call, tmp_path, monkeypatch) -> None:
     (bag / "report.html").unlink()
     monkeypatch.setattr(read, "MEMORY_LIMIT", 200_000)
     refused(call, bag, words=["memory limit", "start", "stop"])
-    code, out, _ = call(bag, "--stop", "2.5", "--json")
+    code, out, _ = call(bag, "--to", "2.5", "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1])["runs"][0]["ticks"] == 2500

@@ -24,7 +24,7 @@ from los_testbed.campaign.adversarial import adversarial_members
 from los_testbed.campaign.member import CRASHED, DEPTHS, metric_columns, unformed
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
 from los_testbed.config.run_config import RunConfig
-from los_testbed.config.run_settings import with_scenario
+from los_testbed.config.run_settings import SIMULATED, with_scenario
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.requirement import Requirement
@@ -34,6 +34,10 @@ MANIFEST, ROWS = "campaign.json", "rows"
 FORMAT = 2
 CHUNK = {"time": 10, "model": 100}
 """Members of a chunk, which is what one task computes and one file holds."""
+MODELLED = ("duration", "loop", "scenario", "k_fsm", "k_pma", "parameters", "camera_rate")
+"""Settings that members may have at depth model, whose figures are those of the loop's matrices."""
+PLACE = ("mode", "output", "domain", "namespace")
+"""Settings that rows do not depend on."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,9 @@ class Campaign:
         Raises
         ------
         ValueError
-            An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not
-            have; runs shorter than a window; what :func:`los_testbed.campaign.sampling.members` refuses.
+            An unknown depth; a setting that members do not have; a scenario in which they would move; a camera rate
+            that the depth model does not have; runs shorter than a window; what
+            :func:`los_testbed.campaign.sampling.members` refuses.
         """
         check_depth(base, depth)
         if sampling == "adversarial":
@@ -178,11 +183,19 @@ def check_depth(base: RunConfig, depth: str) -> None:
     Raises
     ------
     ValueError
-        An unknown depth; a scenario in which the members would move; a camera rate that the depth model does not have;
-        runs shorter than a window.
+        An unknown depth; a setting that members do not have; a scenario in which they would move;
+        a camera rate that the depth model does not have; runs shorter than a window.
     """
     if depth not in DEPTHS:
         raise ValueError(f"depth must be one of {', '.join(DEPTHS)}, got {depth!r}")
+    for name, setting in RunConfig.SETTINGS.items():
+        value = getattr(base, name)
+        if name in PLACE or value is None or value == setting.default:
+            continue
+        if name not in SIMULATED:
+            raise ValueError(f"{name} must be absent in a campaign, got {value}")
+        if depth == "model" and name not in MODELLED:
+            raise ValueError(f"{name} must be {setting.default} at depth model, got {value}")
     if base.scenario == "ramp":
         raise ValueError("scenario must be unit_norm, design, imbalance, worst_case or none in a campaign, got ramp")
     if depth == "model" and base.frame_ticks != FRAME_TICKS:

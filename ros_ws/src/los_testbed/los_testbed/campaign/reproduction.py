@@ -8,13 +8,13 @@ is then the evaluation of this one member at that depth.
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping
 from typing import Any
 
 from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_settings import SIMULATED, command_options
 from pointing_analysis.requirements.rows import digits, with_unit
 
 FILES = ("k_fsm", "k_pma", "parameters")
@@ -39,14 +39,13 @@ def member_command(row: Mapping[str, Any], base: RunConfig, depth: str) -> str:
     >>> member_command(row, RunConfig(mode="inprocess", loop="fsm"), "model")
     'los-testbed campaign --depth model --loop fsm --member=0.5,0.5,0.5,0.5,0.5,0.5,0.5'
     """
-    files = {name: getattr(base, name) for name in FILES}
-    options = "".join(f" --{name.replace('_', '-')} {shlex.quote(value)}" for name, value in files.items() if value)
     own = MemberParameters.of(base.parameters)
     if depth == "model":
         values = ",".join(repr(float(row[name])) for name in own.columns)
-        return f"los-testbed campaign --depth model --loop {base.loop}{options} --member={values}"
+        return f"los-testbed campaign --depth model --loop {base.loop}{command_options(base, FILES)} --member={values}"
     length = f"{base.duration!r}".removesuffix(".0")
-    return own.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{options}")
+    further = command_options(base, [name for name in SIMULATED if name not in ("duration", "loop", "scenario")])
+    return own.command(row, f" --duration {length} --loop {base.loop} --scenario {base.scenario}{further}")
 
 
 def member_of(text: str, parameters: str | None) -> dict[str, float]:

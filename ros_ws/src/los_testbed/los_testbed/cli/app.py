@@ -6,6 +6,7 @@ import errno
 import os
 import signal
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -14,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+import los_testbed
 from lftkit.support.progress import choose_output, write_log
 from los_testbed import __version__
 from los_testbed.cli.command_group import CommandGroup
@@ -58,6 +60,18 @@ def _options(
     except OSError as error:
         raise ValueError(f"--log must be a file that can be written, got {log}: {error.strerror}") from None
 
+
+RENAMED = {
+    ("report",): {"--start": "now --from", "--stop": "now --to"},
+    ("bag", "trace"): {"--start": "now --from", "--stop": "now --to"},
+    ("stages",): {"--keep": "now --keep-all"},
+    ("design", "k-fsm"): {"--starts": "an option of design k-pma: K_FSM is tuned from one start"},
+    ("design", "certify"): {"--wall-limit": "now --time-limit"},
+    ("design", "check-proof"): {"--of": "now --designs"},
+    ("design", "sensitivity"): {"--of": "now --entry"},
+    ("export", "fmu"): {"--plant": "now --telescope"},
+}
+"""Options of before 0.2, by command, and what has become of them."""
 
 COMMON = ("--quiet", "--verbose", "--log")
 """Options of all commands, which may stand anywhere on the command line."""
@@ -133,6 +147,8 @@ def main(arguments: list[str] | None = None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted", ExitCode.INTERRUPTED)
     except ValueError as error:
+        if not _is_refusal(error):
+            return _fail(_unexpected(error), ExitCode.FAILED)
         return _fail(str(error), int(getattr(error, "code", ExitCode.USER_ERROR)))
     except OSError as error:
         if error.errno in NO_PATH:
@@ -147,7 +163,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(_with_memory(error), ExitCode.FAILED)
     except Exception as error:
         if type(error).__module__.startswith(("click", "typer")) and hasattr(error, "format_message"):
-            return _fail(error.format_message(), ExitCode.USER_ERROR)
+            return _fail(_with_new_name(error.format_message(), words), ExitCode.USER_ERROR)
         return _fail(_with_memory(error) if names_memory(str(error)) else _unexpected(error), ExitCode.FAILED)
     except BaseException as error:  # of another package: no class of this one is that
         if isinstance(error, (SystemExit, GeneratorExit)):
@@ -165,6 +181,41 @@ def _with_lone_options(arguments: Sequence[str]) -> Sequence[str]:
     from los_testbed.cli.run import with_lone_options
 
     return with_lone_options(arguments)
+
+
+def _with_new_name(message: str, words: Sequence[str]) -> str:
+    """Message about a command line that cannot be read; of an option that has another name now, that name."""
+    given = {word.split("=")[0] for word in words}
+    for command, options in RENAMED.items():
+        if list(words[: len(command)]) == list(command):
+            for old in given & options.keys():
+                if old in message:
+                    return f"{old} is {options[old]}"
+    return message
+
+
+def _is_refusal(error: BaseException) -> bool:
+    """Whether an error was raised on purpose, for a mistake of the user, and not by an operation that failed.
+
+    A ValueError of numpy, scipy or Python's library that nothing has caught is a mistake of this program.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames:
+        return True
+    last = Path(frames[-1].filename)
+    own = any(last.is_relative_to(folder) for folder in _packages())
+    if own:
+        return not frames[-1].line or frames[-1].line.startswith("raise")
+    return not any(last.is_relative_to(folder) for folder in map(sysconfig.get_path, ("stdlib", "purelib", "platlib")))
+
+
+@cache
+def _packages() -> tuple[Path, ...]:
+    """Folders of this distribution's packages."""
+    import lftkit
+    import pointing_analysis
+
+    return tuple(Path(package.__path__[0]).parent for package in (lftkit, pointing_analysis, los_testbed))
 
 
 def _with_memory(error: BaseException) -> str:

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.campaign_member import refuse_beside_member, show_member
+from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import (
     Cluster,
@@ -24,18 +25,9 @@ from los_testbed.cli.options.cluster_options import (
     TlsKey,
     processes,
 )
-from los_testbed.cli.options.options import (
-    Designs,
-    ForceLawFile,
-    Gate,
-    Json,
-    NewFolder,
-    ObserverFile,
-    TelescopeFile,
-    option,
-    with_files,
-)
+from los_testbed.cli.options.options import Designs, Gate, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import MET, leave_by_gate, number, print_json, warn
+from los_testbed.config.run_settings import SIMULATED
 from los_testbed.run.summary.screen import Screen
 
 if TYPE_CHECKING:
@@ -66,32 +58,27 @@ campaign goes on with --resume.
 """
 
 
+@with_settings(
+    SIMULATED,
+    helps={"scenario": "Disturbance scenario; default: unit_norm, none beside sources of the parameter file."},
+)
 def campaign(
+    *,
     samples: Annotated[int, typer.Option(help="Number of members; 0: all corners, or all lines of a file.")] = 100,
     seed: Annotated[int, typer.Option(help="Seed of the members and of their noise.")] = 1,
     sampling: Annotated[
         str, typer.Option(help="uniform, lhs, corners, adversarial, or a CSV file of members.")
     ] = "uniform",
     depth: Annotated[str, typer.Option(help="time: simulated runs; model: from the matrices of the loop.")] = "time",
-    scenario: Annotated[
-        str | None,
-        typer.Option(
-            help="unit_norm (default), design, imbalance, worst_case, none (default beside sources of the file)."
-        ),
-    ] = None,
-    loop: Annotated[str | None, option("loop")] = None,
-    duration: Annotated[float | None, option("duration")] = None,
-    k_fsm: ObserverFile = None,
-    k_pma: ForceLawFile = None,
     designs: Designs = None,
-    parameters: TelescopeFile = None,
+    given: dict[str, Any],
     scheduler: SchedulerOption = "",
     tls_ca_file: TlsCaFile = None,
     tls_cert: TlsCertificate = None,
     tls_key: TlsKey = None,
     workers: Annotated[int, typer.Option(help="Processes of the local cluster; 0: one a processor.")] = 0,
     keep: Annotated[int, typer.Option(help="Keep the bags of so many of the worst members.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on in the folder --output.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue in the folder --output.")] = False,
     output: NewFolder = None,
     member: Annotated[
         str | None,
@@ -99,6 +86,7 @@ def campaign(
     ] = None,
     gate: Gate = False,
     json_: Json = False,
+    help_all: HelpAll = False,
 ) -> None:
     """See CAMPAIGN_EXAMPLES."""
     from los_testbed.campaign.cluster.tls_files import TlsFiles
@@ -117,9 +105,7 @@ def campaign(
     number("--keep", keep, 0, 1000)
     if resume and output is None:
         raise ValueError("--output must be given with --resume, got none")
-    settings = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    given = {"mode": "inprocess", "scenario": scenario, "loop": loop, "duration": duration, **settings}
-    stated = with_stage({name: value for name, value in given.items() if value is not None})
+    stated = with_stage({"mode": "inprocess", **chosen(given, designs)})
     base = with_scenario(RunConfig.from_mapping(stated), usual="unit_norm")
     if member is not None:
         refuse_beside_member({"--scheduler": scheduler, "--keep": keep, "--resume": resume, "--output": output})

@@ -64,20 +64,18 @@ RUN_EXAMPLES = """Run the loop, record it, evaluate the record.
 
 
 @with_settings(
-    without=("disturbance", "disturbance_source", "disturbance_files", "mode_choice"),
+    [name for name in RunConfig.SETTINGS if not name.startswith("disturbance") and name != "mode_choice"],
     metavars={
         "domain": "INTEGER|free",
         "mode": "MODE",
-        "loop": "STAGE",
-        "scenario": "SCENARIO",
-        "parameters": "FILE",
+        "k_fsm": "LAW",
+        "k_pma": "LAW",
         "output": "FOLDER",
         "max_missed": "PERCENT",
     },
     helps={
         "mode": "How plant, estimator and controller run: realtime, lockstep, inprocess, or auto (in real time where "
         "the machine keeps pace, else in lockstep); default: auto.",
-        "loop": "Stage, which loops are closed: none, isolator, fsm or fsm+pma; default: the last of the telescope.",
     },
 )
 def run(

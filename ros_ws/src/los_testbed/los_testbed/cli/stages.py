@@ -13,20 +13,11 @@ from rich.console import Console
 
 from lftkit.support.atomic_output import write_text
 from lftkit.support.progress import Progress
+from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.interrupts import told_how_to_go_on
-from los_testbed.cli.options.options import (
-    Case,
-    Cases,
-    Designs,
-    ForceLawFile,
-    Json,
-    NewFolder,
-    ObserverFile,
-    TelescopeFile,
-    option,
-    with_files,
-)
+from los_testbed.cli.options.options import Case, Cases, Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, print_json, warn
+from los_testbed.config.run_settings import SIMULATED
 from los_testbed.run.summary.screen import Screen, say
 
 if TYPE_CHECKING:
@@ -37,7 +28,7 @@ STAGES_EXAMPLES = """Compare the four stages: none, isolator, fsm, fsm+pma.
 Same seed and disturbance for all, several telescopes of the family, the disturbance and the sensor noise also alone;
 the transmissibility of each stage beside that of the model. In the scenario worst_case each stage has its own worst
 parameters and tones. Writes stages.md, stages.json and one report per scenario. Run the same command again to go on
-after an interrupt: runs in one process whose bags are there are not made again (with --keep all of them).
+after an interrupt: runs in one process whose bags are there are not made again (with --keep-all all of them).
 
 **Examples**
 
@@ -55,33 +46,33 @@ after an interrupt: runs in one process whose bags are there are not made again 
 """
 
 
+@with_settings(
+    [*(name for name in SIMULATED if name not in ("loop", "noise", "disturbance")), "seed", "mode"],
+    helps={
+        "scenario": "worst_case, imbalance, both of them, or design; default: the case's, or both.",
+        "mode": "inprocess, lockstep or realtime; default: inprocess.",
+    },
+)
 def stages(
-    scenario: Annotated[
-        str | None, typer.Option(help="worst_case, imbalance, both of them, or design; default: the case's, or both.")
-    ] = None,
+    *,
+    given: dict[str, Any],
     samples: Annotated[
         int | None,
         typer.Option(help="Telescopes: the nominal one and random members; 3, in a case 1."),
     ] = None,
-    duration: Annotated[float | None, option("duration")] = None,
-    seed: Annotated[int | None, option("seed")] = None,
-    mode: Annotated[str | None, option("mode", help="inprocess, lockstep or realtime; default: inprocess.")] = None,
-    k_fsm: ObserverFile = None,
-    k_pma: ForceLawFile = None,
     designs: Designs = None,
-    camera_rate: Annotated[float | None, option("camera_rate")] = None,
-    parameters: TelescopeFile = None,
     case: Case = None,
     cases: Cases = None,
     parts: Annotated[bool, typer.Option("--parts/--no-parts", help="Also disturbance alone and noise alone.")] = True,
-    keep: Annotated[bool, typer.Option("--keep", help="Keep the bags of all runs.")] = False,
+    keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep the bags of all runs.")] = False,
     output: NewFolder = None,
     json_: Json = False,
+    help_all: HelpAll = False,
 ) -> None:
     """See STAGES_EXAMPLES."""
     from los_testbed.bags.writer import check_new_bag
     from los_testbed.config.run_config import RunConfig
-    from los_testbed.config.run_settings import chosen_member, layered
+    from los_testbed.config.run_settings import chosen_member, layered, of_designs
     from los_testbed.parts.run_parts import RunParts
     from los_testbed.run.processes.node_launch import check_ros
     from los_testbed.run.stages import COMPARED, PARTS, PLAN, Plan, finish
@@ -89,10 +80,7 @@ def stages(
 
     if samples is not None:
         number("--samples", samples, 1, 100)
-    given = {"duration": duration, "scenario": scenario, "seed": seed, "mode": mode, "camera_rate": camera_rate}
-    stated: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    stated |= with_files(None, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    settings = layered(with_files(designs), chosen_member(case, cases, None, {}, {})[0], stated)
+    settings = layered(of_designs(designs or ""), chosen_member(case, cases, None, {}, {})[0], chosen(given))
     scenario = settings.pop("scenario", "both")
     if scenario not in (*SCENARIOS, "both"):
         raise ValueError(f"scenario must be one of {', '.join(SCENARIOS)}, both, got {scenario!r}")
@@ -103,9 +91,9 @@ def stages(
     warn(RunParts(base).check())
     if base.mode != "inprocess":
         check_ros(base.domain)
-    chosen = COMPARED if scenario == "both" else (scenario,)
+    names = COMPARED if scenario == "both" else (scenario,)
     count = samples or (1 if case else 3)
-    plan = Plan(base, folder, chosen, count, tuple(PARTS) if parts else ("all",), keep, designs or "")
+    plan = Plan(base, folder, names, count, tuple(PARTS) if parts else ("all",), keep_all, designs or "")
     with told_how_to_go_on("bags of finished runs", folder):
         content = _write(Screen(stderr=json_), _perform(plan), plan)
         finish(plan)

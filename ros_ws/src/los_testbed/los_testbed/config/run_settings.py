@@ -5,7 +5,8 @@ A later layer wins over an earlier one: folder of designs, file, named case, ran
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,13 @@ DESIGN_FILES = {"k_fsm": "k_fsm.json", "k_pma": "k_pma.json"}
 
 TELESCOPE_FILE = "telescope.toml"
 """Parameter file of the telescope that a folder of designs was made for."""
+
+SIMULATED = (
+    *("duration", "loop", "scenario", "worst_of", "k_fsm", "k_pma", "parameters"),
+    *("start", "fsm_authority", "pma_authority", "hold_ticks", "fade_ticks", "nonlinear"),
+    *("noise", "disturbance", "camera_rate", "camera_dropout", "camera_latency", "old_frames", "lost_samples"),
+)
+"""Settings of runs in one process that campaigns, comparisons and trades share, beside members and seeds."""
 
 
 def layered(*layers: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,6 +67,27 @@ def of_designs(designs: str) -> dict[str, Any]:
             raise ValueError(f"designs must hold {' and '.join(DESIGN_FILES.values())}, got no {path}")
     telescope = folder / TELESCOPE_FILE
     return {**settings, **({"parameters": str(telescope)} if telescope.exists() else {})}
+
+
+def command_options(config: RunConfig, names: Iterable[str]) -> str:
+    """Options of a command line that give some settings, those that are not at their defaults.
+
+    Examples
+    --------
+    >>> command_options(RunConfig(loop="fsm", noise=False, camera_latency=3.0), ("loop", "noise", "camera_latency"))
+    ' --loop fsm --no-noise --camera-latency 3'
+    """
+    words = ""
+    for name in names:
+        value, option = getattr(config, name), name.replace("_", "-")
+        if value is None or value == RunConfig.SETTINGS[name].default:
+            continue
+        if isinstance(value, bool):
+            words += f" --{'' if value else 'no-'}{option}"
+        else:
+            text = repr(value).removesuffix(".0") if isinstance(value, float) else shlex.quote(str(value))
+            words += f" --{option} {text}"
+    return words
 
 
 def with_stage(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +14,7 @@ from rich.text import Text
 
 from lftkit.support.atomic_output import check_output
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
+from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Gate, Json, MaxChunk, To, Transient
 from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen, numbers, say
 
@@ -33,7 +34,7 @@ page needs no other file and no network.
 
     los-testbed report bags/long --requirements mission.toml --transient 5
 
-    los-testbed report bags/night --start 3600 --stop 4200         # ten minutes of a large bag
+    los-testbed report bags/night --from 3600 --to 4200         # ten minutes of a large bag
 """
 
 
@@ -46,8 +47,8 @@ def report(
     requirements: Requirements = None,
     optics: OpticsFile = None,
     transient: Transient = None,
-    start: Annotated[float, typer.Option(help="Only from this second of each bag on.")] = 0.0,
-    stop: Annotated[float, typer.Option(help="Only up to this second of each bag.", show_default=False)] = float("inf"),
+    start: From = 0.0,
+    stop: To = math.inf,
     namespace: Annotated[str | None, typer.Option(help="Which plant, in bags that hold several.")] = None,
     max_chunk: MaxChunk = MAX_CHUNK_MB,
     gate: Gate = False,
@@ -59,10 +60,10 @@ def report(
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels
 
-    for option, value in (("--transient", transient), ("--start", start)):
+    for option, value in (("--transient", transient), ("--from", start)):
         seconds(option, value)
     if not stop > start:
-        raise ValueError(f"--stop must be after --start = {start:g} s, got {stop:g} s")
+        raise ValueError(f"--to must be after --from = {start:g} s, got {stop:g} s")
     for bag in bags:
         check_bag(bag)
     given = requirements_in(requirements)

@@ -9,19 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from los_testbed.cli.command_group import HelpAll
 from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.cluster_options import Cluster, with_cluster
-from los_testbed.cli.options.options import (
-    Designs,
-    ForceLawFile,
-    Json,
-    NewFolder,
-    ObserverFile,
-    TelescopeFile,
-    option,
-    with_files,
-)
+from los_testbed.cli.options.options import Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, numbers, print_json
+from los_testbed.config.run_settings import SIMULATED
 from los_testbed.run.summary.screen import Screen, say
 
 if TYPE_CHECKING:
@@ -51,23 +44,19 @@ UNFINISHED = 1
 
 
 @with_cluster
+@with_settings([*(name for name in SIMULATED if name != "camera_rate"), "seed"])
 def trade(
     *,
     magnitudes: Annotated[str, typer.Option(help="Of the guide stars, with commas.")] = "10,12,14,15,15.5",
     rates: Annotated[str, typer.Option(help="Frames per second, with commas.")] = "50,25",
-    duration: Annotated[float | None, option("duration")] = None,
-    scenario: Annotated[str | None, option("scenario")] = None,
-    loop: Annotated[str | None, option("loop")] = None,
-    seed: Annotated[int | None, option("seed")] = None,
+    given: dict[str, Any],
     keep: Annotated[bool, typer.Option("--keep-controllers", help="Design nothing: the stored controllers.")] = False,
-    k_fsm: ObserverFile = None,
-    k_pma: ForceLawFile = None,
     designs: Designs = None,
-    parameters: TelescopeFile = None,
     time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 7200.0,
     cluster: Cluster,
     output: NewFolder = None,
     json_: Json = False,
+    help_all: HelpAll = False,
 ) -> None:
     """See TRADE_EXAMPLES."""
     import json
@@ -79,10 +68,7 @@ def trade(
     from los_testbed.run import star_trade
 
     number("--time-limit", time_limit, 1e-3, 1e7, "s")
-    given = {"duration": duration, "scenario": scenario, "loop": loop, "seed": seed}
-    stated = {name: value for name, value in given.items() if value is not None}
-    files = with_files(designs, k_fsm=k_fsm, k_pma=k_pma, parameters=parameters)
-    base = RunConfig.from_mapping(with_stage({"mode": "inprocess", **files, **stated}))
+    base = RunConfig.from_mapping(with_stage({"mode": "inprocess", **chosen(given, designs)}))
     stars, each = numbers("--magnitudes", magnitudes), numbers("--rates", rates)
     folder = output or Path("bags") / f"{datetime.now():%Y%m%d-%H%M%S}-trade"
     RunParts(base).check()

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
+from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Json, MaxChunk, To
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
 from los_testbed.run.summary.screen import Screen, say
 
@@ -31,7 +31,7 @@ period are marked. 60 s are some 30 MB.
 
 **Example**
 
-    los-testbed bag trace bags/run-20260101-120000 --start 10 --stop 12
+    los-testbed bag trace bags/run-20260101-120000 --from 10 --to 12
 """
 
 bag_app = typer.Typer(
@@ -79,8 +79,8 @@ def repair(
 def trace(
     source: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
     output: Annotated[Path | None, typer.Option(help="New file; default: trace.json in the current folder.")] = None,
-    start: Annotated[float, typer.Option(help="First second of the part.")] = 0.0,
-    stop: Annotated[float, typer.Option(help="End of the part [s].")] = math.inf,
+    start: From = 0.0,
+    stop: To = math.inf,
     json_: Json = False,
 ) -> None:
     """See TRACE_EXAMPLES."""
@@ -89,7 +89,7 @@ def trace(
     from pointing_analysis.read.run import Run
 
     if not 0.0 <= start < stop:
-        raise ValueError(f"--start and --stop must rise from 0, got {start:g} and {stop:g}")
+        raise ValueError(f"--from and --to must rise from 0, got {start:g} and {stop:g}")
     target = output or Path("trace.json")
     check_output(target, "--output", new=True)
     ticks, late = write_trace(Run.open(source), target, start, stop)

@@ -36,8 +36,8 @@ The inequalities are verified by `lftkit/proofs/trusted`, which imports nothing 
 command.
 
 A bundle holds controllers and telescope beside its proofs: their loop is made anew of them, and what is printed is
-proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--of FOLDER`; the
-words in the file prove nothing.
+proven of that loop. A single proof is one of the shipped controllers and telescope, or of those of `--designs
+FOLDER`; the words in the file prove nothing.
 
 **Examples**
 
@@ -47,7 +47,7 @@ words in the file prove nothing.
 
     los-testbed design check-proof proof.json
 
-    los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --of designs/soft
+    los-testbed design check-proof soft-proofs/fsm+pma-slow.npz --designs designs/soft
 
     los-testbed design check-proof proofs/bundle.zip --scheduler tls://host:8786   # its workers check the strips
 """
@@ -62,7 +62,7 @@ def check_proof(
             "without one, the bundle of the shipped controllers."
         ),
     ] = None,
-    of: Annotated[
+    designs: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of `design all` that an .npz must be a proof of.")
     ] = None,
     *,
@@ -70,10 +70,10 @@ def check_proof(
     json_: Json = False,
 ) -> None:
     """See CHECK_PROOF_EXAMPLES."""
-    if of is not None and (file is None or file.suffix != ".npz"):
-        raise ValueError(f"--of must be given with an .npz of `design certify`, got {file or 'no file'}")
+    if designs is not None and (file is None or file.suffix != ".npz"):
+        raise ValueError(f"--designs must be given with an .npz of `design certify`, got {file or 'no file'}")
     if file is not None:
-        _check(file, cluster, of, json_)
+        _check(file, cluster, designs, json_)
         return
     from los_design.verification.shipped_proofs import write_shipped_bundle
     from los_design.verification.subject import BUNDLE
@@ -83,7 +83,7 @@ def check_proof(
         _check_bundle(Path(folder) / BUNDLE, cluster, json_)
 
 
-def _check(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
+def _check(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> None:
     """Check a file."""
     from lftkit.proofs.checking import proof_kind
     from lftkit.proofs.sampled_loop.files import LOOP, NOISE
@@ -95,7 +95,7 @@ def _check(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
         if file.suffix == ".zip":
             _check_bundle(file, cluster, json_)
         elif (kind := proof_kind(file)) == LOOP:
-            _check_loop(file, cluster, of, json_)
+            _check_loop(file, cluster, designs, json_)
         elif kind == NOISE:
             raise ProofError("a proof of noise is checked with its bundle, which has controllers and telescope")
         else:
@@ -155,7 +155,7 @@ def _check_system(file: Path, json_: bool) -> None:
     )
 
 
-def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> None:
+def _check_loop(file: Path, cluster: Cluster, designs: Path | None, json_: bool) -> None:
     """Check a proof of a sampled loop, and of which loop it is."""
     from lftkit.proofs.sampled_loop import check_loop_proof, read_loop_proof
     from lftkit.proofs.trusted.proof import ProofError
@@ -164,23 +164,23 @@ def _check_loop(file: Path, cluster: Cluster, of: Path | None, json_: bool) -> N
     from los_design.verification.check_proof_texts import require_plain
     from los_design.verification.proof_comparison import ProofComparison, compare_proof, proof_of_loop
 
-    whose = "the shipped controllers and telescope" if of is None else f"the controllers and the telescope of {of}"
+    whose = "the shipped controllers and telescope" if designs is None else f"those of {designs}"
     proof = read_loop_proof(file)
     require_plain((proof.names, proof.about), "names and words of a proof")
     stage, figure = (str(proof.about.get(key)) for key in ("stage", "figure"))
     compared = ProofComparison((f"stage, got {stage}",))
     if stage in MIRROR_STAGES:
-        loop = loops_of(of, [stage])[0][stage]
+        loop = loops_of(designs, [stage])[0][stage]
         compared = compare_proof(proof, loop, figure)
         proof = proof_of_loop(proof, loop, figure) if compared.same else proof
     other = printable(", ".join(compared.mismatches))
-    if of is not None and other:
+    if designs is not None and other:
         raise ProofError(f"it is not of {whose}: other {other}")
     with one_thread(), cluster.workers() as pool, Progress(f"{file.name} [strips]") as bar:
         checked = check_loop_proof(proof, _counted(pool, bar, len(proof.strips)))
     if json_:
         below = checked.stable_below if math.isfinite(checked.stable_below) else None
-        mismatches = {"of": str(of or "shipped"), "mismatches": list(compared.mismatches)}
+        mismatches = {"of": str(designs or "shipped"), "mismatches": list(compared.mismatches)}
         print_json({**vars(checked), "stable_below": below, **mismatches})
         return
     if compared.same:

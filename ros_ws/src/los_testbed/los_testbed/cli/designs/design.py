@@ -56,7 +56,6 @@ Nominal = Annotated[bool, typer.Option("--nominal", help="On the nominal model a
 Delay = Annotated[float, typer.Option(help="Delay of the loop [s]; 0: the paper's continuous problem.")]
 Limit = Annotated[float, typer.Option(help="Wall limit [s].")]
 Starts = Annotated[int, typer.Option(help="Random starts, with --loop-delay 0.")]
-FormerStarts = Annotated[int | None, typer.Option("--starts", hidden=True)]
 Order = Annotated[int, typer.Option(help="Order of the controller; other than 4 with --loop-delay 0 only.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; must be given.")]
 
@@ -71,11 +70,8 @@ def k_fsm(
     parameters: TelescopeFile = None,
     output: Output = None,
     json_: Json = False,
-    starts: FormerStarts = None,
 ) -> None:
     """See MAKE_EXAMPLES."""
-    if starts is not None:
-        raise ValueError("--starts is an option of design k-pma: K_FSM is tuned from one start")
     _make("k-fsm", _options(nominal, loop_delay, time_limit, seed, 1, order), parameters, None, output, json_)
 
 

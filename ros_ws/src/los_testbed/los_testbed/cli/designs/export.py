@@ -48,7 +48,7 @@ this system if there is a C compiler (CC, or cc, gcc, clang).
 
     los-testbed export fmu                                            # los_law.fmu, the shipped pair
 
-    los-testbed export fmu --plant --output telescope.fmu             # the telescope under its worst tone
+    los-testbed export fmu --telescope --output telescope.fmu             # the telescope under its worst tone
 """
 
 export_app = typer.Typer(help="Flight code of the laws in C.", no_args_is_help=True, rich_markup_mode="markdown")
@@ -123,7 +123,7 @@ def export_check(
 @export_app.command("fmu", help=FMU_EXAMPLES)
 def export_fmu(
     designs: Designs = None,
-    plant: Annotated[bool, typer.Option("--plant", help="The telescope instead of the laws.")] = False,
+    telescope: Annotated[bool, typer.Option("--telescope", help="The telescope instead of the laws.")] = False,
     parameters: TelescopeFile = None,
     output: Annotated[Path | None, typer.Option(metavar="FILE", help="New file, NAME.fmu.")] = None,
     json_: Json = False,
@@ -136,15 +136,15 @@ def export_fmu(
     from los_testbed.flight.laws import laws_of
     from los_testbed.parts.run_parts import RunParts
 
-    path = output or Path(f"{PLANT if plant else LAW}.fmu")
+    path = output or Path(f"{PLANT if telescope else LAW}.fmu")
     check_output(path, "--output", new=True)
-    if plant:
+    if telescope:
         given = {"parameters": None if parameters is None else str(parameters)}
         stated = with_stage({**of_designs(designs or ""), **given})
         config = RunConfig.from_mapping({**stated, "mode": "inprocess", "start": "rest"})
         model = plant_model(RunParts(config).plant())
     elif parameters is not None:
-        raise ValueError("--parameters must be given with --plant, the laws are those of their designs")
+        raise ValueError("--parameters must be given with --telescope, the laws are those of their designs")
     else:
         laws = laws_of(designs)
         warn(laws.warnings)

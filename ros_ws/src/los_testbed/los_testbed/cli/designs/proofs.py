@@ -85,7 +85,7 @@ def certify(
         ),
     ] = None,
     uncertain: Uncertain = None,
-    wall_limit: Annotated[float, typer.Option(help="Seconds after which it stops.")] = 10800.0,
+    time_limit: Annotated[float, typer.Option(help="Wall limit [s]; run again to go on.")] = 10800.0,
     cluster: Cluster,
     json_: Json = False,
 ) -> None:
@@ -93,7 +93,7 @@ def certify(
     from los_design.verification.certify import ProofLevel
 
     number("--level", level, 1e-6, 1e6)
-    number("--wall-limit", wall_limit, 1.0, 1e7, "s")
+    number("--time-limit", time_limit, 1.0, 1e7, "s")
     if gap is not None:
         number("--gap", gap, 1e-3, 10.0)
     if stage not in (None, *MIRROR_STAGES):
@@ -103,7 +103,7 @@ def certify(
     if output.is_dir():
         check_output(output / SUMMARY, f"{SUMMARY} in --output")
     _bounds_of(output / SUMMARY)  # another file of that name is refused before the work
-    until = time.monotonic() + wall_limit
+    until = time.monotonic() + time_limit
     loops, known = loops_of(folder, list(MIRROR_STAGES), uncertain or (), same_telescope=True)
     with cluster.workers() as pool, told_how_to_go_on("parts that are proven", output):
         found = prove_figures(chosen, loops, known, output, pool, until, ProofLevel(level, gap))

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 def sensitivity(
     *,
     folder: Annotated[Path | None, typer.Argument(help="Folder of `design all`; default: the stored designs.")] = None,
-    of: Annotated[
+    entry: Annotated[
         list[str] | None,
-        typer.Option("--of", metavar="TABLE.KEY", help="Entry of the parameter file, times 0.99 and 1.01. Repeatable."),
+        typer.Option(metavar="TABLE.KEY", help="Entry of the parameter file, times 0.99 and 1.01. Repeatable."),
     ] = None,
     json_: Json = False,
 ) -> None:
     """Which parameter drives each worst case: derivatives at the worst point, and one parameter at a time.
 
-    Each parameter of the box goes through its range while the others stay at the worst point of the figure. With --of
-    entries of the parameter file change by one per cent: they are constants of the model, and no proof covers their
-    changes. Peaks are followed within 5 % of the frequency.
+    Each parameter of the box goes through its range while the others stay at the worst point of the figure. Entries of
+    the parameter file change by one per cent: they are constants of the model, and no proof covers their changes.
+    Peaks are followed within 5 % of the frequency.
 
-    Example: los-testbed design sensitivity --of isolator.stiffness --of isolator.damping
+    Example: los-testbed design sensitivity --entry isolator.stiffness --entry isolator.damping
     """
     from lftkit.support.threads import one_thread
     from los_design.search.parameter_sensitivity import changed_entry, effects_of_box, effects_of_entries
@@ -42,8 +42,8 @@ def sensitivity(
     from titop_plant.telescope.load import load_telescope
 
     telescope = load_telescope() if folder is None else designs_in(folder)[0]
-    for entry in of or ():
-        changed_entry(telescope, entry, 1.0)
+    for one in entry or ():
+        changed_entry(telescope, one, 1.0)
     with one_thread():
         loops, points = loops_of(folder, list(MIRROR_STAGES))
         metrics = {stage: figures_of(telescope, stage) for stage in loops}
@@ -51,7 +51,7 @@ def sensitivity(
         if not points:
             raise ValueError(f"{folder} must hold worst points of figures, made by `los-testbed design all`, got none")
         box = [e for p in points for e in effects_of_box(loops[p.stage], metrics[p.stage][p.requirement], p)]
-        entries = effects_of_entries(list(loops.values()), metrics, points, of or [])
+        entries = effects_of_entries(list(loops.values()), metrics, points, entry or [])
     if json_:
         print_json({"box": [vars(effect) for effect in box], "entries": [vars(effect) for effect in entries]})
         return

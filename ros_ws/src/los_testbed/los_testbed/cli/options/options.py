@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from los_testbed.config.run_config import RunConfig
+from los_testbed.config.run_config import RunConfig, parse_value
 from los_testbed.config.run_settings import of_designs
 from titop_plant.physical_settings import TELESCOPE
 from titop_plant.settings import Setting
@@ -21,6 +21,10 @@ Json = Annotated[bool, typer.Option("--json", help="Last line of output is one J
 Gate = Annotated[
     bool,
     typer.Option("--gate", help="Exit code 7 if a requirement is not met, 8 if one is not demonstrated."),
+]
+From = Annotated[float, typer.Option("--from", metavar="SECONDS", help="First second of each bag that counts.")]
+To = Annotated[
+    float, typer.Option("--to", metavar="SECONDS", help="Last second of each bag that counts.", show_default=False)
 ]
 MaxChunk = Annotated[float, typer.Option(metavar="MB", help="Largest chunk of a bag that is unpacked [MB].")]
 Transient = Annotated[
@@ -37,8 +41,6 @@ Uncertain = Annotated[
     ),
 ]
 Designs = Annotated[str | None, typer.Option(metavar="FOLDER", help="Controllers and telescope of `design all`.")]
-ObserverFile = Annotated[Path | None, typer.Option(help="Observer file instead of the stored design.")]
-ForceLawFile = Annotated[Path | None, typer.Option(help="Proof-mass controller file instead of the stored design.")]
 Case = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="A named case: los-testbed plant cases.", rich_help_panel=TELESCOPE),
@@ -92,18 +94,27 @@ def _in_short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
+METAVARS_OF = {"loop": "STAGE", "scenario": "SCENARIO", "parameters": "FILE", "k_fsm": "FILE", "k_pma": "FILE"}
+"""What stands for the value of a setting in the help of all commands."""
+HELPS_OF = {
+    "loop": "Stage, which loops are closed: none, isolator, fsm or fsm+pma; default: the last of the telescope.",
+}
+"""Help of settings whose default is none of their own."""
+
+
 def with_settings(
-    without: tuple[str, ...], metavars: Mapping[str, str], helps: Mapping[str, str]
+    names: Iterable[str], metavars: Mapping[str, str] | None = None, helps: Mapping[str, str] | None = None
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command an option for each setting of a run, but for those in `without`.
+    """Give a command an option for each of some settings of a run, in the groups of the settings.
 
     It gets their values as ``given``, ``None`` where an option is not given.
 
     The values are texts, but for switches; a list is its numbers with spaces between them:
-    :func:`los_testbed.config.parse_value` reads them. `metavars` and `helps` are those of options for which what the
+    :func:`chosen` reads them. `metavars` and `helps` are those of options for which what the
     setting says is not enough.
     """
-    options = {name: (_option(name, metavars, helps), None) for name in RunConfig.SETTINGS if name not in without}
+    metavars, helps = {**METAVARS_OF, **(metavars or {})}, {**HELPS_OF, **(helps or {})}
+    options = {name: (_option(name, metavars, helps), None) for name in names}
     return lambda command: with_options(command, "given", options, dict)
 
 
@@ -151,12 +162,13 @@ def _option(name: str, metavars: Mapping[str, str], helps: Mapping[str, str]) ->
     return Annotated[kind | None, option(name, rich_help_panel=own.group or None, **more)]
 
 
-def with_files(designs: str | None, **files: Path | None) -> dict[str, Any]:
-    """Settings from a folder of designs and from files that are named one by one, which win.
+def chosen(given: Mapping[str, Any], designs: str | None = None) -> dict[str, Any]:
+    """Settings from the options of :func:`with_settings`, which win over a folder of designs.
 
     Raises
     ------
     ValueError
-        The folder lacks a controller.
+        A value that cannot be read; the folder lacks a controller.
     """
-    return {**of_designs(designs or ""), **{name: str(path) for name, path in files.items() if path is not None}}
+    stated = {name: parse_value(name, v) if isinstance(v, str) else v for name, v in given.items() if v is not None}
+    return {**of_designs(designs or ""), **stated}
