@@ -16,7 +16,7 @@ from typer.main import get_command
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "bags/README.md"]
-    + [ROOT / "ros_ws/README.md", *(ROOT / "docs").glob("*.md")]
+    + [ROOT / "ros_ws/README.md", *(ROOT / "docs").rglob("*.md")]
 )
 BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""

@@ -145,14 +145,14 @@ def test_own_plant_as_a_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def printed_and_shown(page: str) -> tuple[str, str]:
-    text = PAGE.with_name(page).read_text("utf-8")
+    text = (PAGE.parent / page).read_text("utf-8")
     found = io.StringIO()
     with contextlib.redirect_stdout(found):
         exec("\n".join(code(text)), {})
     return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
 
 
-@pytest.mark.parametrize("page", ["linear_systems.md", "norms.md", "lftkit_quick_start.md"])
+@pytest.mark.parametrize("page", ["lftkit/linear_systems.md", "lftkit/norms.md", "lftkit/quick_start.md"])
 def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     printed, shown = printed_and_shown(page)
