@@ -243,8 +243,9 @@ def table(result: dict[str, Any]) -> str:
 def bare_lines(result: dict[str, Any]) -> list[str]:
     """Lateness of bare loops, one per processor, before and after the runs with real-time scheduling."""
     found = [
-        f"- {LABELS[name]}: {100 * run['bare']['late_300_us']:.3g} % of the ticks of bare loops late by more than 0.3 ms, "
-        f"{100 * run['bare']['late_1000_us']:.3g} % by more than 1 ms, at most {run['bare']['largest_us'] / 1000:.1f} ms"
+        f"- {LABELS[name]}: {100 * run['bare']['late_300_us']:.3g} % of the ticks of bare loops late by more than "
+        f"0.3 ms, {100 * run['bare']['late_1000_us']:.3g} % by more than 1 ms, at most "
+        f"{run['bare']['largest_us'] / 1000:.1f} ms"
         for name in LABELS
         if (run := result.get(name, {})).get("bare")
     ]
