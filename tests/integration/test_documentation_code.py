@@ -96,12 +96,12 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "campaigns.md": rows_of_a_campaign,
     "certificates.md": an_uncertain_system,
     "python_api.md": tables_and_clusters,
-    "control_design.md": a_design_that_is_only_called,
-    "robust_design.md": the_mass_and_spring,
+    "your_controller.md": a_design_that_is_only_called,
+    "tuning.md": the_mass_and_spring,
     "telescope.md": files_of_nastran,
 }
 """What the text of a page presupposes."""
-SLOW = {"certificates.md", "robust_design.md"}
+SLOW = {"certificates.md", "tuning.md"}
 EVERY_LINE_SHOWN = {"from_matlab.md"}
 """What each line prints is the comment behind it."""
 WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]

@@ -22,7 +22,7 @@ import los_estimator
 ROOT = Path(__file__).parents[2]
 NOT_RUN = {
     r"--scheduler": "needs a cluster: test_campaign_cluster.py",
-    r"^design (all|certify|sensitivity|verify)\b": "takes minutes to hours: test_example_designs.py",
+    r"^design (all|certify|k-fsm|k-pma|sensitivity|verify)\b": "takes minutes to hours: test_example_designs.py",
     r"^design check-proof|--proof\b": "needs the proofs of hours: test_check_proof_command.py",
     r"^image (trade|noise)\b": "takes minutes: test_star_trade.py, test_noise_curve.py",
     r"--only\b|^control\b|^keys\b|--to-ros|--live|--isolated|--domain": "needs several processes: tests/ros",
@@ -116,7 +116,7 @@ PREPARED: dict[str, Callable[[], None]] = {
     "pointing_analysis.md": of_analysis,
     "telescope.md": of_telescope,
     "flight_code.md": of_telescope,
-    "your_own_code.md": of_code,
+    "your_controller.md": of_code,
     "guide_camera.md": of_camera,
 }
 """What the text of a page presupposes, beside examples and bags."""
