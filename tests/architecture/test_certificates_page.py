@@ -1,4 +1,4 @@
-"""What docs/certificates_mathematics.md states of the checks: their lines, and the tests of the premises of sampled loops."""
+"""What docs/certificates_mathematics.md states of the checks: their lines, and the premises of sampled loops."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "python_api.md": tables_and_clusters,
     "your_controller.md": a_design_that_is_only_called,
     "tuning.md": the_mass_and_spring,
-    "telescope.md": files_of_nastran,
+    "your_spacecraft.md": files_of_nastran,
 }
 """What the text of a page presupposes."""
 SLOW = {"certificates.md", "tuning.md"}

@@ -140,7 +140,14 @@ def test_no_finding_of_axe(built: tuple[Path, str]) -> None:
         "los_design.synthesis.synthesis",
         "los_design.search.worst_case_search",
     )
-    names = ("404", "overview", "certificates", "certificates_mathematics", "results", "lftkit/structures", *(f"api/{name}" for name in api))
+    names = (
+        "404",
+        "overview",
+        "certificates_mathematics",
+        "results",
+        "lftkit/structures",
+        *(f"api/{name}" for name in api),
+    )
     with headless_browser.Page() as browser:
         found = {
             (name, width, scheme): axe.findings(browser, built[0] / f"{name}.html", width, scheme)

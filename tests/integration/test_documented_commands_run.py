@@ -114,7 +114,7 @@ PREPARED: dict[str, Callable[[], None]] = {
     "pointing_budget.md": of_budget,
     "image_quality.md": of_images,
     "pointing_analysis.md": of_analysis,
-    "telescope.md": of_telescope,
+    "your_spacecraft.md": of_telescope,
     "flight_code.md": of_telescope,
     "your_controller.md": of_code,
     "guide_camera.md": of_camera,
