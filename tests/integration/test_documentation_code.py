@@ -91,7 +91,7 @@ def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
 
 
 NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
-    "open_a_bag.md": a_bag,
+    "your_data.md": a_bag,
     "pointing_analysis.md": a_bag,
     "campaigns.md": rows_of_a_campaign,
     "certificates.md": an_uncertain_system,
@@ -122,7 +122,7 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
         expected = re.findall(r"^ *print\(.*\)  # (.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE)
         assert printed.getvalue().splitlines() == expected
     for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
-        if path.name == "open_a_bag.md":
+        if path.name == "your_data.md":
             assert shown in printed.getvalue()
 
 

@@ -68,8 +68,10 @@ def of_data() -> None:
 
 
 def of_budget() -> None:
-    Path("my_budget.toml").write_text(blocks("pointing_budget.md", "toml")[0])
-    Path("my_budget.csv").write_text(blocks("pointing_budget.md", "text")[0])
+    (toml,) = [block for block in blocks("pointing_analysis.md", "toml") if block.startswith("title")]
+    (table,) = [block for block in blocks("pointing_analysis.md", "text") if block.startswith("source,")]
+    Path("my_budget.toml").write_text(toml)
+    Path("my_budget.csv").write_text(table)
 
 
 def of_images() -> None:
@@ -82,10 +84,8 @@ def of_images() -> None:
 
 
 def of_analysis() -> None:
-    of_images()
-    shutil.copy("los.csv", "bench.csv")
+    of_budget()
     shutil.copytree(ROOT / "bags/reference", "BAG")
-    shutil.copytree(ROOT / "bags/reference", "my_bag")
     command = "openssl genpkey -algorithm ed25519 -out key.pem && openssl pkey -in key.pem -pubout -out public.pem"
     assert command in (ROOT / "docs/pointing_analysis.md").read_text("utf-8")
     subprocess.run(command, shell=True, check=True, capture_output=True)
@@ -111,7 +111,6 @@ def of_camera() -> None:
 PREPARED: dict[str, Callable[[], None]] = {
     "your_disturbances.md": of_disturbances,
     "your_data.md": of_data,
-    "pointing_budget.md": of_budget,
     "image_quality.md": of_images,
     "pointing_analysis.md": of_analysis,
     "your_spacecraft.md": of_telescope,
