@@ -81,6 +81,7 @@ def of_images() -> None:
     Path("optics.toml").write_text(
         re.sub(r"^optics.pupil.*\n", OPTICS, blocks("image_quality.md", "toml")[0], flags=re.M)
     )
+    Path("my_camera.toml").write_text(blocks("image_quality.md", "toml")[1])
 
 
 def of_analysis() -> None:
@@ -104,10 +105,6 @@ def of_code() -> None:
     shutil.copytree(ROOT / "examples/spacecraft", "spacecraft")
 
 
-def of_camera() -> None:
-    Path("my_camera.toml").write_text(blocks("guide_camera.md", "toml")[0])
-
-
 PREPARED: dict[str, Callable[[], None]] = {
     "your_disturbances.md": of_disturbances,
     "your_data.md": of_data,
@@ -116,7 +113,6 @@ PREPARED: dict[str, Callable[[], None]] = {
     "your_spacecraft.md": of_telescope,
     "flight_code.md": of_telescope,
     "your_controller.md": of_code,
-    "guide_camera.md": of_camera,
 }
 """What the text of a page presupposes, beside examples and bags."""
 
