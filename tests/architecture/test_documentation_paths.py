@@ -24,6 +24,7 @@ FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
     "lead.py",
     "start.json",
+    "twice.toml",
     "mine.json",
     "mine.toml",
     "my_body.toml",
