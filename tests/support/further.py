@@ -17,7 +17,7 @@ FURTHER = {
     "integration/test_campaign_tls_files.py": "the cluster: integration/test_campaign_cluster.py",
     "integration/test_campaign_trust.py": "the cluster: integration/test_campaign_cluster.py",
     "integration/test_colcon_recipe.py": "the workspace with colcon: unit/los_testbed/test_ament_package.py",
-    "integration/test_contributing_pages.py": "the pages of CONTRIBUTING.md, step by step",
+    "integration/test_contributing_pages.py": "the pages of docs/extend, step by step",
     "integration/test_distribution.py": "wheels in environments of their own",
     "integration/test_documentation_code.py": "code on pages: architecture/test_documented_commands.py has commands",
     "integration/test_example_designs.py": "the examples' designs: unit/los_design",
