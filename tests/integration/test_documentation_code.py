@@ -96,7 +96,7 @@ NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
     "pointing_analysis.md": a_bag,
     "campaigns.md": rows_of_a_campaign,
     "certificates.md": an_uncertain_system,
-    "python_api.md": tables_and_clusters,
+    "reference.md": tables_and_clusters,
     "your_controller.md": a_design_that_is_only_called,
     "tuning.md": the_mass_and_spring,
     "your_spacecraft.md": files_of_nastran,

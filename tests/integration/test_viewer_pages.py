@@ -9,7 +9,7 @@ import typer
 from los_testbed.cli.app import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("your_data.md", "watch_it_live.md", "pointing_analysis.md")
+PAGES = ("your_data.md", "reference.md", "pointing_analysis.md")
 
 
 @pytest.mark.parametrize("name", PAGES)
