@@ -232,6 +232,14 @@ def test_prose_lines_are_short(page: Path) -> None:
     assert not [line for line in prose if len(line) >= 120]
 
 
+def test_the_pages_are_few_and_short() -> None:
+    """Pages for users, without those of developers (docs/extend) and of the library (docs/lftkit)."""
+    pages = list((ROOT / "docs").glob("*.md"))
+    assert len(pages) <= 18
+    assert sum(len(page.read_text("utf-8").split()) for page in pages) <= 35_000
+    assert len((ROOT / "CONTRIBUTING.md").read_bytes()) <= 8_000
+
+
 def test_the_checks_find_mistakes() -> None:
     """A wrong path, a wrong command and a wrong option are found; shorthand and wildcards are resolved."""
     assert named_files("see `lftkit/no_such.py` and `run x/y.toml now`") == {"lftkit/no_such.py", "x/y.toml"}
