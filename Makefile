@@ -37,7 +37,7 @@ help:
 	@echo "make reference-bag  the small bag under bags/reference anew"
 	@echo "make report-picture  docs/figures/report.png anew (needs chromium)"
 	@echo "make image-pictures  docs/figures/star.png and target.png anew"
-	@echo "make campaign-pictures  those of docs/campaigns.md and docs/telescope.md (needs chromium; some minutes)"
+	@echo "make campaign-pictures  those of docs/campaigns.md and docs/your_spacecraft.md (needs chromium; some minutes)"
 	@echo "make bench      benchmarks with short settings, one JSON object each"
 	@echo "make docs       figures and tables of README.md and docs/results.md from the model and the stored designs"
 	@echo "make designs    the shipped controllers of the implemented loop anew (a quarter of an hour or more)"

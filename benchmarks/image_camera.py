@@ -3,7 +3,7 @@
     python benchmarks/image_camera.py --pairs 5 --seconds 60 --json
 
 Each run is four processes with real-time scheduling, the recorder included. Both runs of a pair have the same model of
-the camera in the loop (`magnitude` and `image` of docs/guide_camera.md); which of them is first alternates. Ticks are
+the camera in the loop (`magnitude` and `image` of docs/image_quality.md); which of them is first alternates. Ticks are
 missed `as without images` if the interval of 95 % confidence of the mean difference of the pairs (Student) contains 0
 or lies below it.
 

@@ -241,17 +241,15 @@ def table(result: dict[str, Any]) -> str:
 
 
 def bare_lines(result: dict[str, Any]) -> list[str]:
-    """What the machine allowed before and after the runs with real-time scheduling."""
+    """Lateness of bare loops, one per processor, before and after the runs with real-time scheduling."""
     found = [
-        f"{LABELS[name]}: bare loops, one per processor, were run before and after. Summed over the processors, "
-        f"{100 * run['bare']['late_300_us']:.3g} % of their ticks were late by more than 0.3 ms, and "
-        f"{100 * run['bare']['late_1000_us']:.3g} % by more than 1 ms. The largest lateness was "
-        f"{run['bare']['largest_us'] / 1000:.1f} ms. Missed ticks are {run['miss_rate_to_bare']:.2g} times the first "
-        "share."
+        f"- {LABELS[name]}: {100 * run['bare']['late_300_us']:.3g} % of the ticks of bare loops late by more than "
+        f"0.3 ms, {100 * run['bare']['late_1000_us']:.3g} % by more than 1 ms, at most "
+        f"{run['bare']['largest_us'] / 1000:.1f} ms"
         for name in LABELS
         if (run := result.get(name, {})).get("bare")
     ]
-    return ["\n\n".join(textwrap.fill(line[0].upper() + line[1:], WIDTH) for line in found)]
+    return ["\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in found)]
 
 
 def histogram(cells: dict[str, dict[int, int]], path: Path) -> None:

@@ -3,7 +3,7 @@
 python examples/nastran_payload_to_run.py [BDF OP2] [--output FOLDER]
 
 The run is ``SOL 103`` with grid point 1 (the isolator's interface I_p) clamped; grid points 2 to 5 are M1, M2, DET and
-I_f (see docs/structures.md). Without arguments, files of this form are written for the payload of the reference
+I_f (see docs/lftkit/structures.md). Without arguments, files of this form are written for the payload of the reference
 telescope: the result must then be that of ``los-testbed run --mode inprocess --case nominal``.
 Needs ``pip install 'los-testbed[nastran]'``.
 """

@@ -29,6 +29,7 @@ LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`])*)\]\(([^)#:]+\.md|[\w./-]+/?)((?:#[^
 PICTURE = re.compile(r'(<img src=")([^":]+)(")')
 EMPTY_HEAD = re.compile(r"<th((?: [^>]*)?)></th>")
 FIGURE = re.compile(r'(<img [^>]*src="([^"]*figures/[^"]*)"[^>]*>)')
+SHORT_CODE = re.compile(r"<code>([^<\n]{1,24})</code>")
 CELL = re.compile(r"<td((?: [^>]*)?)>((?:(?!</td>).)*)</td>", re.DOTALL)
 NOT_FOUND = """<!doctype html>
 <html lang="en">
@@ -143,7 +144,8 @@ def on_page_content(html: str, **_: Any) -> str:
     """Empty heads of tables are cells: a head without text has no name for assistive technology.
 
     Cells of four or more words are of the class ``prose``: on a phone their column is not as narrow as one word. A
-    figure is a link to itself: on a phone it opens at its own size.
+    figure is a link to itself: on a phone it opens at its own size. Short code is of the class ``short``: it is not
+    broken at its hyphens.
 
     Examples
     --------
@@ -153,8 +155,10 @@ def on_page_content(html: str, **_: Any) -> str:
     '<tr><td>12.5 of 40</td><td class="prose">what the run has recorded</td></tr>'
     >>> on_page_content('<p><img alt="Star" src="figures/star.png" /></p>')
     '<p><a href="figures/star.png"><img alt="Star" src="figures/star.png" /></a></p>'
+    >>> on_page_content("<p>with <code>--time none</code></p>")
+    '<p>with <code class="short">--time none</code></p>'
     """
-    linked_figures = FIGURE.sub(r'<a href="\2">\1</a>', html)
+    linked_figures = FIGURE.sub(r'<a href="\2">\1</a>', SHORT_CODE.sub(r'<code class="short">\1</code>', html))
     return CELL.sub(_cell, EMPTY_HEAD.sub(r"<td\1></td>", linked_figures))
 
 

@@ -1,6 +1,6 @@
 """Pointing budget in a TOML file: tree of error sources, their transfers, requirements.
 
-The format is described in ``docs/pointing_budget.md``. A table under ``sources`` with a ``type`` is a source, one
+The format is described in ``docs/pointing_analysis.md``. A table under ``sources`` with a ``type`` is a source, one
 without is a group; a group or source may have a ``transfer``.
 """
 

@@ -1,6 +1,6 @@
 """Sources of a budget as a table (CSV or a workbook), to read and to write.
 
-The columns are described in ``docs/pointing_budget.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
+The columns are described in ``docs/pointing_analysis.md``. A row is what a table ``[sources.x]`` is in a TOML file; the
 values of several axes stand apart by ``;``. Rows of the types ``requirement``, ``total`` and ``setting`` hold the rest
 of the file.
 """

@@ -1,4 +1,4 @@
-"""What docs/certificates.md states of the checks: their lines, and the tests of the premises of sampled loops."""
+"""What docs/certificates_mathematics.md states of the checks: their lines, and the premises of sampled loops."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from support.trusted_code import CHECKERS, code_lines, imported_by, lines
 
 TESTS = Path(__file__).parents[1]
-PAGE = (TESTS.parent / "docs" / "certificates.md").read_text("utf-8")
+PAGE = (TESTS.parent / "docs" / "certificates_mathematics.md").read_text("utf-8")
 PACKAGES = (
     "lftkit",
     "los_design",

@@ -16,7 +16,7 @@ from typer.main import get_command
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", ROOT / "bags/README.md"]
-    + [ROOT / "ros_ws/README.md", *(ROOT / "docs").glob("*.md")]
+    + [ROOT / "ros_ws/README.md", *(ROOT / "docs").rglob("*.md")]
 )
 BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
@@ -24,6 +24,7 @@ FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
     "lead.py",
     "start.json",
+    "twice.toml",
     "mine.json",
     "mine.toml",
     "my_body.toml",
@@ -219,7 +220,8 @@ def test_named_commands_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_page_refers_to_the_glossary(page: Path) -> None:
-    assert page.name == "glossary.md" or "glossary.md" in page.read_text("utf-8")
+    with_it = page.name == "reference.md" or page.parent.name == "extend"
+    assert with_it or "reference.md#glossary)" in page.read_text("utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative)
@@ -228,6 +230,14 @@ def test_prose_lines_are_short(page: Path) -> None:
     text = re.sub(GENERATED, "", without_blocks(page.read_text("utf-8")), flags=re.DOTALL)
     prose = [line for line in text.splitlines() if not re.match(r" {4}|\s*[|<!]", line)]
     assert not [line for line in prose if len(line) >= 120]
+
+
+def test_the_pages_are_few_and_short() -> None:
+    """Pages for users, without those of developers (docs/extend) and of the library (docs/lftkit)."""
+    pages = list((ROOT / "docs").glob("*.md"))
+    assert len(pages) <= 18
+    assert sum(len(page.read_text("utf-8").split()) for page in pages) <= 35_000
+    assert len((ROOT / "CONTRIBUTING.md").read_bytes()) <= 8_000
 
 
 def test_the_checks_find_mistakes() -> None:

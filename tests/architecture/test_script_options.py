@@ -13,7 +13,7 @@ TEXTS = [
     ROOT / "Makefile",
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "benchmarks").glob("*.py")),
 ]
 

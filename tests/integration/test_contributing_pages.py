@@ -1,4 +1,4 @@
-"""The pages "Add a ..." of CONTRIBUTING.md have the effect they say: each is followed on a copy of the packages."""
+"""The pages "Add a ..." of docs/extend have the effect they state: each is followed on a copy of the packages."""
 
 from __future__ import annotations
 

@@ -23,8 +23,9 @@ else:
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
-WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "norms.md", "lftkit_quick_start.md", "CONTRIBUTING.md"}
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md"))])
+WITH_TESTS_OF_THEIR_OWN = {"tutorial.md", "linear_systems.md", "norms.md", "quick_start.md"}
+WITH_TESTS_OF_THEIR_OWN |= {path.name for path in (ROOT / "docs/extend").glob("*.md")}
 """Run by test_tutorials.py, which compares the output as well, and by test_contributing_pages.py."""
 Names = dict[str, Any]
 
@@ -91,17 +92,17 @@ def files_of_nastran(folder: Path, _: pytest.MonkeyPatch) -> Names:
 
 
 NEEDED: dict[str, Callable[[Path, pytest.MonkeyPatch], Names]] = {
-    "open_a_bag.md": a_bag,
+    "your_data.md": a_bag,
     "pointing_analysis.md": a_bag,
     "campaigns.md": rows_of_a_campaign,
     "certificates.md": an_uncertain_system,
-    "python_api.md": tables_and_clusters,
-    "control_design.md": a_design_that_is_only_called,
-    "robust_design.md": the_mass_and_spring,
-    "telescope.md": files_of_nastran,
+    "reference.md": tables_and_clusters,
+    "your_controller.md": a_design_that_is_only_called,
+    "tuning.md": the_mass_and_spring,
+    "your_spacecraft.md": files_of_nastran,
 }
 """What the text of a page presupposes."""
-SLOW = {"certificates.md", "robust_design.md"}
+SLOW = {"certificates.md", "tuning.md"}
 EVERY_LINE_SHOWN = {"from_matlab.md"}
 """What each line prints is the comment behind it."""
 WITH_PYTHON = [path for path in PAGES if blocks(path, "python") and path.name not in WITH_TESTS_OF_THEIR_OWN]
@@ -122,7 +123,7 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
         expected = re.findall(r"^ *print\(.*\)  # (.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE)
         assert printed.getvalue().splitlines() == expected
     for shown in re.findall(r"print\(.*\)\s+# (.*\d.*)$", "\n".join(blocks(path, "python")), flags=re.MULTILINE):
-        if path.name == "open_a_bag.md":
+        if path.name == "your_data.md":
             assert shown in printed.getvalue()
 
 

@@ -13,7 +13,8 @@ import los_estimator
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -25,6 +26,7 @@ def test_the_commands_of_a_page_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "bags").symlink_to(ROOT / "bags")
     for block in blocks(page, "python"):
         exec(block, {})
     observer = Path(los_estimator.__file__).parent / "designs" / "k_fsm.json"

@@ -16,7 +16,7 @@ from los_design.figures import paper_numbers
 from los_design.figures.paper_case import PaperCase
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/architecture.md")
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/extend/regenerate.md")
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The three paths run as they are printed, with the files that the page makes; the design is a slow test."""
+"""The three paths of the tutorial run as printed, with the files that the page makes; the design is a slow test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from los_testbed.cli.app import main
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
-PAGE = Path(__file__).parents[2] / "docs" / "three_paths.md"
+PAGE = Path(__file__).parents[2] / "docs" / "tutorial.md"
 
 
 def blocks(section: str, language: str) -> list[str]:

@@ -145,14 +145,14 @@ def test_own_plant_as_a_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def printed_and_shown(page: str) -> tuple[str, str]:
-    text = PAGE.with_name(page).read_text("utf-8")
+    text = (PAGE.parent / page).read_text("utf-8")
     found = io.StringIO()
     with contextlib.redirect_stdout(found):
         exec("\n".join(code(text)), {})
     return found.getvalue(), "".join(re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL))
 
 
-@pytest.mark.parametrize("page", ["linear_systems.md", "norms.md", "lftkit_quick_start.md"])
+@pytest.mark.parametrize("page", ["lftkit/linear_systems.md", "lftkit/norms.md", "lftkit/quick_start.md"])
 def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     printed, shown = printed_and_shown(page)
@@ -161,7 +161,7 @@ def test_the_output_of_the_pages_of_the_library(page: str, tmp_path: Path, monke
 
 def test_the_table_of_the_telescope_is_the_telescope() -> None:
     """States and occurrences add up to those of the assembled model."""
-    text = PAGE.with_name("telescope.md").read_text("utf-8")
+    text = PAGE.with_name("your_spacecraft.md").read_text("utf-8")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("| ")]
     rows = [row for row in rows if len(row) == 6 and row[1].isdigit()]
     assembled = assembled_telescope()
@@ -186,11 +186,11 @@ def test_every_command_of_the_page_is_understood(tmp_path: Path, monkeypatch: py
         shutil.copy(Path(module.__file__).parent / "designs" / name, tmp_path / "designs/mine" / name)
     knots = ["time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4", "0,0,30,30,30,30", "9,1,90,90,90,90"]
     (tmp_path / "my_profile.csv").write_text("\n".join(knots) + "\n")
+    (tmp_path / "examples").symlink_to(PAGE.parents[1] / "examples")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(run_command, "execute", lambda parts, *_options: (_ for _ in ()).throw(Understood(parts)))
-    lines = re.findall(
-        r"^    los-testbed (run .*?)(?:\s+#.*)?$", PAGE.with_name("telescope.md").read_text("utf-8"), re.M
-    )
+    text = PAGE.with_name("your_spacecraft.md").read_text("utf-8")
+    lines = re.findall(r"^    los-testbed (run .*?)(?:\s+#.*)?$", text, re.M)
     assert len(lines) >= 6
     for line in lines:
         with pytest.raises(Understood) as caught:

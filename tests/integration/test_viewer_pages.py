@@ -9,7 +9,7 @@ import typer
 from los_testbed.cli.app import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("open_a_bag.md", "watch_it_live.md", "pointing_analysis.md")
+PAGES = ("your_data.md", "reference.md", "pointing_analysis.md")
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -28,7 +28,8 @@ def test_commands_and_options_exist(name) -> None:
 
 def test_python_code_prints_the_documented_output(monkeypatch, capsys) -> None:
     monkeypatch.chdir(ROOT)
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "open_a_bag.md").read_text("utf-8"), re.S)[:1]
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "your_data.md").read_text("utf-8"), re.S)
+    (code,) = [block for block in blocks if "Run.open" in block]
     exec(code, {})
     shape = re.findall(r"# (.*)$", code, re.M)[0]
     out = capsys.readouterr().out.splitlines()

@@ -1,4 +1,4 @@
-"""The three worked examples of docs/robust_design.md run and say what the page says."""
+"""The three worked examples of docs/lftkit/tuning.md run and say what the page says."""
 
 from __future__ import annotations
 

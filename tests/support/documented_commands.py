@@ -12,7 +12,7 @@ from los_testbed.cli.app import command_line, with_common_options_first
 from los_testbed.cli.run import with_lone_options
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
 SHELL = ("sh", "bash", "text")
 """Languages of blocks whose lines may be commands."""
 

@@ -1,4 +1,4 @@
-"""The steps of a page of CONTRIBUTING.md, carried out on a copy of the packages."""
+"""The steps of a page of docs/extend, carried out on a copy of the packages."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ REPORTING = ("run", "report")
 
 
 def section(title: str) -> str:
-    """Text below a heading of CONTRIBUTING.md."""
-    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
-    (found,) = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, flags=re.MULTILINE | re.DOTALL)
-    return str(found)
+    """Text of the page of docs/extend with this title."""
+    texts = [path.read_text("utf-8") for path in (ROOT / "docs/extend").glob("*.md")]
+    (found,) = [text for text in texts if text.startswith(f"# {title}\n")]
+    return found
 
 
 @dataclass(frozen=True)

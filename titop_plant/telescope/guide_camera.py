@@ -15,7 +15,7 @@ The angles of a frame are the mean of the line of sight over the exposure T and 
 
 The low-pass agrees in all terms up to s^2. The noise is that of a measured curve over the magnitude
 (:mod:`pointing_analysis.image.noise_curve`): the file that ``noise_curve`` names; else ``camera_noise.json``, where it
-has one of this detector, and for other detectors the bound of Cramer and Rao (``docs/guide_camera.md``).
+has one of this detector, and for other detectors the bound of Cramer and Rao (``docs/image_quality.md``).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Real matrices with a bound of every entry's error, and positive definiteness of a matrix that is known so.
 
 Nothing that LAPACK returns is trusted. Roundings that are granted to numpy, with their sources, are the table of
-``docs/certificates.md``.
+``docs/certificates_mathematics.md``.
 """
 
 from __future__ import annotations

@@ -205,12 +205,17 @@ def test_help_has_examples(command, run, monkeypatch):
     assert f"los-testbed {command}" in out
 
 
-def test_options_are_hidden_only_where_help_all_shows_them(run) -> None:
-    """The named cases of `stages` are a group of its options, and it has no other help."""
-    _, shown, _ = run("stages", "--help")
-    assert "--case" in shown and "--cases" in shown and "--help-all" not in shown
-    code, _, error = run("stages", "--help-all")
-    assert code == 2 and "--help-all" in error
+@pytest.mark.parametrize("command", [("stages",), ("campaign",), ("image", "trade")])
+def test_a_short_help_names_the_groups_that_it_leaves_out(run, command) -> None:
+    _, shown, _ = run(*command, "--help")
+    _, whole, _ = run(*command, "--help-all")
+    assert "further options (--help-all): " in shown and "further options" not in whole
+    assert "--camera-dropout" in whole and "--camera-dropout" not in shown
+
+
+def test_options_of_a_group_are_hidden_only_where_help_all_shows_them(run) -> None:
+    _, shown, _ = run("design", "certify", "--help")
+    assert "--uncertain" in shown and "--help-all" not in shown
 
 
 def test_the_help_of_run_has_the_options_of_a_first_run_and_all_on_demand(run, monkeypatch):

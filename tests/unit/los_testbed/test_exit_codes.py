@@ -34,7 +34,7 @@ class Leaving:
 
 
 def test_the_page_has_the_table_of_the_code():
-    rows = ROW.findall((ROOT / "docs" / "exit_codes.md").read_text())
+    rows = ROW.findall((ROOT / "docs" / "reference.md").read_text())
     assert [int(code) for code, _, _ in rows] == sorted(ExitCode)
     for code, meaning, commands in rows:
         own = ExitCode(int(code))

@@ -1,4 +1,4 @@
-"""The one table of exit codes of the command line; docs/exit_codes.md has the same."""
+"""The one table of exit codes of the command line; docs/reference.md has the same."""
 
 from __future__ import annotations
 

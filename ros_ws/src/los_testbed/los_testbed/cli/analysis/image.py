@@ -11,6 +11,7 @@ import typer
 from los_testbed.cli.analysis.camera_noise import NOISE_EXAMPLES, noise
 from los_testbed.cli.analysis.recordings import Bag, Bags, Los, OpticsFile, Rate, Unit, open_runs
 from los_testbed.cli.analysis.star_trade import TRADE_EXAMPLES, trade
+from los_testbed.cli.command_group import GroupedCommand
 from los_testbed.cli.options.options import (
     MAX_CHUNK_MB,
     Json,
@@ -145,4 +146,4 @@ def export(
 
 
 image_app.command("noise", help=NOISE_EXAMPLES)(noise)
-image_app.command("trade", help=TRADE_EXAMPLES)(trade)
+image_app.command("trade", help=TRADE_EXAMPLES, cls=GroupedCommand)(trade)
