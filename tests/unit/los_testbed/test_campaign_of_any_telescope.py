@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from los_testbed.campaign.dataset import check_depth
 from los_testbed.campaign.member import MemberEvaluator
 from los_testbed.campaign.reproduction import member_command
 from los_testbed.campaign.sampling import MemberParameters, member_seeds, members
@@ -87,6 +88,35 @@ def test_the_command_of_a_member_gives_its_row(
     assert code == 0, err
     found = json.loads(out.splitlines()[-1])
     assert found["rpe_mas"]["windows_p997"] == float(f"{row['rpe_window_p997_mas']:.6g}")
+
+
+def test_the_command_of_a_member_has_every_setting_of_the_campaign(capsys: Any, tmp_path: Path) -> None:
+    """Two frames late, an authority that is reached, lost samples: each of them changes the figure."""
+    own = {"fsm_authority": 2e-6, "camera_latency": 40.0, "camera_dropout": 0.2, "noise": False, "old_frames": "use"}
+    base = RunConfig(mode="inprocess", duration=1.2, scenario="design", **own)  # type: ignore[arg-type]
+    values = member("")
+    row = MemberEvaluator.of(base).row(0, values, "time")
+    words = shlex.split(member_command({**values, **row}, base, "time"))[1:]
+    code, out, err = call_command(capsys, *words, "--no-report", "--output", str(tmp_path / "bag"), "--json")
+    assert code == 0, err
+    found = json.loads(out.splitlines()[-1])
+    assert found["rpe_mas"]["windows_p997"] == float(f"{row['rpe_window_p997_mas']:.6g}")
+    plain = MemberEvaluator.of(replace(base, fsm_authority=None)).row(0, values, "time")
+    assert plain["rpe_window_p997_mas"] != row["rpe_window_p997_mas"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "depth", "message"),
+    [
+        ({"theta": 0.3}, "time", "theta must be absent in a campaign, got 0.3"),
+        ({"disturbance_files": "shake.csv"}, "time", "disturbance_files must be absent in a campaign, got shake.csv"),
+        ({"camera_dropout": 0.1}, "model", "camera_dropout must be 0.0 at depth model, got 0.1"),
+        ({"noise": False}, "model", "noise must be True at depth model, got False"),
+    ],
+)
+def test_settings_that_members_would_not_have_are_refused(settings: Any, depth: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message.replace(".", r"\.")):
+        check_depth(RunConfig(mode="inprocess", **settings), depth)
 
 
 @pytest.mark.parametrize("name", list(COLUMNS))

@@ -275,6 +275,14 @@ def test_verbose_shows_where_an_error_that_no_check_has_foreseen_came_from(run, 
     assert code == ExitCode.FAILED and "Traceback" in long and long.splitlines()[-1] == short.strip()
 
 
+def test_a_value_error_of_an_operation_is_no_mistake_of_the_user(run, monkeypatch):
+    """Shapes that do not fit, a text that numpy cannot read: nothing that was given is to blame."""
+    for fault in (lambda parts: np.zeros(3) + np.zeros(4), lambda parts: int("three"), lambda parts: json.loads("{")):
+        monkeypatch.setattr(RunParts, "check", fault)
+        code, _, error = run("run", "--mode=inprocess", "--duration=1", *run.controllers)
+        assert code == ExitCode.FAILED and "unexpected " in error and "a mistake of this program" in error
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [("los-testbed re", {"replay", "report"}), ("los-testbed --ver", {"--verbose", "--version"})],
