@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 MINUTES ?= 10
 CASES ?=
+PACKAGE ?=
 SEED ?=
 READY := .venv/.ready
 EVERYTHING := .venv/.everything
@@ -23,6 +24,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, tests of some 10 minutes; at the end what was skipped and how to get it"
+	@echo "make test PACKAGE=los_loop  the unit tests of one package alone"
 	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
 	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"
@@ -79,12 +81,13 @@ types-of-tests: types
 
 # style and types have the priority of the tests that start no nodes, see tests/support/lanes.py
 test: $(EVERYTHING)
-	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 3" tests style types types-of-tests \
+	@$(MAKE) --no-print-directory --jobs 4 BESIDE="nice -n 3" tests $(if $(PACKAGE),,style types types-of-tests) \
 	    || { echo "Something failed, see above; style and types alone: make lint"; exit 1; }
 
 tests: $(EVERYTHING)
 	@rm -f $(SKIPPED)
-	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow and not further" --doctest-modules tests $(PACKAGES)
+	SKIPPED_TESTS_FILE=$(SKIPPED) $(BIN)/pytest $(LANES) -m "not slow and not further" --doctest-modules \
+	    $(if $(PACKAGE),tests/unit/$(PACKAGE) $(filter $(PACKAGE),$(PACKAGES)),tests $(PACKAGES))
 	@if [ -s $(SKIPPED) ]; then echo "Skipped tests and what was not judged, and how to run them:"; cat $(SKIPPED); \
 	    else echo "No test was skipped."; fi
 
