@@ -379,8 +379,8 @@ def test_address_of_a_worker_is_refused(one_worker: Any) -> None:
 
 
 def test_worker_with_other_parameters_is_refused(one_worker: Any) -> None:
-    other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "parameters": "0123"})
-    with pytest.raises(ValueError, match=r"worker tls://.*: parameters must be 0123 as here, got [0-9a-f]{12}"):
+    other = Campaign.of(BASE, "uniform", 30, 5, "time", {**identity(BASE), "telescope": "0123"})
+    with pytest.raises(ValueError, match=r"worker tls://.*: telescope must be 0123 as here, got [0-9a-f]{16}"):
         check_workers(other, one_worker)
 
 

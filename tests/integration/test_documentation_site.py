@@ -76,6 +76,8 @@ def public_objects() -> set[str]:
     folders = [ROOT / name for name in (*packages, "pointing_analysis", "ros_ws/src/los_testbed/los_testbed")]
     for folder in folders:
         for path in files_of(folder):
+            if path.stem == "__main__":
+                continue
             parts = path.relative_to(folder.parent).with_suffix("").parts
             name = ".".join(part for part in parts if part != "__init__")
             kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)

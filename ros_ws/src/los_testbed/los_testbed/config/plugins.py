@@ -16,6 +16,7 @@ from pathlib import Path
 from types import FrameType, MappingProxyType
 from typing import Any
 
+import los_testbed
 import pointing_analysis
 from lftkit.support.input_files import read_bytes
 from lftkit.support.input_limits import SYSTEM
@@ -37,7 +38,7 @@ RAISED = (Exception, SystemExit)
 
 CALLERS = (
     "<frozen importlib",
-    *(f"{Path(str(file)).parent}{os.sep}" for file in (__file__, pointing_analysis.__file__, importlib.__file__)),
+    *(f"{Path(str(one.__file__)).parent}{os.sep}" for one in (los_testbed, pointing_analysis, importlib)),
 )
 """Where files begin that import or call code of the user."""
 
