@@ -15,7 +15,7 @@ from typing import Any
 from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config import RunConfig
-from pointing_analysis.requirements.rows import digits, with_unit
+from pointing_analysis.formatting.number_text import digits, with_unit
 
 FILES = ("k_fsm", "k_pma", "parameters")
 MODEL_DIGITS = 6

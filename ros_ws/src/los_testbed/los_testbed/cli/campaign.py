@@ -36,7 +36,7 @@ from los_testbed.cli.options.options import (
     with_files,
 )
 from los_testbed.cli.output import MET, leave_by_gate, number, print_json, warn
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, on_screen
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -182,9 +182,9 @@ def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> No
     """Tables, the commands of the worst members, and where the results are."""
     from los_testbed.campaign.overview import metric_table, verdict_table, worst_lines
 
-    console.print(metric_table(summary))
+    console.print(on_screen(metric_table(summary), whole=("metric",)))
     if summary["verdicts"]:
-        console.print(verdict_table(summary))
+        console.print(on_screen(verdict_table(summary)))
     for text in summary["not_judged"]:
         console.print(f"no verdict of a campaign on {text}", soft_wrap=True, highlight=False, markup=False)
     for line in worst_lines(summary)[:5]:

@@ -26,7 +26,7 @@ from los_testbed.cli.options.options import (
     with_files,
 )
 from los_testbed.cli.output import number, print_json, warn
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
 from pointing_analysis.files.atomic_output import write_text
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
     from los_testbed.run import stages_tables
 
     for table in stages_tables.screen(results, plan):
-        console.print(table)
+        console.print(on_screen(table))
     for result in results:
         if result.note:
             say(console, f"{result.run.name}: {result.note}", "note")
@@ -151,6 +151,7 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     from los_testbed.run.stages import REPORTED, WORST, select
     from los_testbed.run.summary.summary import judged
     from pointing_analysis.read.run import Run
+    from pointing_analysis.report.outputs import ReportOutputs
     from pointing_analysis.report.report import labels
 
     paths = []
@@ -165,5 +166,6 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
                 lines[label] = alone.model()
         if runs:
             page = plan.folder / f"report-{scenario}.html"
-            paths.append(judged(runs, None, None).write_page(page, lines=lines))
+            judged(runs, None, None).write_page(ReportOutputs(page), lines=lines)
+            paths.append(page)
     return paths
