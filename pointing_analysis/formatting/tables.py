@@ -1,7 +1,7 @@
-"""A table of texts, and the same cells as Markdown, HTML, LaTeX, CSV and JSON.
+"""A table of texts, and the same cells as Markdown, HTML, CSV and JSON.
 
-Whoever has something to tabulate makes a :class:`TextTable`; each output is a method of it, so that none can say what
-another does not. The terminal's is :func:`los_testbed.run.summary.screen.on_screen`.
+Whoever has something to tabulate makes a :class:`TextTable`. LaTeX is made of it by
+:mod:`pointing_analysis.formatting.latex`, the terminal's table by :func:`los_testbed.run.summary.screen.on_screen`.
 """
 
 from __future__ import annotations
@@ -13,39 +13,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
-
-LONG = 26
-"""Characters of a cell from which a column of a LaTeX table wraps its lines."""
-TEXT_WIDTH = 0.9
-"""Of a page, for the columns of a LaTeX table whose lines wrap."""
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    '"': r"\textquotedbl{}",
-    "–": "--",
-    "−": "$-$",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "≤": r"$\le$",
-    "≥": r"$\ge$",
-    "µ": r"\textmu{}",
-    "μ": r"\textmu{}",
-    "²": r"\textsuperscript{2}",
-    "…": r"\ldots{}",
-    "\n": r"\newline ",
-}
-_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")
 
 
 class Marked(str):
@@ -63,21 +30,23 @@ class Marked(str):
 
 @dataclass(frozen=True)
 class Heading:
-    """Heading of a column; `number`: its cells are numbers, aligned on the right."""
+    """Heading of a column; `number`: of numbers, aligned on the right; `name`: a name, which keeps its letters."""
 
     head: str
     number: bool = False
+    name: bool = False
 
     @property
     def title(self) -> str:
-        """The heading with a capital, unless it is a symbol or a unit.
+        """The heading with a capital, unless it is a symbol, a unit or a name.
 
         Examples
         --------
         >>> [Heading(head).title for head in ("verdict", "rms RPE", "rad/s", "x [mas]")]
         ['Verdict', 'rms RPE', 'rad/s', 'x [mas]']
         """
-        return self.head[:1].upper() + self.head[1:] if re.match(r"(?!rms)[a-z]{3,}(?![\w/])", self.head) else self.head
+        word = not self.name and re.match(r"(?!rms)[a-z]{3,}(?![\w/])", self.head)
+        return self.head[:1].upper() + self.head[1:] if word else self.head
 
 
 def texts(*heads: str) -> tuple[Heading, ...]:
@@ -174,29 +143,6 @@ class TextTable:
         start += f"<caption>{escape(self.title)}</caption>" if caption else ""
         return f"{start}<thead><tr>{heads}</tr></thead>\n<tbody>{''.join(body)}</tbody></table>"
 
-    def latex(self) -> str:
-        r"""A ``tabular`` with the rules of booktabs; columns with long texts wrap their lines.
-
-        The document needs ``\usepackage{booktabs,array}``.
-        """
-        long = [max((len(row[k]) for row in self.rows), default=0) for k in range(len(self.columns))]
-        wrapped = [n > LONG or any("\n" in row[k] for row in self.rows) for k, n in enumerate(long)]
-        weights = [min(n, 3 * LONG) for n, wrap in zip(long, wrapped) if wrap]
-        plain = sum(n for n, wrap in zip(long, wrapped) if not wrap)
-        space = TEXT_WIDTH * sum(weights) / max(sum(weights) + plain, 1)
-        shares = iter([space * weight / sum(weights) for weight in weights])
-        spec = "".join(
-            rf">{{\raggedright\arraybackslash}}p{{{next(shares):.2f}\linewidth}}" if wrap else "r" if c.number else "l"
-            for c, wrap in zip(self.columns, wrapped)
-        )
-        lines = [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in self.rows]
-        heads = " & ".join(_latex_cell(c.title) for c in self.columns) + r" \\"
-        first = [f"% {_CONTROL.sub(' ', self.title)}".replace("\n", " ")] if self.title else []
-        return "\n".join(
-            [*first, r"% \usepackage{booktabs,array}", rf"\begin{{tabular}}{{{spec}}}", r"\toprule", heads, r"\midrule"]
-            + [*lines, r"\bottomrule", r"\end{tabular}", ""]
-        )
-
 
 def _markdown_cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", "<br>")
@@ -211,15 +157,3 @@ def _html(column: Heading, text: str) -> str:
 
 def _css(column: Heading) -> str:
     return ' class="n"' if column.number else ""
-
-
-def _latex_cell(text: str) -> str:
-    r"""A text in which every character of LaTeX's own is itself.
-
-    Examples
-    --------
-    >>> print(_latex_cell("50 % of a_b & c--d"))
-    50 \% of a\_b \& c-{}-d
-    """
-    shown = "".join(_LATEX.get(c, c) for c in _CONTROL.sub(" ", text).replace("--", "-\0-")).replace("\0", "{}")
-    return "{}" + shown if shown[:1] in ("[", "*") else shown  # behind a line's end they would be its options

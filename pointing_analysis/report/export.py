@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pointing_analysis.files.atomic_output import atomic_file, check_output
+from pointing_analysis.formatting.latex import latex_table
 from pointing_analysis.report.content import ReportContent
 
 
@@ -45,6 +46,6 @@ def _files(content: ReportContent) -> Iterator[tuple[str, bytes]]:
         yield f"{picture.name}.pdf", picture.pdf()
     for table in content.all_tables():
         if table.rows:
-            yield f"{table.name}.tex", table.latex().encode()
+            yield f"{table.name}.tex", latex_table(table).encode()
             yield f"{table.name}.csv", table.csv().encode()
             yield f"{table.name}.md", f"{table.markdown()}\n".encode()

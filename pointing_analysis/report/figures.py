@@ -246,14 +246,14 @@ def time_history(views: Sequence[RunView]) -> Picture:
                 t, y = envelope(view.series.time, arcsec[:, i])
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
             axis.set_title(view.label)
-            axis.set_ylabel("LOS error [arcsec]")
+            axis.set_ylabel("LOS error [arcsec]" if len(views) == 1 else "LOS [arcsec]")
         legend_above(figure, axes[0])
         axes[-1].set_xlabel("time [s]")
 
     alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
         f"{v.label} reaches {_largest(v) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
     )
-    return picture("time", "Line of sight over time", alt, max(3.8, 1.2 + 1.5 * len(views)), draw)
+    return picture("time", "Line of sight over time", alt, max(3.8, 0.9 + 1.1 * len(views)), draw)
 
 
 def trajectory(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:

@@ -19,6 +19,8 @@ from pointing_analysis.report.content import ReportContent, ReportPart, ReportSe
 from pointing_analysis.report.figures import Picture
 from pointing_analysis.report.paper import PAPERS, Paper, require_pdf
 
+TITLE = 0.4
+"""Height of the title of a picture [inch], where the picture has its own width."""
 LETTERS, SHORT, LONG = 100, 14, 60
 """Letters across a page; of a column of texts that is never broken; of one that has a larger share of the page than
 others. In tables, where a letter is half as wide as it is high."""
@@ -64,8 +66,8 @@ def _as_data(content: ReportContent, paper: str) -> dict[str, Any]:
         "several": content.several,
         "verdict": _table(content.verdict),
         "warnings": [_part(part) for part in content.warnings],
-        "leading": [_picture(picture) for picture in content.leading],
-        "further": [_picture(picture) for picture in content.further],
+        "leading": _columns(content.leading),
+        "further": _columns(content.further),
         "missing": content.missing,
         "tables": _sections(content.tables),
         "notes": _sections(content.notes),
@@ -74,6 +76,17 @@ def _as_data(content: ReportContent, paper: str) -> dict[str, Any]:
 
 def _picture(picture: Picture) -> dict[str, str]:
     return {"file": f"{picture.name}.svg", "title": picture.title, "alt": picture.alt}
+
+
+def _columns(pictures: Sequence[Picture]) -> list[list[dict[str, str]]]:
+    """Two columns of pictures: each one stands in the column that is shorter so far."""
+    columns: list[list[dict[str, str]]] = [[], []]
+    heights = [0.0, 0.0]
+    for picture in pictures:
+        k = heights.index(min(heights))
+        columns[k].append(_picture(picture))
+        heights[k] += picture.height + TITLE
+    return columns if pictures else []
 
 
 def _sections(found: Sequence[ReportSection]) -> list[dict[str, Any]]:
@@ -100,7 +113,7 @@ def _widths(table: TextTable) -> list[dict[str, Any]]:
         cells = [row[k] for row in table.rows]
         longest.append(max(len(line) for cell in (column.title, *cells) for line in cell.split("\n")))
         word = max(map(len, column.title.split()), default=1)
-        need = max(word, *map(len, cells)) if cells else word
+        need = max(word, *(len(part) for cell in cells for part in cell.split(" ("))) if cells else word
         share = not column.number and need > SHORT
         found.append({"share": share, "letters": max(word, min(need, LONG)) if share else need})
     return found if sum(longest) + 3 * len(longest) > LETTERS else [{"share": False, "letters": 0}] * len(found)

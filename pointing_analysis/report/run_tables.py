@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from pointing_analysis.formatting.number_text import ABSENT, digits
-from pointing_analysis.formatting.tables import TextTable, numbers, texts
+from pointing_analysis.formatting.tables import Heading, TextTable, numbers, texts
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.recording import Recording
@@ -25,8 +25,9 @@ def metric_table(names: Sequence[str], summaries: Sequence[Summary]) -> TextTabl
     found = [_metrics(summary) for summary in summaries]
     metrics = dict.fromkeys(name for one in found for name in one)
     rows = [(name, *(one.get(name, ABSENT) for one in found)) for name in metrics]
-    heads = names if len(names) > 1 else ("value",)
-    return TextTable.of((*texts("metric"), *numbers(*heads)), rows, "Metrics", name="metrics")
+    runs = (Heading(name, number=True, name=True) for name in names)
+    heads = (*texts("metric"), *(runs if len(names) > 1 else numbers("value")))
+    return TextTable.of(heads, rows, "Metrics", name="metrics")
 
 
 def _metrics(summary: Summary) -> dict[str, str]:

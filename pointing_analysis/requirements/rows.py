@@ -300,8 +300,8 @@ def verdict_table(rows: Sequence[RequirementRow], several: bool = False) -> Text
         worst = min(group, key=_rank)
         label = worst.label if len(group) == 1 else f"{index}, worst of {len(group)} requirements\n{worst.label}"
         verdict = Marked(worst.verdict_text, worst.css)
-        lines.append((run, label, verdict, f"{worst.value_text} of {worst.limit_text}", worst.margin_text))
-    heads = (*texts("run", "requirement", "verdict"), *numbers("value of limit", "margin"))
+        lines.append((run, label, verdict, worst.value_text, worst.limit_text, worst.margin_text))
+    heads = (*texts("run", "requirement", "verdict"), *numbers("value", "limit", "margin"))
     table = TextTable.of(heads, lines, "Verdict", name="verdict")
     return table if several else table.only(*table.heads[1:])
 

@@ -146,7 +146,7 @@ def test_the_verdict_has_a_line_for_each_index_of_each_run_with_the_worst_of_its
     assert [row[0] for row in table.rows] == ["a", "a", "b"]
     assert table.rows[0][1:3] == ("|APE|, 75 %", "compliant")
     assert table.rows[1][1].startswith("RPE, worst of 2 requirements\n") and table.rows[1][2].startswith(KEEPS)
-    assert table.rows[2][3:] == ("19 mas of 20 mas", "+1 mas (5 %)"), "of two that are compliant that of least margin"
+    assert table.rows[2][3:] == ("19 mas", "20 mas", "+1 mas (5 %)"), "of two that are compliant that of least margin"
     assert verdict_table(rows[:1]).heads == table.heads[1:]
     assert definition_table(rows).rows[:2] == (("APE", str(ape)), ("long", str(RULE)))
 
