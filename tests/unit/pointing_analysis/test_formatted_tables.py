@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html.parser
 import io
 import json
 import re
@@ -11,6 +10,7 @@ from typing import Any
 
 import pytest
 from los_testbed.run.summary.screen import Screen, on_screen
+from support.table_forms import of_html, of_latex, of_markdown
 
 from pointing_analysis.formatting.latex import latex_table
 from pointing_analysis.formatting.tables import Heading, Marked, TextTable, numbers, texts
@@ -26,57 +26,6 @@ TABLE = TextTable.of(
     "Requirements of a_b\n50 %",
     name="requirements",
 )
-
-
-class Cells(html.parser.HTMLParser):
-    """Cells of the body of a table in HTML."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.rows: list[list[str]] = []
-        self.inside = False
-
-    def handle_starttag(self, tag: str, attrs: Any) -> None:
-        if tag == "tr":
-            self.rows.append([])
-        self.inside |= tag == "td"
-        if tag == "td":
-            self.rows[-1].append("")
-        if tag == "br":
-            self.rows[-1][-1] += "\n"
-
-    def handle_endtag(self, tag: str) -> None:
-        self.inside &= tag != "td"
-
-    def handle_data(self, data: str) -> None:
-        if self.inside:
-            self.rows[-1][-1] += data
-
-
-def of_html(table: TextTable) -> list[list[str]]:
-    found = Cells()
-    found.feed(table.html())
-    return found.rows[1:]
-
-
-def of_markdown(table: TextTable) -> list[list[str]]:
-    lines = table.markdown().splitlines()[2:]
-    cells = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines]
-    return [[cell[1:-1].replace("\\|", "|").replace("<br>", "\n") for cell in row] for row in cells]
-
-
-PLAIN = {r"\textbackslash{}": "\\", r"\textasciitilde{}": "~", r"\textasciicircum{}": "^", r"\textbar{}": "|"}
-PLAIN |= {r"\textless{}": "<", r"\textgreater{}": ">", r"\newline ": "\n", r"$\pm$": "±", "$-$": "−", "-{}-": "@@"}
-PLAIN |= {rf"\{c}": c for c in "%&#_${}"}
-
-
-def of_latex(text: str) -> list[list[str]]:
-    """Cells between the rules, read back by the rules of LaTeX: each special character is written as a command."""
-    body = text[text.index("\\midrule\n") + 9 : text.index("\\bottomrule")]
-    rows = [re.split(r"(?<!\\) & ", line.removesuffix(r" \\")) for line in body.splitlines()]
-    command = re.compile("|".join(map(re.escape, sorted(PLAIN, key=len, reverse=True))))
-    shown = [[command.sub(lambda m: PLAIN[m[0]], cell.removeprefix("{}[") and cell) for cell in row] for row in rows]
-    return [[c.removeprefix("{}").replace("--", "–").replace("@@", "--") for c in row] for row in shown]
 
 
 def test_all_forms_have_the_same_cells() -> None:

@@ -205,8 +205,8 @@ def test_the_verdict_shows_limit_and_margin(stages) -> None:
         assert row.relative_margin == pytest.approx(margin / r.limit)
         assert f"({abs(100 * margin / r.limit):.0f} %)" in row.margin_text and row.margin_text in page
     worst = min((row for row in found.rows if row.index == "RPE"), key=lambda row: row.relative_margin)
-    verdict = page[page.index('id="verdict"') : page.index('id="requirements"')]
-    assert all(f">{text}</td>" in verdict for text in (worst.value_text, worst.limit_text, worst.margin_text))
+    top = page[page.index('id="verdict"') : page.index('id="requirements"')]
+    assert all(f">{text}</td>" in top for text in (worst.value_text, worst.limit_text, worst.margin_text))
 
 
 def test_the_cumulative_rms_steps_up_by_the_tone(stages) -> None:

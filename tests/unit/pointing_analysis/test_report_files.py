@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import CommandLine
-from test_formatted_tables import of_html, of_latex, of_markdown
+from support.table_forms import of_html, of_latex, of_markdown
 
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
