@@ -14,8 +14,8 @@ from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.report.figures import WIDTH, Picture, RunView, _panels, legend_above, picture, stroke
 from pointing_analysis.report.line_sources import likely_source
 
-NAMES = 6
-"""Lines that are named."""
+NAMES, NAMES_OF_SEVERAL = 6, 4
+"""Lines that are named in the spectrum of one run, and in that of several."""
 LETTERS = 7.0
 """Size of the names [pt]."""
 HEIGHT = 3.8
@@ -71,7 +71,7 @@ def _named(views: Sequence[RunView]) -> list[tuple[float, str]]:
     for line, view in sorted(lines, key=lambda pair: -pair[0].rms):
         hertz, source = line.omega / (2 * math.pi), likely_source(view, line)
         names.setdefault(f"{hertz:.4g}", (hertz, f"{hertz:.4g} Hz\n{source}".strip()))
-    return list(names.values())[:NAMES]
+    return list(names.values())[: NAMES if len(views) == 1 else NAMES_OF_SEVERAL]
 
 
 def _peaks(curves: Sequence[Curve]) -> list[tuple[float, float, str]]:
