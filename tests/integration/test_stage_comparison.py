@@ -118,7 +118,7 @@ def test_the_command_writes_tables_and_report(tmp_path, monkeypatch, capsys) -> 
     assert all(r["rpe_rms_mas"] > 0 for r in runs.values())
     assert runs["nominal", "fsm"]["rpe_rms_mas"] != runs["sample-1", "fsm"]["rpe_rms_mas"]
     page = (tmp_path / "out" / "report-imbalance.html").read_text()
-    assert page.count('<article class="card') == 4
+    assert page.count('<strong class="name">') == 4
     kept = sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_dir())
     assert kept == sorted(f"imbalance-nominal-{loop}" for loop in STAGES)
 
