@@ -340,7 +340,8 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:
-        return not_judged(requirement, str(error))
+        alone = f"{runs[0].path}: " if len(runs) == 1 else ""  # its name stands beside the verdict
+        return not_judged(requirement, str(error).removeprefix(alone))
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
         worst_of = [_worst(one.values, requirement) for one in collected]
