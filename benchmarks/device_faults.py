@@ -20,6 +20,7 @@ from typing import Any
 from los_testbed.rig.emulator import FAULTS
 from real_time_loop import write_between
 
+from pointing_analysis.formatting.tables import TextTable
 from pointing_analysis.read.run import Run
 
 ROOT = Path(__file__).parents[1]
@@ -85,8 +86,8 @@ def table(rows: list[list[str]]) -> str:
         "ms from the last command, from the fault, to zero",
         "ticks in the bag",
     ]
-    lines = [heads, ["---"] * len(heads), *([f"`{row[0]}`" if row[0] in FAULTS else row[0], *row[1:]] for row in rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    cells = [[f"`{row[0]}`" if row[0] in FAULTS else row[0], *row[1:]] for row in rows]
+    return TextTable.of(heads, cells).markdown() + "\n"
 
 
 def main() -> int:

@@ -21,6 +21,8 @@ from los_testbed.flight.laws import laws_of
 from los_testbed.flight.tables import HEADER, UNITS
 from real_time_loop import write_between
 
+from pointing_analysis.formatting.tables import TextTable
+
 ROOT = Path(__file__).parents[1]
 STEPS = 20
 CASES = {"as usual": "1e-6", "frame absent": "NAN", "at the limits": "1.0", "large": "1e300"}
@@ -113,9 +115,8 @@ def _stack(folder: Path) -> list[tuple[str, int]]:
 def table(found: dict[str, dict[str, dict[str, int]]]) -> str:
     """Rows of the documentation."""
     heads = [f"{what}, {level}" for level in found for what in ("instructions", "stack [bytes]")]
-    lines = [["function", *heads], ["---"] * (1 + len(heads))]
-    lines += [[f"`{name}`", *(f"{n:,}" for rows in found.values() for n in rows[name].values())] for name in FUNCTIONS]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    lines = [[f"`{name}`", *(f"{n:,}" for rows in found.values() for n in rows[name].values())] for name in FUNCTIONS]
+    return TextTable.of(("function", *heads), lines).markdown() + "\n"
 
 
 def main() -> int:

@@ -26,6 +26,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pointing_analysis.formatting.tables import TextTable, numbers
+
 DOCS = Path(__file__).parent
 PAGES = dict.fromkeys(("gammas", "stages", "prediction", "proven", "run"), DOCS / "results.md")
 PAGES["worst_case"] = DOCS.parent / "README.md"
@@ -52,8 +54,7 @@ PROBLEMS = {
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Table of Markdown; every column but the first aligned to the right."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return TextTable.of((head[0], *numbers(*head[1:])), rows).markdown()
 
 
 def gammas(rows: Sequence[Mapping[str, Any]]) -> str:

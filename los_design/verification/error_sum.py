@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from pointing_analysis.rounding import at_most
+from pointing_analysis.formatting.number_text import at_most
 from titop_plant.interface import FORCE_STAGES
 from titop_plant.telescope.requirements import design_limits
 from titop_plant.telescope.telescope import Telescope

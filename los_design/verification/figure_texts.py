@@ -9,7 +9,7 @@ from los_design.verification.frames import LIMITS as FRAME_LIMITS
 from los_design.verification.loop_models import LATER, RETURNED
 from los_loop.figures_of_merit import FIGURES
 from los_loop.spec import LINE_OF_SIGHT
-from pointing_analysis.rounding import at_least, at_most
+from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import COMMANDED
 

@@ -25,7 +25,7 @@ from los_loop.implemented_loop import ImplementedLoop
 from los_loop.margins import GuaranteedMargins, delay_margins, rounded
 from los_loop.noise import largest_part, noise_covariances, noise_rms
 from los_loop.open_loop import OpenLoop
-from pointing_analysis.requirements.rows import digits_beside
+from pointing_analysis.formatting.number_text import digits_beside
 from titop_plant.interface import FORCES, K_PMA_INPUTS, MEASURED, MIRROR, MIRROR_STAGES
 from titop_plant.telescope.error_budget import ABSOLUTE_ON_AXIS, MAX_SENSITIVITY, ON_AXIS, combined_level
 from titop_plant.telescope.requirements import instant_probability, window_probability

@@ -15,13 +15,13 @@ from pointing_analysis.report.figures import (
     COLOURS,
     Picture,
     RunView,
-    _mark_tones,
     _panels,
     legend_above,
     picture,
     stroke,
     windows_text,
 )
+from pointing_analysis.report.spectrum_figure import mark_tones
 
 CLOSE = 3.0
 """Ratio of frequencies below which the names of two lines would cover each other."""
@@ -64,7 +64,7 @@ def cumulative(views: Sequence[RunView]) -> Picture:
         else:
             axis.set_ylim(bottom=0.0)
         axis.plot([], [], color="#555555", ls="--", label=f"RPE part ({windows_text(views)})")
-        _mark_tones(axis, views)
+        mark_tones(axis, views)
         _name_steps(axis, [(i, view, f, part if logarithmic else whole) for i, view, f, whole, part in curves])
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("RMS below frequency [mas]")

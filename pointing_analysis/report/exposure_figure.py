@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.report.figures import LIMIT, Picture, RunView, _panels, legend_above, picture, stroke
@@ -24,6 +26,9 @@ PROBABILITY = 0.997
 
 DASHES = ("-", "-.", (0, (6, 2)), (0, (4, 1, 1, 1)))
 """Of the curves of the parts, the largest first."""
+
+REACH = 1.5
+"""Ratio of either end of the line of a limit to its window."""
 
 FEWEST = 3
 """Fewest samples of the shortest exposure."""
@@ -62,14 +67,31 @@ def over_exposure(views: Sequence[RunView], requirements: Sequence[Requirement])
             marks = [(window, limit) for window, limit, probability in asked if probability == part]
             for number, (window, limit) in enumerate(marks):
                 name = "_nolegend_" if number else f"limit for {100 * part:.6g} %"
-                axis.plot(1e3 * window, limit / RAD_PER_MAS, "v^<>"[k % 4], color=LIMIT, ms=7, label=name)
-        axis.set_xlabel("exposure [ms]")
+                _draw_limit(axis, 1e3 * window, limit / RAD_PER_MAS, "v^<>"[k % 4], name)
+        axis.set_xlabel("length of the window [ms]")
         axis.set_ylabel("rms RPE of a window [mas]")
         legend_above(figure, axis)
 
     parts = " and ".join(f"{100 * part:.6g} %" for part in wanted)
     alt = f"Relative error in windows of each length, rms and {parts} of the windows; marks: limits at their windows"
-    return picture("rpe-over-exposure", "Relative error over exposure time", alt, 3.8, draw)
+    return picture("rpe-over-exposure", "RPE by window length", alt, 3.8, draw)
+
+
+def _draw_limit(axis: Axes, window: float, limit: float, mark: str, name: str) -> None:
+    """A limit [mas] at its window [ms]: a mark on a short line, with its value."""
+    axis.plot([window / REACH, window * REACH], [limit, limit], color=LIMIT, lw=1.4)
+    axis.plot(window, limit, mark, color=LIMIT, ms=6, label=name)
+    axis.annotate(
+        f"{digits(limit)} mas in {digits(window)} ms",
+        (window / REACH, limit),
+        (-4, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
+        fontsize=7.5,
+        color=LIMIT,
+    )
 
 
 def _curve(view: RunView, wanted: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import matplotlib as mpl
@@ -35,6 +35,7 @@ WIDTH = 4.3  # [inch]; small, so that lettering stays readable on a telephone
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "pointing_analysis",
     "svg.fonttype": "path",
+    "pdf.fonttype": 42,
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.grid": True,
@@ -53,6 +54,8 @@ STYLE: dict[str, Any] = {
     "path.simplify": True,
     "path.simplify_threshold": 0.3,
 }
+NO_PDF_METADATA = {"CreationDate": None, "Creator": None, "Producer": None}
+"""What differs from run to run is left out."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,20 @@ class Picture:
     title: str
     alt: str
     svg: bytes
+    height: float = 0.0
+    draw: Callable[[Figure], None] | None = field(default=None, compare=False, repr=False)
+
+    def pdf(self) -> bytes:
+        """The same picture as a PDF with its letters as text.
+
+        Raises
+        ------
+        ValueError
+            It was not made by :func:`picture`.
+        """
+        if self.draw is None:
+            raise ValueError(f"{self.name} must be a picture that can be drawn again, got its SVG alone")
+        return _drawn(self.name, self.height, self.draw, _pdf)
 
 
 class LaidOutFigure(Figure):
@@ -143,14 +160,24 @@ def _svg(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
-    """Draw one picture in the style of the report."""
+def _pdf(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="pdf", metadata=NO_PDF_METADATA)
+    return buffer.getvalue()
+
+
+def _drawn(name: str, height: float, draw: Callable[[Figure], None], save: Callable[[Figure], bytes]) -> bytes:
     settings: dict[Any, Any] = {**dict(mpl.rcParamsDefault), **STYLE, "svg.hashsalt": name}
     with mpl.rc_context(settings):
         figure = LaidOutFigure(figsize=(WIDTH, height), layout="constrained")
         draw(figure)
         _letter_decades(figure)
-        return Picture(name, title, alt, _svg(figure))
+        return save(figure)
+
+
+def picture(name: str, title: str, alt: str, height: float, draw: Callable[[Figure], None]) -> Picture:
+    """Draw one picture in the style of the report, `height` [inch]; `draw` fills an empty figure, each time alike."""
+    return Picture(name, title, alt, _drawn(name, height, draw, _svg), height, draw)
 
 
 def envelope(time: FloatArray, values: FloatArray, points: int = 700) -> tuple[FloatArray, FloatArray]:
@@ -219,14 +246,14 @@ def time_history(views: Sequence[RunView]) -> Picture:
                 t, y = envelope(view.series.time, arcsec[:, i])
                 axis.plot(t, y, color=COLOURS[i], label=f"LOS {name}", linewidth=0.8)
             axis.set_title(view.label)
-            axis.set_ylabel("LOS error [arcsec]")
+            axis.set_ylabel("LOS error [arcsec]" if len(views) == 1 else "LOS [arcsec]")
         legend_above(figure, axes[0])
         axes[-1].set_xlabel("time [s]")
 
     alt = "Line-of-sight error of both axes in arcseconds over time: " + "; ".join(
         f"{v.label} reaches {_largest(v) / RAD_PER_ARCSEC:.3g} arcsec" for v in views
     )
-    return picture("time", "Line of sight over time", alt, 1.2 + 1.5 * len(views), draw)
+    return picture("time", "Line of sight over time", alt, max(3.8, 0.9 + 1.1 * len(views)), draw)
 
 
 def trajectory(views: Sequence[RunView], requirements: Sequence[Requirement]) -> Picture:
@@ -261,57 +288,6 @@ def trajectory(views: Sequence[RunView], requirements: Sequence[Requirement]) ->
     alt = "Path of the line of sight in the plane of both axes, with the smallest circle about zero that holds it"
     rows = -(-len(views) // 2)
     return picture("trajectory", "Trajectory and its circle", alt, 4.8 if len(views) == 1 else 0.3 + 2.9 * rows, draw)
-
-
-def _mark_tones(axis: Axes, views: Sequence[RunView]) -> None:
-    """Lines of all runs: those that are named dotted, those that were found dashed."""
-    styles = ((False, ":", "#777777", "named lines"), (True, "--", "#b08a3c", "found lines"))
-    for found, dashes, colour, label in styles:
-        lines = [line for view in views for line in view.tones if (line.found is not None) == found]
-        for i, tone in enumerate(sorted({round(line.omega / (2 * np.pi), 6) for line in lines})):
-            name = label if i == 0 else "_nolegend_"
-            axis.axvline(tone, color=colour, lw=0.7, ls=dashes, zorder=0, label=name)
-
-
-NAMES = 6
-"""Found lines whose frequencies stand at their peaks."""
-
-
-def _name_peaks(axis: Axes, view: RunView, frequency: FloatArray, total: FloatArray) -> None:
-    """Marks at the peaks of the strongest found lines, with their frequencies."""
-    found = [line for line in view.tones if line.found is not None and not line.found.is_sideband]
-    for line in sorted(found, key=lambda line: -line.rms)[:NAMES]:
-        hertz = line.omega / (2 * np.pi)
-        near = slice(*np.searchsorted(frequency, [hertz - 0.5, hertz + 0.5]))
-        if near.start < near.stop:
-            height = float(total[near].max())
-            axis.plot(hertz, height, "v", ms=4, color="#b08a3c")
-            axis.annotate(
-                f"{hertz:.4g} Hz", (hertz, height), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=7
-            )
-
-
-def density(views: Sequence[RunView]) -> Picture:
-    """One-sided power spectral density, both axes added."""
-
-    def draw(figure: Figure) -> None:
-        axis = _panels(figure, 1)[0]
-        for i, view in enumerate(views):
-            if view.spectrum is not None:
-                total = view.spectrum.density[1:].sum(axis=1) / RAD_PER_MAS**2
-                shown = total > 0.0  # an axis without a positive value has no logarithmic scale
-                frequency = view.spectrum.frequency[1:][shown]
-                axis.loglog(frequency, total[shown], label=view.label, **stroke(i, len(views)))
-                if len(views) == 1:
-                    _name_peaks(axis, view, frequency, total[shown])
-        axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-6))  # below lies rounding, no jitter
-        _mark_tones(axis, views)
-        axis.set_xlabel("frequency [Hz]")
-        axis.set_ylabel("LOS density [mas²/Hz]")
-        legend_above(figure, axis)
-
-    alt = "Power spectral density of the line of sight against frequency on logarithmic axes"
-    return picture("psd", "Power spectral density", alt, 3.8, draw)
 
 
 def by_line(views: Sequence[RunView], model: Mapping[str, tuple[FloatArray, FloatArray]]) -> Picture | None:
@@ -365,7 +341,7 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
     shown = [(v, names) for v, names in shown if names]
     if not shown:
         return None
-    peaks = []
+    peaks: dict[tuple[str, str], str] = {}
 
     def draw(figure: Figure) -> None:
         axes = _panels(figure, len(shown), sharex=True)
@@ -376,7 +352,7 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
                 size = by_parts(lambda rows: np.abs(rows).max(axis=1), columns)
                 t, y = envelope(topic.time, size)
                 y, peak = 100 * y / authority[name], 100 * _greatest(size) / authority[name]
-                peaks.append(f"{view.label} {name} peaks at {peak:.3g} %")
+                peaks[view.label, name] = f"{view.label} {name} peaks at {peak:.3g} %"
                 label = f"{LOADS.get(name, name)}, peak {peak:.3g} %"
                 axis.plot(t, y, color=COLOURS[i], lw=0.8, label=label)
             axis.axhline(100, color=LIMIT, ls="--", lw=0.9)
@@ -389,8 +365,8 @@ def commands(views: Sequence[RunView], authority: dict[str, float]) -> Picture |
         axes[-1].set_xlabel("time [s]")
 
     made = picture("commands", "Commands against their authority", "", 1.2 + 1.4 * len(shown), draw)
-    alt = "Commands as a percentage of the actuators' authority over time: " + "; ".join(peaks)
-    return Picture(made.name, made.title, alt, made.svg)
+    alt = "Commands as a percentage of the actuators' authority over time: " + "; ".join(peaks.values())
+    return replace(made, alt=alt)
 
 
 def timing(histograms: Sequence[tuple[str, FloatArray]], title: str, label: str) -> Picture | None:

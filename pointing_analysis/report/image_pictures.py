@@ -1,4 +1,4 @@
-"""Pictures of what the telescope sees as files, for documents: PNG and SVG."""
+"""Pictures of what the telescope sees as files, for documents: PNG, SVG and PDF."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from lftkit.support.atomic_output import atomic_file
-from pointing_analysis.report.figures import STYLE, LaidOutFigure, RunView
+from pointing_analysis.report.figures import NO_PDF_METADATA, STYLE, LaidOutFigure, RunView
 from pointing_analysis.report.image_figures import (
     ImageView,
     draw_ellipticity,
@@ -30,6 +30,8 @@ PICTURES: dict[str, tuple[Draw, float, float]] = {
     "ellipticity": (draw_ellipticity, 0.0, 3.2),
 }
 """Name of each file, what draws it, its width for each run or 0, its height [inch]."""
+METADATA: dict[str, dict[str, None]] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": NO_PDF_METADATA}
+"""Kinds of files; metadata that would differ from run to run are left out."""
 DPI = 130
 
 
@@ -54,9 +56,8 @@ def draw_pictures(views: Sequence[RunView], folder: Path) -> list[Path]:
                 width = 1.75 * (len(found) + 2)
             figure = LaidOutFigure(figsize=(width, height), layout="constrained")
             draw(figure, found)
-            for suffix in (".png", ".svg"):
+            for suffix, metadata in METADATA.items():
                 path = folder / f"{name}{suffix}"
-                metadata = {"Date": None} if suffix == ".svg" else {"Software": None}
                 with atomic_file(path) as temporary:
                     figure.savefig(temporary, format=suffix[1:], dpi=DPI, metadata=metadata)
                 paths.append(path)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from pointing_analysis.budget.file import PointingBudget
 from pointing_analysis.budget.total import PointingBudgetVerdict, axis_total
+from pointing_analysis.formatting.number_text import digits, percent
 from pointing_analysis.report.figures import COLOURS, LIMIT, Picture, legend_above, picture
 
 TEMPLATE = Path(__file__).with_name("pointing_budget.html.j2")
@@ -24,14 +25,9 @@ DECADES = 5.0
 """Longest axis of the contributions."""
 
 
-def digits(value: float) -> str:
-    """Number for a table."""
-    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
-
-
 def vector(values: Sequence[float]) -> str:
     """Numbers of the axes for a table."""
-    return ", ".join(digits(float(x)) for x in values)
+    return ", ".join(digits(float(x), 4) for x in values)
 
 
 def contributions(verdict: PointingBudgetVerdict, unit: str) -> Picture:
@@ -58,17 +54,17 @@ def contributions(verdict: PointingBudgetVerdict, unit: str) -> Picture:
         axis.set_xscale("log")
         axis.set_xlim(lowest, 3.0 * highest)
         for k, value in enumerate(values):
-            number, place = digits(float(value)), (max(value, lowest), k)
+            number, place = digits(float(value), 4), (max(value, lowest), k)
             box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
             axis.annotate(number, place, xytext=(4, 0), textcoords="offset points", va="center", bbox=box)
-        axis.axvline(verdict.limit, color=LIMIT, ls="--", label=f"limit {digits(verdict.limit)}")
+        axis.axvline(verdict.limit, color=LIMIT, ls="--", label=f"limit {digits(verdict.limit, 4)}")
         axis.set_yticks(y, [*names, "total"])
         axis.invert_yaxis()
         level = f"{100 * verdict.requirement.probability:g} %"
         axis.set_xlabel(f"{level} level, each alone [{unit}]")
         legend_above(figure, axis)
 
-    text = f"Level of each source alone; total {digits(verdict.total)}, limit {digits(verdict.limit)} {unit}"
+    text = f"Level of each source alone; total {digits(verdict.total, 4)}, limit {digits(verdict.limit, 4)} {unit}"
     return picture("contributions", "Contributions", text, 1.4 + 0.24 * len(names), draw)
 
 
@@ -80,7 +76,7 @@ def render_budget(budget: PointingBudget, verdicts: Sequence[PointingBudgetVerdi
         total = axis_total(budget, rule)
         name = f"{rule.index}, factor {rule.factor:g}"
         rows = [
-            (label, [digits(x) for x in values])
+            (label, [digits(x, 4) for x in values])
             for label, values in zip(("root sum of squares", "mean", "level"), (total.rss, total.mean, total.level))
         ]
         totals.append({"name": name, "rows": rows})
@@ -96,7 +92,7 @@ def render_budget(budget: PointingBudget, verdicts: Sequence[PointingBudgetVerdi
 
 def _section(v: PointingBudgetVerdict, unit: str) -> dict[str, Any]:
     chart = contributions(v, unit)
-    numbers = {key: digits(getattr(v, key)) for key in ("total", "limit", "margin", "level", "uncertainty", "rss")}
+    numbers = {key: digits(getattr(v, key), 4) for key in ("total", "limit", "margin", "level", "uncertainty", "rss")}
     return {
         "name": v.requirement.name,
         "text": str(v.requirement),
@@ -111,8 +107,8 @@ def _section(v: PointingBudgetVerdict, unit: str) -> dict[str, Any]:
                 "kind": s.source.kind,
                 "mean": vector(s.mean.tolist()),
                 "sigma": vector(s.sigma.tolist()),
-                "level": digits(s.level),
-                "share": f"{100 * s.share:.3g} %",
+                "level": digits(s.level, 4),
+                "share": percent(s.share),
             }
             for s in v.shares
         ],

@@ -1,11 +1,10 @@
-"""One self-contained HTML page from one or several bags: opens from disk, needs no network, prints well.
+"""The report of one or several bags: a self-contained HTML page, which opens from disk and prints well, or a PDF.
 
-The page depends on the bags alone: the same bags give the same page byte for byte.
+It depends on the bags alone: the same bags give the same file byte for byte.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,40 +12,34 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
-from lftkit.support.atomic_output import check_output, write_text
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.indices.errors import RAD_PER_MAS, performance_error
+from pointing_analysis.indices.errors import performance_error
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
-from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.recording import Recording
-from pointing_analysis.read.run import Run
-from pointing_analysis.read.series import LOS
 from pointing_analysis.report import figures, image_figures
-from pointing_analysis.report.cards import run_card
+from pointing_analysis.report.content import ReportContent, content_of
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.distribution_figure import distributions
 from pointing_analysis.report.exposure_figure import over_exposure
-from pointing_analysis.report.figures import Picture, RunView, windows_text
+from pointing_analysis.report.figures import Picture, RunView
+from pointing_analysis.report.html_page import page
 from pointing_analysis.report.image_figures import ImageView, image_views
-from pointing_analysis.report.inline_svg import inline
 from pointing_analysis.report.loop_figures import nyquist, sensitivity
 from pointing_analysis.report.model_results import NO_MODEL, ModelResults
 from pointing_analysis.report.moving_tones import moving_pictures
-from pointing_analysis.requirements.rows import ABSENT, ALL_RUNS, RequirementRow, digits, rows_of
-from pointing_analysis.requirements.summary import UNKNOWN, Summary, exposure_of_run, scenario_of, summarise_all
+from pointing_analysis.report.outputs import ReportOutputs
+from pointing_analysis.report.paper import Paper
+from pointing_analysis.report.spectrum_figure import density
+from pointing_analysis.requirements.summary import Summary, exposure_of_run, scenario_of, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 from pointing_analysis.spectra import spectra
-from pointing_analysis.spectra.line_search import FALSE_LINES
-from pointing_analysis.spectra.prediction import Prediction, ToneComparison
 from pointing_analysis.spectra.sidebands import FoundLine
 
-TEMPLATE = Path(__file__).with_name("report.html.j2")
 #: topic -> largest value that its actuator can do, a name of `telescope_value`
 AUTHORITY = {"fsm/command": "fsm_authority", "pma/command": "pma_authority"}
 
@@ -170,7 +163,7 @@ PICTURES: tuple[Callable[[Drawn], Picture | Sequence[Picture | None] | None], ..
     lambda d: image_figures.transfers(d.images),
     lambda d: image_figures.energies(d.images),
     lambda d: image_figures.ellipticities(d.images),
-    lambda d: figures.density(d.views) if d.has_spectrum else None,
+    lambda d: density(d.views) if d.has_spectrum else None,
     lambda d: cumulative(d.views) if d.has_spectrum else None,
     lambda d: moving_pictures(d.views, d.requirements),
     lambda d: figures.by_line(d.views, d.model.lines),
@@ -195,37 +188,7 @@ def pictures(shown: Drawn) -> list[Picture]:
     return made
 
 
-def _rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:
-    """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
-    several = len(names) > 1
-    joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
-    own = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
-    return [row for row in own if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
-
-
-def _ratio(tone: ToneComparison) -> str:
-    if tone.in_noise or not tone.predicted:
-        return "in noise" if tone.in_noise else "–"
-    return f"{tone.ratio:.3f}" + ("" if tone.uncertainty < 5e-4 else f" ± {tone.uncertainty:.3f}")
-
-
-def _prediction(label: str, found: Prediction) -> dict[str, Any]:
-    """Table of predicted and measured tones, strongest first, ready to print."""
-    rows = [
-        {
-            "omega": f"{tone.omega:.2f}" + (f" ({tone.merged} lines)" if tone.merged > 1 else ""),
-            "hertz": f"{tone.omega / (2 * math.pi):.3f}",
-            "predicted": digits(tone.predicted / RAD_PER_MAS),
-            "measured": digits(tone.measured / RAD_PER_MAS),
-            "ratio": _ratio(tone),
-        }
-        for tone in sorted(found.tones, key=lambda tone: -tone.predicted)
-    ]
-    part = f"{digits(found.start, 6)} s to {digits(found.stop, 6)} s"
-    return {"label": label, "rows": rows, "part": part, "note": found.note}
-
-
-def render(
+def report_content(
     runs: Sequence[Recording],
     *,
     transient: float | None = None,
@@ -233,8 +196,8 @@ def render(
     model: ModelResults = NO_MODEL,
     remarks: Sequence[Sequence[str]] = (),
     summaries: Sequence[Summary] = (),
-) -> str:
-    """The report as HTML text.
+) -> ReportContent:
+    """The content of a report, for a page, a PDF and files of figures and tables.
 
     Parameters
     ----------
@@ -261,99 +224,37 @@ def render(
     summaries = summaries or summarise_all(runs, transient=transient, requirements=requirements)
     views = [view(run, name, transient, s.found, s.window) for run, name, s in zip(runs, names, summaries)]
     drawn = pictures(Drawn(views, [v.requirement for s in summaries for v in s.verdicts], model))
-    rows = _rows(names, summaries)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(
-        title=" / ".join(names),
-        bags=list(dict.fromkeys(run.path.name for run in runs)),
-        names=names,
-        several=len(runs) > 1,
-        exposure=windows_text(views),
-        rows=rows,
-        beyond="Time beyond limit" if any(row.lower for row in rows) else "Time above limit",
-        unknown=all(not s.requirements_known for s in summaries) and UNKNOWN,
-        cards=[run_card(v, s, n, r) for v, s, n, r in zip(views, summaries, names, remarks or [()] * len(runs))],
-        pictures=[
-            {
-                "id": p.name,
-                "title": p.title,
-                "svg": inline(p),
-            }
-            for p in drawn
-        ],
-        sensors=[(n, _sensors(run)) for n, run in zip(names, runs)],
-        sources=[(n, [one.shown for one in found]) for n, found in zip(names, model.sources) if found],
-        predictions=[_prediction(n, p) for n, p in zip(names, model.predictions) if p is not None],
-        false_lines=f"{FALSE_LINES:g}",
-        no_spectrum=[v.label for v in views if v.spectrum is None],
-        untimed=[v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size],
-        **_sources(runs),
-    )
+    untimed = [v.label for v in views if v.run.kind == "bag" and not intervals_us(v.run).size]
+    return content_of(views, summaries, drawn, model, remarks, untimed)
 
 
-def _sources(runs: Sequence[Recording]) -> dict[str, str]:
-    """Words for where the runs come from."""
-    ours = all(isinstance(run, Run) for run in runs)
-    bags = all(run.kind == "bag" for run in runs)
-    what = "bag" if bags else "file"
-    name = what if len(runs) == 1 else f"{what}s"
-    said = [str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs]
-    other = f"Line of sight: {'; '.join(dict.fromkeys(said))}."
-    return {
-        "source": "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
-        if ours
-        else other,
-        "from": name.capitalize(),
-        "alone": what,
-    }
-
-
-def _sensors(run: Recording) -> list[dict[str, str]]:
-    """Table of the sensors of a run, ready to print."""
-    rows = []
-    for sensor in sensors_of(run):
-        found = run[sensor.topic].integrity
-        rows.append(
-            {
-                "topic": sensor.topic,
-                "unit": ", ".join(sensor.unit.split(",")),
-                "rate": digits(sensor.rate),
-                "noise": ", ".join(digits(value) for value in dict.fromkeys(sensor.noise)),
-                "samples": str(len(run[sensor.topic]) - found.nan),
-                "dropped": str(found.nan) if sensor.held else ABSENT,
-            }
-        )
-    return rows
+def render(runs: Sequence[Recording], **options: Any) -> str:
+    """The report as HTML text; `options` are those of `report_content`, which raises the same."""
+    return page(report_content(runs, **options))
 
 
 def write_report(
-    runs: Sequence[Recording],
-    path: str | os.PathLike[str],
-    *,
-    transient: float | None = None,
-    requirements: Sequence[Requirement] | None = None,
-    model: ModelResults = NO_MODEL,
-    remarks: Sequence[Sequence[str]] = (),
-    summaries: Sequence[Summary] = (),
+    runs: Sequence[Recording], path: str | os.PathLike[str], *, paper: Paper = "a4", **options: Any
 ) -> Path:
     """Write the report of one or several runs; nothing is left half-written.
 
     Parameters
     ----------
-    runs, transient, requirements, model, remarks, summaries : see `render`
-    path : HTML file to write; an existing one is replaced
+    runs : see `report_content`
+    path : HTML file to write, or a PDF if it ends in ``.pdf``; an existing one is replaced
+    paper : of a PDF, ``a4`` or ``letter``
+    **options : of `report_content`
 
     Returns
     -------
     The path of the file.
+
+    Raises
+    ------
+    ValueError
+        As `report_content`; a path that cannot be written; a PDF without its extra.
     """
-    target = Path(path)
-    check_output(target, "the report")
-    page = render(
-        runs, transient=transient, requirements=requirements, model=model, remarks=remarks, summaries=summaries
-    )
-    write_text(target, page)
-    return target
+    outputs = ReportOutputs(Path(path), paper)
+    outputs.check()
+    outputs.write(report_content(runs, **options))
+    return Path(path)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pointing_analysis.requirements.rows import digits
+from pointing_analysis.formatting.number_text import digits, percent
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,9 @@ class SourceShare:
     rpe: float
     share: float
 
-    @property
-    def shown(self) -> dict[str, str]:
-        """The fields as a table has them."""
-        errors = {"ape": digits(self.ape), "rpe": digits(self.rpe), "share": f"{100 * self.share:.3g} %"}
-        return {"name": self.name, "kind": self.kind, "place": self.place, **errors}
+
+def source_table(shares: Sequence[SourceShare], name: str = "sources") -> TextTable:
+    """Sources of disturbance and their errors, each alone in the loop."""
+    cells = [(s.name, s.kind, s.place, digits(s.ape), digits(s.rpe), percent(s.share)) for s in shares]
+    heads = (*texts("source", "kind", "place"), *numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE"))
+    return TextTable.of(heads, cells, "What acts, each alone in the loop; shares add up", name=name)

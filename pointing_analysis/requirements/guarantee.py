@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pointing_analysis.formatting.number_text import at_most
 from pointing_analysis.read.mcap.bag_metadata import BUDGET, BUDGET_EDGE
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.requirement import Requirement
-from pointing_analysis.rounding import at_most
 
 METADATA = "proof_bounds"
 """Key of a bag: bounds with noise, JSON, see :func:`proven_bound`."""

@@ -17,9 +17,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.image.optics import Optics
 from pointing_analysis.requirements.image_summary import ImageSummary
-from pointing_analysis.rounding import at_least, at_most
 from pointing_analysis.units import RAD_PER_MAS
 
 METADATA = "proof_rpe"

@@ -6,58 +6,34 @@ Each output is made of the same rows, so that none of them can say what another 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from pointing_analysis.formatting.number_text import (
+    ABSENT,
+    at_most,
+    digits,
+    digits_beside,
+    number,
+    percent,
+    with_unit,
+)
+from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 from pointing_analysis.requirements.guarantee import ProvenBound
 from pointing_analysis.requirements.verdict import Status, Verdict
-from pointing_analysis.rounding import at_most
 from pointing_analysis.units import ANGLES
 
-KEEPS = "within limits"
-"""Shown for a run that keeps a limit and is too short to prove it."""
+KEEPS = "within limit"
+"""Shown for a run that keeps a limit and is too short to demonstrate it."""
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
-ABSENT = "–"
 ALL_RUNS = "all runs"
 
 
-def digits(value: float, places: int = 3) -> str:
-    """Number for a table: a few significant digits, a dash where there is none."""
-    if math.isnan(value):
-        return ABSENT
-    if math.isinf(value):
-        return "no bound yet"
-    whole = 1000.0 - 0.5 * 10.0 ** (3 - places)  # what would be rounded to 1e+03
-    return f"{value:.0f}" if abs(value) >= whole else f"{value:.{places}g}"
-
-
-def digits_beside(value: float, limit: float) -> str:
-    """As :func:`digits`, with as many more as show on which side of the limit the value is.
-
-    Examples
-    --------
-    >>> [digits_beside(value, 40.0) for value in (41.23, 40.0026, 39.9996, 40.0)]
-    ['41.2', '40.003', '39.9996', '40']
-    """
-    if math.isinf(value):
-        return f"{value:g}"
-    if math.isnan(value) or value == limit:
-        return digits(value)
-    texts = (digits(value, places) for places in range(3, 17))
-    return next((text for text in texts if (float(text) - limit) * (value - limit) > 0.0), repr(value))
-
-
-def number(value: float) -> float | None:
-    """Six digits for JSON; infinities and NaN become None."""
-    return float(f"{value:.6g}") if math.isfinite(value) else None
-
-
 def css_class(status: str) -> str:
-    """Class of a status: its colour on the page."""
-    return {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
+    """Class of a status, its colour and its sign: ok, kept (within the limit, not demonstrated), bad or open."""
+    return {"compliant": "ok", KEEPS: "kept", "not compliant": "bad"}.get(status, "open")
 
 
 def shown_status(v: Verdict) -> str:
@@ -65,15 +41,16 @@ def shown_status(v: Verdict) -> str:
     return KEEPS if v.status == "not enough data" and v.keeps else v.status
 
 
+WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", KEEPS, "compliant")
+"""What is shown of a verdict, the worst first."""
+
+
 def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
     """One word for several verdicts: the worst of them, or that the run was `disturbed`."""
     if disturbed and verdicts:
         return DISTURBED
     found = {shown_status(v) for v in verdicts}
-    for status in ("not compliant", "not enough data", "not judged", KEEPS):
-        if status in found:
-            return status
-    return "compliant" if found else "not judged"
+    return next((status for status in WORST_FIRST if status in found), "not judged")
 
 
 @dataclass(frozen=True)
@@ -88,7 +65,7 @@ class Beside:
     """
 
     proven: ProvenBound | None = None
-    unproven: str = "none: too short a record"
+    unproven: str = "not demonstrated: record too short"
     disturbed: str = ""
 
 
@@ -110,9 +87,9 @@ class RequirementRow:
     bound : upper bound of the quantile at `confidence`, of a lower limit the lower one; infinite where there is none
     confidence : between 0 and 1
     status : of the verdict
-    shown : status, or that the run keeps the limit where it is too short to prove it
+    index : of the requirement: those on one index are a group
+    shown : status, or that the run keeps the limit where it is too short to demonstrate it
     statement : verdict in words
-    remark : what length of run would decide, what is missing, or why it was not judged
     exceeding : share of the samples above the limit, or below a lower one
     samples, effective : samples, and independent ones that they weigh as much as
     seconds_needed : length of data that would decide [s]
@@ -120,7 +97,6 @@ class RequirementRow:
     note : of the verdict
     lower : whether the limit is a lower one
     beside : what else is known of it
-    named : whether other requirements of the table are on the same quantity, so that the name tells them apart
     """
 
     run: str
@@ -135,7 +111,7 @@ class RequirementRow:
     status: Status
     shown: str
     statement: str
-    remark: str
+    index: str
     exceeding: float
     samples: int
     effective: float
@@ -144,10 +120,9 @@ class RequirementRow:
     note: str
     lower: bool = False
     beside: Beside = NOTHING
-    named: bool = False
 
     @classmethod
-    def of(cls, verdict: Verdict, run: str = "", beside: Beside = NOTHING, named: bool = False) -> RequirementRow:
+    def of(cls, verdict: Verdict, run: str = "", beside: Beside = NOTHING) -> RequirementRow:
         """Row of a verdict."""
         r, scale = verdict.requirement, verdict.requirement.scale
         judged = verdict.status != "not judged"
@@ -166,7 +141,7 @@ class RequirementRow:
             status=verdict.status,
             shown=DISTURBED if beside.disturbed else shown_status(verdict),
             statement=f"{disturbed}{verdict.statement}",
-            remark=_remark(verdict),
+            index=r.index,
             exceeding=verdict.exceeding,
             samples=verdict.samples,
             effective=verdict.effective,
@@ -175,13 +150,12 @@ class RequirementRow:
             note=verdict.note,
             lower=r.lower,
             beside=beside,
-            named=named,
         )
 
     @property
     def label(self) -> str:
-        """Judged quantity, behind the name where others are on the same one."""
-        return f"{self.name}: {self.quantity}" if self.named and self.name else self.quantity
+        """Judged quantity behind the name of the requirement, where that says more than its index."""
+        return self.quantity if self.name in ("", self.index) else f"{self.name}: {self.quantity}"
 
     @property
     def css(self) -> str:
@@ -215,7 +189,7 @@ class RequirementRow:
     @property
     def exceeding_text(self) -> str:
         """Share of the samples above the limit."""
-        return ABSENT if math.isnan(self.exceeding) else f"{100 * self.exceeding:.3g} %"
+        return percent(self.exceeding)
 
     @property
     def effective_text(self) -> str:
@@ -224,22 +198,22 @@ class RequirementRow:
 
     @property
     def verdict_text(self) -> str:
-        """Verdict in words, with the reason where there is none."""
-        return f"{self.statement}: {self.note}" if self.status == "not judged" and self.note else self.statement
+        """Verdict in words, with its note: why there is none, or what is missing."""
+        separator = ": " if self.status == "not judged" else "; "
+        return f"{self.statement}{separator}{self.note}" if self.note else self.statement
 
     @property
     def margin_text(self) -> str:
         """Distance to the limit, also in % of it, positive where it is kept; empty where it was not judged."""
         if math.isnan(self.value):
             return ""
-        margin = self._margin
-        sign = "+" if margin >= 0 else "−"
-        return f"margin {sign}{with_unit(digits(abs(margin)), self.unit)} ({abs(100 * margin / self.limit):.0f} %)"
+        sign = "+" if self._margin >= 0 else "−"
+        return f"{sign}{with_unit(digits(abs(self._margin)), self.unit)} ({100 * abs(self.relative_margin):.0f} %)"
 
     @property
-    def margin_css(self) -> str:
-        """Class of the margin: its colour on the page."""
-        return "open" if math.isnan(self.value) else "ok" if self._margin >= 0 else "bad"
+    def relative_margin(self) -> float:
+        """Distance to the limit over the limit, positive where it is kept; NaN where it was not judged."""
+        return self._margin / self.limit
 
     @property
     def _scale(self) -> float:
@@ -284,34 +258,60 @@ class RequirementRow:
 
 
 def rows_of(verdicts: Sequence[Verdict], beside: Sequence[Beside], run: str = "") -> list[RequirementRow]:
-    """Rows of the verdicts on one run; no two of them have the same label unless their names are the same."""
+    """Rows of the verdicts on one run."""
     more = list(beside) or [NOTHING] * len(verdicts)
-    rows = [RequirementRow.of(verdict, run, one) for verdict, one in zip(verdicts, more, strict=True)]
-    count = Counter(row.quantity for row in rows)
-    return [replace(row, named=count[row.quantity] > 1) for row in rows]
+    return [RequirementRow.of(verdict, run, one) for verdict, one in zip(verdicts, more, strict=True)]
 
 
-def _remark(v: Verdict) -> str:
-    """What length of run would decide, and the note of the verdict."""
-    needed = ""
-    if v.status == "not enough data":
-        needed = (
-            "no length of run decides it"
-            if math.isinf(v.seconds_needed)
-            else f"not yet demonstrated: needs {math.ceil(v.seconds_needed)} s"
+BRIEF = ("requirement", "value", "limit", "bound", "verdict")
+"""Columns of `requirement_table` for the terminal and for a comparison of stages."""
+
+
+def requirement_table(rows: Sequence[RequirementRow], several: bool = False) -> TextTable:
+    """The table of requirements; `several`: with the run of each row."""
+    beyond = "time beyond limit" if any(row.lower for row in rows) else "time above limit"
+    heads = (*texts("run", "requirement", "verdict"), *numbers("value", "limit", "margin"))
+    cells = [
+        (
+            row.run,
+            row.label,
+            Marked(row.verdict_text, row.css),
+            row.value_text,
+            row.limit_text,
+            row.margin_text,
+            row.bound_text,
+            row.exceeding_text,
+            row.effective_text,
         )
-    return ". ".join(part for part in (needed, v.note) if part)
+        for row in rows
+    ]
+    heads = (*heads, *texts("bound"), *numbers(beyond, "independent samples"))
+    table = TextTable.of(heads, cells, "Requirements", name="requirements")
+    return table if several else table.only(*table.heads[1:])
 
 
-def with_unit(text: str, unit: str) -> str:
-    """A number with its unit, alone where it has none."""
-    return f"{text} {unit}" if unit else text
+def verdict_table(rows: Sequence[RequirementRow], several: bool = False) -> TextTable:
+    """One line for each group of requirements, those on one index: the worst of them, or the one with least margin."""
+    groups: dict[tuple[str, str], list[RequirementRow]] = {}
+    for row in rows:
+        groups.setdefault((row.run, row.index), []).append(row)
+    lines = []
+    for (run, index), group in groups.items():
+        worst = min(group, key=_rank)
+        label = worst.label if len(group) == 1 else f"{index}, worst of {len(group)} requirements\n{worst.label}"
+        verdict = Marked(worst.verdict_text, worst.css)
+        lines.append((run, label, verdict, worst.value_text, worst.limit_text, worst.margin_text))
+    heads = (*texts("run", "requirement", "verdict"), *numbers("value", "limit", "margin"))
+    table = TextTable.of(heads, lines, "Verdict", name="verdict")
+    return table if several else table.only(*table.heads[1:])
 
 
-HEADS = ("requirement", "value", "limit", "bound", "verdict")
-"""Headings of `cells`."""
+def _rank(row: RequirementRow) -> tuple[int, float]:
+    margin = row.relative_margin
+    return WORST_FIRST.index(row.shown), -math.inf if math.isnan(margin) else margin
 
 
-def cells(row: RequirementRow) -> tuple[str, str, str, str, str]:
-    """A row as texts for a table of the screen or of Markdown, under `HEADS`."""
-    return row.label, row.value_text, row.limit_text, row.bound_text, row.verdict_text
+def definition_table(rows: Sequence[RequirementRow]) -> TextTable:
+    """Names of the requirements and their texts, each once."""
+    found = dict.fromkeys((row.name or row.quantity, row.text) for row in rows)
+    return TextTable.of(("requirement", "definition"), found, "Requirements as stated", name="definitions")

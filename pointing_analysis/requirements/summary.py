@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.formatting.number_text import digits, number, with_unit
 from pointing_analysis.image.optics import OpticsError, optics_of
 from pointing_analysis.indices import metrics
 from pointing_analysis.indices.errors import (
@@ -40,11 +41,8 @@ from pointing_analysis.requirements.requirement import time_text
 from pointing_analysis.requirements.rows import (
     Beside,
     RequirementRow,
-    digits,
-    number,
     overall,
     rows_of,
-    with_unit,
 )
 from pointing_analysis.requirements.settling import judge_settled
 from pointing_analysis.requirements.verdict import Requirement, RequirementError, Verdict, from_entries, judge

@@ -86,7 +86,7 @@ class Verdict:
 
     @property
     def statement(self) -> str:
-        """The verdict in words: of too short a run whether it keeps its limit, and what length would prove it."""
+        """The verdict in words: of too short a run whether it keeps its limit, and what length would demonstrate it."""
         if self.status != "not enough data":
             return self.status
         if self.missing and not self.keeps:
@@ -94,13 +94,9 @@ class Verdict:
             return f"not enough data: {what} missing"
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
-            return f"{'at' if self.keeps else beyond} its limit; no length of run decides it"
-        seconds = f"{math.ceil(self.seconds_needed)} s"
-        return (
-            f"within limit, not yet demonstrated: needs {seconds}"
-            if self.keeps
-            else f"{beyond} limit, not yet demonstrated: needs {seconds}"
-        )
+            return f"{'at' if self.keeps else beyond} limit; not demonstrated by a run of any length"
+        needs = f"at {100 * self.requirement.confidence:g} % confidence: needs {math.ceil(self.seconds_needed)} s"
+        return f"{'within' if self.keeps else beyond} limit; not yet demonstrated {needs}"
 
 
 @dataclass(frozen=True)
@@ -344,7 +340,8 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
     try:
         collected = _collect(requirement, runs, transient)
     except ValueError as error:
-        return not_judged(requirement, str(error))
+        alone = f"{runs[0].path}: " if len(runs) == 1 else ""  # its name stands beside the verdict
+        return not_judged(requirement, str(error).removeprefix(alone))
     seconds = sum(one.seconds for one in collected)
     if requirement.interpretation == "ensemble":
         worst_of = [_worst(one.values, requirement) for one in collected]

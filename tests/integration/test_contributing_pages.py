@@ -105,7 +105,7 @@ def test_a_pointing_requirement_is_judged_in_table_page_and_json(copy: PackageCo
     screen, reported = copy.follow("Add a pointing requirement")
     assert "|RPE(500 ms)|" in screen and "|APE|, 99.7 %" in screen
     page = (copy.folder / "bags/mine/report.html").read_text("utf-8")
-    table = page[page.index('id="requirements"') : page.index('id="pictures"')]
+    table = page[page.index('id="requirements"') : page.index('id="metrics"')]
     assert name in table and "RPE, finest" not in table
     (run,) = json.loads(reported.splitlines()[-1])["runs"]
     (judged,) = run["requirements"]

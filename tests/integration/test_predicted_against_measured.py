@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 LIMIT = 1e-4
 """Of the mirror [rad], small enough to be reached."""
 
-TITLE = "Predicted against measured"
+TITLE = "Predicted and measured tones"
 
 
 def recorded(folder, **settings):

@@ -45,7 +45,8 @@ class _Page(HTMLParser):
 
 def page_rows(page: str) -> list[dict[str, str]]:
     """Rows of the table of requirements of a page, cells by their headings."""
-    part = page[page.index('id="requirements"') : page.index('id="pictures"')]
+    part = page[page.index('id="requirements"') :]
+    part = part[: part.index("</table>") if "<table" in part[: part.index("</section>")] else part.index("</section>")]
     found = _Page()
     found.feed(part)
     return [row for row in found.rows if row]

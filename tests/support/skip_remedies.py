@@ -19,6 +19,8 @@ REMEDIES = {
     "could not import 'h5py": "install the extra: pip install 'los-testbed[hdf5]'",
     "could not import 'pyarrow": "install the extra: pip install 'los-testbed[parquet]'",
     "could not import 'astropy": "install the extra: pip install 'los-testbed[image]'",
+    "could not import 'typst": "install the extra: pip install 'los-testbed[pdf]'",
+    "could not import 'pypdf": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'poppy": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'photutils": "install the extra: pip install 'los-testbed[dev]'",
     "could not import 'axe_core_python": "install the extra: pip install 'los-testbed[dev]'",

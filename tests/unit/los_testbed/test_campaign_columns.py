@@ -22,6 +22,7 @@ from los_testbed.cli.campaign import _show
 from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.identity import identity
+from los_testbed.run.summary.screen import on_screen
 from rich.console import Console
 
 from pointing_analysis.image.optics import optics_of
@@ -392,8 +393,8 @@ def test_page_table_and_json_show_the_columns(tmp_path: Path) -> None:
     screens = {}
     for width in (80, 300):
         console = Console(width=width, record=True, file=(tmp_path / "screen").open("w"))
-        console.print(verdict_table(summary))
-        console.print(metric_table(summary))
+        console.print(on_screen(verdict_table(summary)))
+        console.print(on_screen(metric_table(summary), whole=("metric",)))
         screens[width] = console.export_text()
         assert all(name in screens[width] for name in names), "a name that is cut names no column"
     assert "above 0.7" in screens[300]

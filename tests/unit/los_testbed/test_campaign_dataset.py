@@ -168,4 +168,4 @@ def test_summary_ranks_the_members(tmp_path: Path) -> None:
         "q1": 23.0,
     }
     assert "--duration 10 --loop fsm+pma --scenario worst_case" in summary["worst"][0]["command"]
-    assert metric_table(summary).row_count == len(summary["metrics"])
+    assert len(metric_table(summary).rows) == len(summary["metrics"])

@@ -95,7 +95,7 @@ def test_pictures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
     names = sorted(path.name for path in target.iterdir())
     stems = ("ellipticity", "energy", "mtf", "star", "target")
-    assert names == sorted(f"{stem}.{suffix}" for stem in stems for suffix in ("png", "svg"))
+    assert names == sorted(f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png", "svg"))
     first = {name: (target / name).read_bytes() for name in names}
     main(["image", "figures", *source(folder), "--optics", str(folder / "optics.toml"), "--output", str(target)])
     assert first == {name: (target / name).read_bytes() for name in names}, "the same bytes"
@@ -266,4 +266,4 @@ def test_the_five_lines_of_the_page(folder: Path, monkeypatch: pytest.MonkeyPatc
     unit.writeto("pupil.fits")
     main([*command[1:], "--transient", "0"])
     page = Path("seen.html").read_text()
-    assert "MTF(20 ms, Nyquist)" in page and "within limits" in page and '<figure id="star">' in page
+    assert "MTF(20 ms, Nyquist)" in page and "within limit" in page and '<figure id="star">' in page

@@ -179,7 +179,7 @@ def test_no_command_has_a_console_of_its_own() -> None:
         (["run", "--seed=-1"], ["seed", "-1"]),
         (["design", "k-fsm", "--time-limit=nan"], ["--time-limit", "nan"]),
         (["design", "k-fsm", "--output=no/such/folder/k.json"], ["folder of --output", "no/such"]),
-        (["analyse", "{bag}", "--report=no/such/r.html"], ["folder of the report"]),
+        (["analyse", "{bag}", "--report=no/such/r.html"], ["folder of --report"]),
         (["analyse", "{bag}", "--report={bag}"], ["must be a file"]),
         (["report", "{bag}", "--output=no/such/r.html"], ["folder of --output"]),
         (["replay", "{bag}", "--output={bag}"], ["exists already"]),

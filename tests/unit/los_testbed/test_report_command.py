@@ -47,7 +47,7 @@ def test_several_bags_side_by_side(call, tmp_path) -> None:
     assert [run["loop"] for run in content["runs"]] == ["isolator", "fsm"]
     assert all(run["transient_s"] == 5.0 for run in content["runs"])
     page = (call.here / "two.html").read_text()
-    assert page.count('<article class="card') == 2
+    assert page.count('<strong class="name">') == 2
     code, out, _ = call(bags[0])
     assert (bags[0] / "report.html").exists()
     assert "5 s" in out
@@ -60,7 +60,7 @@ def test_a_bag_of_somebody_else_has_no_predictions(call, tmp_path) -> None:
     assert code == 0
     page = (call.here / "r.html").read_text()
     assert "210.00" in page
-    assert "Predicted against measured" not in page and "no prediction" not in page
+    assert "Predicted and measured tones" not in page and "no prediction" not in page
 
 
 def test_what_the_run_said_beside_its_verdict_is_said_again(call, tmp_path) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.requirement_outputs import outputs
 
+from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.read.series import Series, series
-from pointing_analysis.requirements.rows import digits
 from pointing_analysis.requirements.summary import performance_error, summarise
 from pointing_analysis.requirements.verdict import Requirement, decide, index_samples, parse
 
@@ -44,7 +44,10 @@ def test_a_limit_judges_its_own_window(tmp_path: Path, monkeypatch: pytest.Monke
     own = decide(LONG[0], values, cap, 60.0).quantile.value / RAD_PER_MAS
     assert own > 150.0 > 100.0 > summarise(run, requirements=()).rpe_windows_p997
     assert metrics["window_s"] == 0.25
-    assert [row[0] for row in table[:2]] == ["|RPE(250 ms)|, 99.7 %", "|PDE(1 s, 10 s)|, 99.7 %"]
+    assert [row[0] for row in table[:2]] == [
+        "long exposure: |RPE(250 ms)|, 99.7 %",
+        "drift: |PDE(1 s, 10 s)|, 99.7 %",
+    ]
     assert table[0][1:3] == [f"{digits(own)} mas", "100 mas"] and table[0][4] == "not compliant"
     assert table[1][2] == "100 mas" and table[1][4] == "not compliant"
     assert [row["Verdict"] for row in page] == ["not compliant", "not compliant"]
@@ -59,7 +62,7 @@ def test_no_window_no_metric_no_verdict(tmp_path: Path, monkeypatch: pytest.Monk
     found = [row for row in table if "RPE" in row[0]]
     assert [row[1:4] for row in found] == [["–", "100 mas", "–"], ["–", "40 mas", "–"]]
     assert all(row[4].startswith("not judged: ") and "two samples" in row[4] for row in found)
-    assert [row["Verdict"] for row in page][1:] == ["not judged"] * 2
+    assert all(row["Verdict"].startswith("not judged: ") for row in page[1:]) and len(page) == 3
     assert [row["status"] for row in metrics["requirements"]][1:] == ["not judged"] * 2
 
 
@@ -98,11 +101,11 @@ def seen(row: dict[str, Any]) -> list[str]:
     unit = row["unit"]
     not_judged = row["status"] == "not judged"
     value = "–" if row["quantile"] is None else f"{digits(row['quantile'])} {unit}"
-    bound = "–" if not_judged else "none: too short a record"
+    bound = "–" if not_judged else "not demonstrated: record too short"
     if row["upper_bound"] is not None:
         bound = f"{digits(row['upper_bound'])} {unit} at {100 * row['confidence']:g} %"
-    verdict = f"{row['statement']}: {row['note']}" if not_judged else row["statement"]
-    return [row["quantity"], value, f"{row['limit']:g} {unit}", bound, verdict]
+    verdict = (": " if not_judged else "; ").join(filter(None, (row["statement"], row["note"])))
+    return [f"{row['name']}: {row['quantity']}", value, f"{row['limit']:g} {unit}", bound, verdict]
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -119,17 +122,13 @@ def test_all_outputs_agree(seed: int, tmp_path: Path, monkeypatch: pytest.Monkey
     assert [row["text"] for row in rows] == [str(r) for r in requirements] * count
     for table, one in zip(tables, metrics):
         assert table[: len(requirements)] == [seen(row) for row in one["requirements"]]
-    shown = {(row.get("Run", runs[0].path.name), row["Requirement"].partition("\n")[2]): row for row in page}
+    shown = {(row.get("Run", runs[0].path.name), row["Requirement"], row["Limit"]): row for row in page}
     for run, one in zip(runs, metrics):
         for row, requirement in zip(one["requirements"], requirements):
             joint = count > 1 and requirement.across_runs
-            on_page = shown["all runs" if joint else run.path.name, row["text"]]
-            _, value, limit, bound, _ = seen(row)
-            assert [on_page[head] for head in ("Quantile", "Limit", "Bound")] == [value, limit, bound]
-            words = {"not enough data": ("not enough data", "within limits")}.get(row["status"], (row["status"],))
-            assert on_page["Verdict"] in words
-            assert ("within" in on_page["Verdict"]) == row["statement"].startswith(("within limit", "at its limit"))
-            assert row["note"] in on_page.get("Remark", "")
+            label, value, limit, bound, verdict = seen(row)
+            on_page = shown["all runs" if joint else run.path.name, label, limit]
+            assert [on_page[head] for head in ("Value", "Limit", "Bound", "Verdict")] == [value, limit, bound, verdict]
     single = [r for r in requirements if not r.across_runs]
     assert len(page) == len({str(r) for r in requirements if r.across_runs and count > 1}) + (
         count * len(single) if count > 1 else len(requirements)

@@ -77,7 +77,7 @@ def test_a_ramp_that_leaves_the_family_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_run_that_is_too_short_for_an_index_did_not_diverge(tmp_path: Path) -> None:
     plan = replace(PLANNED, base=replace(PLANNED.base, duration=0.01), folder=tmp_path / "s")
     results = perform(plan)
-    assert stages_tables.cell(results, "imbalance", "fsm", "all", "rpe_rms_mas") == "-"
+    assert stages_tables.cell(results, "imbalance", "fsm", "all", "rpe_rms_mas") == "–"
     assert float(stages_tables.cell(results, "imbalance", "fsm", "all", "ape_max_arcsec")) > 0
     without = [replace(result, summary=None) for result in results]  # as one that diverged
     assert stages_tables.cell(without, "imbalance", "fsm", "all", "rpe_rms_mas") == "diverged"

@@ -14,7 +14,7 @@ from los_testbed.cli.app import main
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import DESIGN_FILES, of_designs
 from los_testbed.parts.run_parts import RunParts
-from los_testbed.run.star_trade import markdown, parameter_text
+from los_testbed.run.star_trade import parameter_text, table
 
 from lftkit import SampledSystem
 from los_design import redesign
@@ -69,9 +69,9 @@ def test_a_table_counts_frames_that_the_star_did_not_give() -> None:
         "design": "kept",
         "not_met": [],
     }
-    first = "| 15.5 | 50 | 7.66 | 44 of 200 | 1.5 | 29.8 | 0.5 | - |"
-    assert markdown([row]).splitlines()[-1] == f"{first} kept |"
-    assert markdown([{**row, "design": "rounds", "not_met": ["RPE"]}]).endswith(f"{first} rounds, 1 not met |\n")
+    first = "| 15.5 | 50 | 7.66 | 44 of 200 | 1.5 | 29.8 | 0.5 | – |"
+    assert table([row]).markdown().splitlines()[-1] == f"{first} kept |"
+    assert table([{**row, "design": "rounds", "not_met": ["RPE"]}]).markdown().endswith(f"{first} rounds, 1 not met |")
 
 
 SHORT = ["--rates", "50", "--duration", "1", "--scenario", "imbalance"]

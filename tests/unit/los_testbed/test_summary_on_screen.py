@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pointing_analysis.read.series import series
+from pointing_analysis.report.outputs import ReportOutputs
 from pointing_analysis.report.source_share import SourceShare
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise
@@ -137,7 +138,7 @@ def test_missed_ticks_are_judged_at_their_limit(summary: Summary) -> None:
     for limit, verdict in ((share, "met"), (0.99 * share, "not met")):
         table = rows(screen._table(summary, {**found, "max_missed": limit}))
         assert table["missed ticks"] == ["3 of 2005 (0.15 %)", f"{limit:g} %", "", verdict]
-    assert table["sensor to command: median, 99 %, 99.9 %"][0] == "250 / 302 / - µs"
+    assert table["sensor to command: median, 99 %, 99.9 %"][0] == "250 / 302 / – µs"
 
 
 @pytest.mark.parametrize(("mode", "counts"), [("lockstep", COUNTS), ("realtime", {}), ("inprocess", {})])
@@ -169,7 +170,8 @@ def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> Non
     beside = [figure for figure in summary.figures if figure.quantity not in judged]
     assert len(beside) == len(summary.figures) - 1  # the requirement is on one of them
     assert set(rows(table)) == {*judged, *(figure.name for figure in beside), "samples lost"}
-    assert [row.css for row in summary.rows] == ["ok"] and table.columns[-1]._cells[0].style == "green"  # type: ignore[union-attr]
+    assert [row.css for row in summary.rows] == ["kept"]
+    assert table.columns[-1]._cells[0].style == "green"  # type: ignore[union-attr]
 
 
 def test_title_names_what_is_known(summary: Summary) -> None:
@@ -184,20 +186,22 @@ def test_lines_below_the_table(summary: Summary) -> None:
     budget = "RPE [bold]12.5[/bold] mas, " + "noise 3.25 mas, " * 6
     other: Any = replace(summary, budget=budget, problems=("a defect",), requirements_known=False)  # type: ignore[arg-type]
     one = {**metrics(summary), "remarks": ["first", "second"]}
-    text = printed(RunSummaries((other,), (one,), Path("page.html")), force_terminal=True, color_system="standard")
+    text = printed(
+        RunSummaries((other,), (one,), ReportOutputs(Path("page.html"))), force_terminal=True, color_system="standard"
+    )
     lines = text.splitlines()
     assert budget.rstrip() in [line.rstrip() for line in lines]  # no markup, no colour, no break
     wanted = [UNKNOWN, "first", "second", "a defect"]
     plain = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines]
     assert [line for line in plain if line.startswith("note: ")] == [f"note: {text}" for text in wanted]
     assert lines[-2:] == [f"arrays  {other.path}", "report  page.html"]
-    bare = printed(RunSummaries((summary,), (metrics(summary) | {"remarks": []},), None))
+    bare = printed(RunSummaries((summary,), (metrics(summary) | {"remarks": []},)))
     assert UNKNOWN not in bare and "None" not in bare and "report" not in bare
 
 
 def test_what_is_open_is_summarised_without_a_report() -> None:
     found = summarise_runs([JITTER], None, requirements=(APE,))
-    assert found.report is None and found.remarks == ((),)
+    assert not found.outputs and found.remarks == ((),)
     (one,) = found.runs
     assert one["ticks"] == 2000 and one["remarks"] == [] and REMARK not in one["remarks"]
     assert one["bag"] == str(found.summaries[0].path) and one["loop"] == found.summaries[0].loop

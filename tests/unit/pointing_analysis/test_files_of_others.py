@@ -272,7 +272,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_file_is_read(
     with pytest.raises(SystemExit) as stop:
         main(["analyse", str(tmp_path / "a.csv"), "--report", str(tmp_path / "none" / "a.html")])
     assert stop.value.code == 2
-    assert capsys.readouterr().err == f"los-testbed: the folder of the report must exist, got {tmp_path / 'none'}\n"
+    assert capsys.readouterr().err == f"los-testbed: the folder of --report must exist, got {tmp_path / 'none'}\n"
 
 
 # -- quantities -------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from pointing_analysis.image.quality import figures
 from pointing_analysis.indices.errors import ErrorSeries
 from pointing_analysis.read.series import Series, series
 from pointing_analysis.requirements.requirement import RequirementError, entries, from_entries, parse
-from pointing_analysis.requirements.rows import RequirementRow, cells, overall
+from pointing_analysis.requirements.rows import BRIEF, RequirementRow, overall, requirement_table
 from pointing_analysis.requirements.verdict import Verdict, decide, index_samples, judge
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -147,18 +147,18 @@ def test_verdicts_in_the_table() -> None:
     assert (good.status, bad.status) == ("compliant", "not compliant")
     assert good.samples == 1250 and good.quantile.lower < good.quantile.value < 0.97
     row = RequirementRow.of(good)
-    assert cells(row)[0] == "MTF(20 ms, Nyquist), 99.7 %"
+    assert row.quantity == "MTF(20 ms, Nyquist), 99.7 %"
     assert row.value_text == f"{good.quantile.value:.3g}" and row.limit_text == "above 0.9"
     assert row.bound_text == f"above {good.quantile.lower:.3g} at 95 %"
-    assert row.margin_text.startswith("margin +0.0") and row.margin_css == "ok"
-    assert RequirementRow.of(bad).margin_css == "bad" and overall([good, bad]) == "not compliant"
+    assert row.margin_text.startswith("+0.0") and row.relative_margin > 0.0
+    assert RequirementRow.of(bad).relative_margin < 0.0 and overall([good, bad]) == "not compliant"
     assert row.as_dict()["lower_bound"] == pytest.approx(good.quantile.lower, rel=1e-5)
     assert "upper_bound" not in row.as_dict()
     short = judged(f"prob(Strehl(20 ms) > 0.9) {TAIL}", run_of(noise(5001)))
-    assert short.statement.startswith("within limit, not yet demonstrated: needs 2")
+    assert short.statement.startswith("within limit; not yet demonstrated at 95 % confidence: needs 2")
     assert math.isinf(short.quantile.lower)
     assert (
-        RequirementRow.of(short).bound_text == "none: too short a record"
+        RequirementRow.of(short).bound_text == "not demonstrated: record too short"
         and RequirementRow.of(short).as_dict()["lower_bound"] is None
     )
     worse = judged("prob(Strehl(20 ms) > 0.993) >= 0.5 at 99.9999 % confidence", run_of(noise(401, 4.0)))
@@ -199,7 +199,8 @@ def test_several_runs() -> None:
 def test_what_cannot_be_judged_says_why(run: Any, reason: str) -> None:
     found = judged(f"prob(MTF(20 ms, Nyquist) > 0.9) {TAIL}", run)
     assert found.status == "not judged" and reason in found.note
-    assert cells(RequirementRow.of(found))[1:] == ("–", "above 0.9", "–", f"not judged: {found.note}")
+    (row,) = requirement_table([RequirementRow.of(found)]).only(*BRIEF).rows
+    assert row[1:] == ("–", "above 0.9", "–", f"not judged: {found.note}")
 
 
 def test_hopeless_exposures_do_not_stop_a_verdict() -> None:

@@ -43,11 +43,11 @@ def test_the_report_has_pictures_of_what_moves_and_no_lines_or_tones_of_fixed_fr
     page = render([run])
     for name in ("rpe-over-time", "waterfall-1", "campbell-1"):
         assert f'id="{name}"' in page
-    assert "Wheels or arrays move during this run" in page and "budget of the RPE" not in page
+    assert "Wheels or arrays move during this run" in page and "Budget of the RPE" not in page
     assert summarise(run).budget is None and summarise(run).as_dict()["budget_rpe_mas"] is None
     still = bag(tmp_path / "still")
     page = render([still])
-    assert "campbell" not in page and "Wheels or arrays move" not in page and "budget of the RPE" in page
+    assert "campbell" not in page and "Wheels or arrays move" not in page and "Budget of the RPE" in page
     assert summarise(still).budget is not None
 
 

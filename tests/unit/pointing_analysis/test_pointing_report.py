@@ -5,6 +5,7 @@ from __future__ import annotations
 import html.parser
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,16 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.report import distribution_figure, figures
 from pointing_analysis.report.cumulative_figure import cumulative
 from pointing_analysis.report.figures import LaidOutFigure, by_line
+from pointing_analysis.report.line_sources import likely_source
 from pointing_analysis.report.model_results import ModelResults
 from pointing_analysis.report.report import labels, latency_us, render, view, write_report
+from pointing_analysis.report.spectrum_figure import density
 from pointing_analysis.requirements import verdict as requirements
 from pointing_analysis.requirements.requirement import parse
 from pointing_analysis.requirements.rows import KEEPS, overall
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+from pointing_analysis.spectra.sidebands import FoundLine
 from pointing_analysis.units import RAD_PER_ARCSEC
 from titop_plant.telescope.load import load_telescope
 
@@ -190,7 +194,7 @@ def test_page_of_one_run_is_small(page_of_one) -> None:
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_the_card_shows_limit_and_margin(stages) -> None:
+def test_the_verdict_shows_limit_and_margin(stages) -> None:
     """Margin: limit minus quantile of the requirement, with its sign."""
     run = Run.open(stages[0])
     page = render([run])
@@ -198,9 +202,11 @@ def test_the_card_shows_limit_and_margin(stages) -> None:
     for verdict, row in zip(found.verdicts, found.rows):
         r = verdict.requirement
         margin = r.limit - verdict.quantile.value
-        assert row.margin_css == ("ok" if margin >= 0 else "bad")
-        assert f"{row.value_text} of {r.limit / r.scale:.3g} {r.unit}" in page
+        assert row.relative_margin == pytest.approx(margin / r.limit)
         assert f"({abs(100 * margin / r.limit):.0f} %)" in row.margin_text and row.margin_text in page
+    worst = min((row for row in found.rows if row.index == "RPE"), key=lambda row: row.relative_margin)
+    top = page[page.index('id="verdict"') : page.index('id="requirements"')]
+    assert all(f">{text}</td>" in top for text in (worst.value_text, worst.limit_text, worst.margin_text))
 
 
 def test_the_cumulative_rms_steps_up_by_the_tone(stages) -> None:
@@ -238,13 +244,38 @@ def test_headings_ids_and_links(page) -> None:
 
 def test_verdict_stands_on_top_and_equals_the_summary(stages, page) -> None:
     text = page.read_text()
-    assert text.index('class="status') < text.index('id="requirements"')
-    cards = re.findall(r'<article class="card (\w+)[^"]*">\s*<h2 class="name">([^<]*)</h2>', text)
-    assert [name for _, name in cards] == [*STAGES]
-    for bag, (css, _) in zip(stages, cards):
+    order = [text.index(f'id="{name}"') for name in ("verdict", "pictures", "requirements", "further", "provenance")]
+    assert order == sorted(order)
+    found = re.findall(r'<strong class="name">([^<]*)</strong> <span class="status (\w+)">([^<]*)<', text)
+    assert [name for name, *_ in found] == [*STAGES]
+    for bag, (_, css, shown) in zip(stages, found):
         status = overall(summarise(Run.open(bag)).verdicts)
-        assert css == {"compliant": "ok", KEEPS: "ok", "not compliant": "bad"}.get(status, "open")
+        assert (css, shown) == ({"compliant": "ok", KEEPS: "kept", "not compliant": "bad"}.get(status, "open"), status)
     assert "not compliant" in text
+
+
+def test_the_first_pictures_are_error_spectrum_windows_and_path(page) -> None:
+    text = page.read_text()
+    names = re.findall(r'<figure id="([^"]+)"', text)
+    assert names[:4] == ["time", "psd", "rpe-over-exposure", "trajectory"]
+    leading = text[text.index('id="pictures"') : text.index('id="requirements"')]
+    assert leading.count("<figure") == 4
+
+
+def test_lines_are_named_with_what_is_likely_to_make_them(tmp_path) -> None:
+    """A wheel, a multiple of its speed, else the scenario that acts; what fits nothing has no name."""
+    acting = [{"name": "imbalance", "kind": "scenario", "what": ""}]
+    path = make(
+        tmp_path / "bag", "fsm", 5.0, wheel_speed=[70.0, -88.0], acting=acting, tones_rad_s=[88.0, 210.0, 301.0]
+    )
+    seen = view(Run.open(path), "fsm")
+    names = {round(line.omega): likely_source(seen, line) for line in seen.tones}
+    assert names == {70: "wheel 1", 88: "wheel 2", 210: "3 × wheel 1", 301: "imbalance"}
+    nobody = FoundLine(333.0, np.zeros(2), np.zeros(2), np.zeros(2), level=20.0, chance=0.0)
+    found = replace(seen.tones[0], omega=333.0, found=nobody)
+    assert likely_source(seen, found) == ""
+    alt = density([seen]).alt
+    assert "14.01 Hz wheel 2" in alt and "33.42 Hz 3 × wheel 1" in alt
 
 
 def test_disturbance_lines_and_provenance_are_in_the_page(page) -> None:
@@ -293,7 +324,8 @@ def test_labels_are_unique(stages) -> None:
 def test_requirements_over_several_runs_are_judged_once(stages) -> None:
     mixed = [requirements.parse("prob(|RPE(20 ms)| < 40 mas) >= 0.5 at 95 % confidence, mixed")]
     page = render([Run.open(bag) for bag in stages], requirements=mixed)
-    assert page.count('data-label="Requirement"') == 1
+    table = page[page.index('id="requirements"') : page.index('id="metrics"')]
+    assert table[: table.index("</table>")].count('data-label="Requirement"') == 1
     assert "all runs" in page
 
 
@@ -312,10 +344,10 @@ def test_model_is_drawn_beside_the_measured_lines(stages, page, monkeypatch) -> 
 @pytest.mark.usefixtures("without_pictures")
 def test_predictions_stand_beside_what_was_measured(stages, page) -> None:
     text = page.read_text()
-    part = text[text.index('id="predicted"') : text.index('id="provenance"')]
+    part = text[text.index('id="predicted"') : text.index('id="further"')]
     rows = [re.findall(r'class="n">([^<]*)</td>', row) for row in re.findall(r"<tr>(<td.*?)</tr>", part, re.DOTALL)]
-    assert rows[0] == ["210.00 (2 lines)", "33.423", "30", "60", "2.000"]  # the strongest first
-    assert rows[1] == ["88.00", "14.006", "15", "15.3", "1.020 ± 0.020"]
+    assert rows[0] == ["33.423", "210.00 (2 lines)", "30", "60", "2.000"]  # the strongest first
+    assert rows[1] == ["14.006", "88.00", "15", "15.3", "1.020 ± 0.020"]
     assert rows[2][-1] == "in noise"
     assert rows[3][-1] == "–"  # nothing predicted
     assert "fsm+pma: 1 s to 6 s" in part and "isolator: no prediction: the controllers are gone" in part
@@ -375,20 +407,18 @@ def test_fits_the_window_without_errors(chromium, page, width: int, phone: bool)
 def test_nothing_overlaps_or_leaves_its_box(chromium, page) -> None:
     for width in (390, 1280):
         chromium.open(page, width, phone=width < 500)
-        wide = "[...document.querySelectorAll('.card, figure, .card *')].filter(e => e.scrollWidth > e.clientWidth + 1"
-        assert (
-            chromium.value(f"{wide} && getComputedStyle(e).display != 'inline').map(e => e.outerHTML.slice(0, 80))")
-            == []
-        )
+        found = "[...document.querySelectorAll('#verdict, figure, #verdict *')]"
+        wide = f"{found}.filter(e => e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).display != 'inline')"
+        assert chromium.value(f"{wide}.map(e => e.outerHTML.slice(0, 80))") == []
 
 
 @needs_browser
 def test_the_requirements_of_several_runs_show_all_columns(chromium, page) -> None:
-    """The last one, the remark, was cut on the right of a window of 1280 pixels."""
+    """The last one was cut on the right of a window of 1280 pixels."""
     chromium.open(page, 1280)
     table = "document.querySelector('#requirements .scroll')"
     heads = chromium.value("[...document.querySelectorAll('#requirements th')].map(e => e.textContent)")
-    assert (heads[0], heads[-1]) == ("Run", "Remark")
+    assert (heads[0], heads[8]) == ("Run", "Independent samples")
     assert chromium.value(f"{table}.scrollWidth - {table}.clientWidth") <= 0
 
 
@@ -438,12 +468,11 @@ def test_prints_with_everything_unfolded(chromium, page) -> None:
     chromium.open(page, 1280)
     pdf = chromium.pdf()
     assert pdf.startswith(b"%PDF")
-    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 14
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 16
     chromium.call("Emulation.setEmulatedMedia", media="print")
     try:
-        hidden = (
-            "[...document.querySelectorAll('details table')].filter(t => t.getBoundingClientRect().height < 10).length"
-        )
+        folded = "[...document.querySelectorAll('details table, details ul')]"
+        hidden = f"{folded}.filter(t => t.getBoundingClientRect().height < 10).length"
         assert chromium.value(hidden) == 0
         assert chromium.value("getComputedStyle(document.querySelector('nav')).display") == "none"
     finally:

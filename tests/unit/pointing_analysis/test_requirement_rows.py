@@ -8,8 +8,18 @@ from typing import Any
 
 import pytest
 
+from pointing_analysis.formatting.number_text import digits, number
 from pointing_analysis.indices.confidence import Quantile
-from pointing_analysis.requirements.rows import HEADS, KEEPS, RequirementRow, cells, css_class, digits, number, overall
+from pointing_analysis.requirements.rows import (
+    BRIEF,
+    KEEPS,
+    RequirementRow,
+    css_class,
+    definition_table,
+    overall,
+    requirement_table,
+    verdict_table,
+)
 from pointing_analysis.requirements.verdict import Verdict, parse
 from pointing_analysis.units import RAD_PER_MAS
 
@@ -34,6 +44,10 @@ NOT_JUDGED = verdict(
 )
 
 
+def brief(row: RequirementRow) -> tuple[str, ...]:
+    return requirement_table([row]).only(*BRIEF).rows[0]
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -43,7 +57,7 @@ NOT_JUDGED = verdict(
         (1000.0, "1000"),
         (-1234567.8, "-1234568"),
         (math.nan, "–"),
-        (math.inf, "no bound yet"),
+        (math.inf, "no bound"),
         (0.0, "0"),
     ],
 )
@@ -66,11 +80,10 @@ def test_numbers_for_json() -> None:
 
 def test_a_row() -> None:
     row = RequirementRow.of(verdict(), "run")
-    assert cells(row) == ("|RPE(250 ms)|, 75 %, mixed", "30 mas", "40 mas", "36 mas at 90 %", "compliant")
-    assert len(HEADS) == len(cells(row))
-    assert (row.run, row.name, row.text, row.css, row.remark) == ("run", "long", str(RULE), "ok", "")
+    assert brief(row) == ("long: |RPE(250 ms)|, 75 %, mixed", "30 mas", "40 mas", "36 mas at 90 %", "compliant")
+    assert (row.run, row.name, row.text, row.css) == ("run", "long", str(RULE), "ok")
     assert (row.exceeding_text, row.effective_text) == ("12.5 %", "50 of 2000")
-    assert (row.margin_text, row.margin_css) == ("margin +10 mas (25 %)", "ok")
+    assert (row.margin_text, row.relative_margin) == ("+10 mas (25 %)", pytest.approx(0.25))
     assert row.as_dict() == {
         "name": "long",
         "text": str(RULE),
@@ -94,38 +107,48 @@ def test_a_row() -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "text", "css"),
-    [
-        (verdict(50.0), "margin −10 mas (25 %)", "bad"),
-        (verdict(40.0), "margin +0 mas (0 %)", "ok"),
-        (NOT_JUDGED, "", "open"),
-    ],
+    ("found", "text", "margin"),
+    [(verdict(50.0), "−10 mas (25 %)", -0.25), (verdict(40.0), "+0 mas (0 %)", 0.0), (NOT_JUDGED, "", math.nan)],
 )
-def test_margins(found: Verdict, text: str, css: str) -> None:
+def test_margins(found: Verdict, text: str, margin: float) -> None:
     row = RequirementRow.of(found)
-    assert (row.margin_text, row.margin_css) == (text, css)
+    assert row.margin_text == text and row.relative_margin == pytest.approx(margin, nan_ok=True)
 
 
 def test_a_requirement_that_is_not_judged_has_no_number() -> None:
     row = RequirementRow.of(NOT_JUDGED)
-    assert cells(row)[1:] == ("–", "40 mas", "–", "not judged: no window")
-    assert (row.exceeding_text, row.remark, row.css, row.shown) == ("–", "no window", "open", "not judged")
+    assert brief(row)[1:] == ("–", "40 mas", "–", "not judged: no window")
+    assert (row.exceeding_text, row.css, row.shown) == ("–", "open", "not judged")
     assert {row.as_dict()[key] for key in ("quantile", "upper_bound", "exceeding", "seconds_needed")} == {None}
     bare = RequirementRow.of(replace(NOT_JUDGED, note=""))
     assert bare.verdict_text == "not judged"
 
 
-def test_remarks() -> None:
-    def remark(**changes: Any) -> str:
-        return RequirementRow.of(replace(OPEN, **changes)).remark
+def test_words_of_a_verdict() -> None:
+    def words(**changes: Any) -> str:
+        return RequirementRow.of(replace(OPEN, **changes)).verdict_text
 
-    assert remark() == "not yet demonstrated: needs 13 s"
-    assert remark(exceeding=0.5) == "not yet demonstrated: needs 13 s"
-    assert remark(seconds_needed=math.inf) == "no length of run decides it"
-    assert remark(note="cut off") == "not yet demonstrated: needs 13 s. cut off"
-    assert RequirementRow.of(verdict(note="2 of 9 are missing")).remark == "2 of 9 are missing"
+    assert words() == "within limit; not yet demonstrated at 90 % confidence: needs 13 s"
+    assert words(exceeding=0.5) == "above limit; not yet demonstrated at 90 % confidence: needs 13 s"
+    assert words(seconds_needed=math.inf) == "at limit; not demonstrated by a run of any length"
+    assert words(note="cut off").endswith(": needs 13 s; cut off")
+    assert RequirementRow.of(verdict(note="2 of 9 are missing")).verdict_text == "compliant; 2 of 9 are missing"
     no_bound = RequirementRow.of(replace(OPEN, quantile=replace(OPEN.quantile, upper=math.inf)))
-    assert no_bound.bound_text == "none: too short a record" and no_bound.as_dict()["upper_bound"] is None
+    assert no_bound.bound_text == "not demonstrated: record too short" and no_bound.as_dict()["upper_bound"] is None
+
+
+def test_the_verdict_has_a_line_for_each_index_of_each_run_with_the_worst_of_its_requirements() -> None:
+    ape = replace(RULE, index="APE", times=(), name="APE", interpretation="temporal")
+    strict = replace(RULE, limit=20 * RAD_PER_MAS, name="strict")
+    rows = [RequirementRow.of(v, "a") for v in (verdict(requirement=ape), OPEN, verdict())]
+    rows += [RequirementRow.of(v, "b") for v in (verdict(), verdict(19.0, requirement=strict))]
+    table = verdict_table(rows, several=True)
+    assert [row[0] for row in table.rows] == ["a", "a", "b"]
+    assert table.rows[0][1:3] == ("|APE|, 75 %", "compliant")
+    assert table.rows[1][1].startswith("RPE, worst of 2 requirements\n") and table.rows[1][2].startswith(KEEPS)
+    assert table.rows[2][3:] == ("19 mas", "20 mas", "+1 mas (5 %)"), "of two that are compliant that of least margin"
+    assert verdict_table(rows[:1]).heads == table.heads[1:]
+    assert definition_table(rows).rows[:2] == (("APE", str(ape)), ("long", str(RULE)))
 
 
 def test_shown_and_overall() -> None:
@@ -142,7 +165,7 @@ def test_shown_and_overall() -> None:
     assert overall([]) == "not judged"
     assert [css_class(s) for s in ("compliant", KEEPS, "not compliant", "not judged", "not enough data")] == [
         "ok",
-        "ok",
+        "kept",
         "bad",
         "open",
         "open",

@@ -6,7 +6,7 @@ import math
 import random
 from fractions import Fraction
 
-from pointing_analysis.rounding import at_least, at_most
+from pointing_analysis.formatting.number_text import at_least, at_most
 
 
 def test_a_bound_from_above_is_rounded_up_and_one_from_below_down() -> None:

@@ -136,15 +136,21 @@ def test_the_length_that_would_decide() -> None:
     """Seconds for each independent sample, times the samples needed at the rate that counts."""
     found = decide(STRICT, samples(500, 0), 250.0, 40.0)
     assert found.seconds_needed == pytest.approx(998 * 40.0 / 250.0)
-    assert found.statement == "within limit, not yet demonstrated: needs 160 s"
+    assert found.statement == "within limit; not yet demonstrated at 95 % confidence: needs 160 s"
     missing = decide(STRICT, samples(499, 0), 499.0, 40.0, 1.0)
     needed = confidence.samples_to_decide(0.997, 0.95, 1 / 500)
     assert missing.seconds_needed == pytest.approx(needed * 40.0 / 499.0) and needed > 998
     unknown = decide(STRICT, samples(500, 1), 500.0, 40.0, math.inf)
     assert unknown.seconds_needed == pytest.approx(confidence.samples_to_decide(0.997, 0.95, 1 / 500) * 40.0 / 500.0)
     above = decide(LOOSE, samples(10, 3), 10.0, 2.0)
-    assert above.status == "not enough data" and above.statement.startswith("above limit, not yet demonstrated: needs ")
-    assert above.statement.endswith(f" {math.ceil(above.seconds_needed)} s")
+    needs = f"needs {math.ceil(above.seconds_needed)} s"
+    confidence_text = f"{100 * LOOSE.confidence:g} % confidence"
+    assert above.status == "not enough data"
+    assert above.statement == f"above limit; not yet demonstrated at {confidence_text}: {needs}"
+
+
+OPEN = "not yet demonstrated at 75 % confidence: needs 3 s"
+NEVER = "not demonstrated by a run of any length"
 
 
 def verdict(**changes: Any) -> Verdict:
@@ -155,13 +161,17 @@ def verdict(**changes: Any) -> Verdict:
 @pytest.mark.parametrize(
     ("changes", "keeps", "statement"),
     [
-        ({"exceeding": 0.25}, True, "within limit, not yet demonstrated: needs 3 s"),
-        ({"exceeding": 0.26}, False, "above limit, not yet demonstrated: needs 3 s"),
-        ({"exceeding": 0.25, "seconds_needed": math.inf}, True, "at its limit; no length of run decides it"),
-        ({"exceeding": 0.26, "seconds_needed": math.inf}, False, "above its limit; no length of run decides it"),
-        ({"exceeding": 0.2, "missing": 6.0}, True, "within limit, not yet demonstrated: needs 3 s"),
+        ({"exceeding": 0.25}, True, f"within limit; {OPEN}"),
+        ({"exceeding": 0.26}, False, f"above limit; {OPEN}"),
+        ({"exceeding": 0.25, "seconds_needed": math.inf}, True, f"at limit; {NEVER}"),
+        (
+            {"exceeding": 0.26, "seconds_needed": math.inf},
+            False,
+            f"above limit; {NEVER}",
+        ),
+        ({"exceeding": 0.2, "missing": 6.0}, True, f"within limit; {OPEN}"),
         ({"exceeding": 0.2, "missing": 20.0}, False, "not enough data: 20 samples are missing"),
-        ({"exceeding": 0.0, "missing": 33.0}, True, "within limit, not yet demonstrated: needs 3 s"),
+        ({"exceeding": 0.0, "missing": 33.0}, True, f"within limit; {OPEN}"),
         ({"exceeding": 0.0, "missing": 34.0}, False, "not enough data: 34 samples are missing"),
         ({"missing": math.inf}, False, "not enough data: part of the run is missing"),
         ({"status": "compliant"}, True, "compliant"),

@@ -12,7 +12,6 @@ Examples
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from los_testbed.config.run_settings import completed, layered, of_designs, with_scenario, with_stage
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from pointing_analysis.requirements.requirement import Requirement
+from pointing_analysis.requirements.rows import BRIEF, requirement_table
 from pointing_analysis.requirements.summary import Summary
 
 if TYPE_CHECKING:
@@ -105,7 +107,7 @@ class RunResult:
         return xr.Dataset({"los_error": data}, attrs={"source": str(self.path), "start_up_s": self.summary.transient})
 
     def write_report(self, path: PathLike, *, transient: float | None = None) -> Path:
-        """HTML page of the run; an existing file is replaced."""
+        """Report of the run, HTML or, where the path ends in ``.pdf``, PDF; an existing file is replaced."""
         from los_testbed.run.summary.summary import summarise_runs
 
         asked = tuple(v.requirement for v in self.summary.verdicts)
@@ -113,10 +115,10 @@ class RunResult:
         return Path(path)
 
     def _repr_html_(self) -> str:
-        heads = ("requirement", "value", "limit", "verdict")
-        rows = [(row.label, row.value_text, row.limit_text, row.verdict_text) for row in self.summary.rows]
-        rows += [(name, f"{value:.4g}", "", "") for name, value in self.figures.items()]
-        return _table(f"{self.path.name}: {self.verdict}", heads, rows)
+        table = requirement_table(self.summary.rows).only(*BRIEF)
+        rows = [(name, digits(value, 4), "", "", "") for name, value in self.figures.items()]
+        title = f"{self.path.name}: {self.verdict}"
+        return replace(table, rows=(*table.rows, *rows), title=title).html(caption=True)
 
 
 @dataclass(frozen=True)
@@ -145,12 +147,12 @@ class CampaignResult:
         return ResultFolder(self.path).table()
 
     def _repr_html_(self) -> str:
-        heads = ("metric", "median", "90 %", "largest")
         rows = [
-            (name, *(_digits(found.get(key)) for key in ("q0.5", "q0.9", "q1")))
+            (name, *(digits(found.get(key), 4, none="") for key in ("q0.5", "q0.9", "q1")))
             for name, found in self.summary["metrics"].items()
         ]
-        return _table(f"{self.path.name}: {self.summary['members']} members", heads, rows)
+        title = f"{self.path.name}: {self.summary['members']} members"
+        return TextTable.of((*texts("metric"), *numbers("median", "90 %", "largest")), rows, title).html(caption=True)
 
 
 def run(
@@ -226,7 +228,7 @@ def analyse(
     transient : float, optional
         Seconds of start-up to leave out.
     report : path, optional
-        HTML page to write.
+        HTML page to write, or a PDF where it ends in ``.pdf``.
     **source
         ``los``, ``unit``, ``rate``, ``time``: as the options of ``los-testbed analyse``.
 
@@ -348,13 +350,3 @@ def _value(value: Any) -> Any:
     if isinstance(value, np.ndarray | tuple):
         return [float(v) for v in value]
     return value
-
-
-def _digits(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><caption>{html.escape(title)}</caption><tr>{head}</tr>{body}</table>"

@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from rich.table import Column, Table
 
 from lftkit.arrays import FloatArray
 from los_testbed.campaign.campaign_verdict import LOST, CampaignVerdict, model_verdicts, not_judged, verdicts
@@ -15,9 +14,9 @@ from los_testbed.campaign.influence import Influence, PairEffect, influences, pa
 from los_testbed.campaign.meanings import RANKED, RequirementColumns, scenario_text
 from los_testbed.campaign.reproduction import figure_text, member_command
 from los_testbed.campaign.sampling import RANDOM
-from los_testbed.run.summary.screen import numbers
+from pointing_analysis.formatting.number_text import digits, percent, with_unit
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from pointing_analysis.requirements.requirement import Requirement
-from pointing_analysis.requirements.rows import with_unit
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
 PAIRS = 6
@@ -104,23 +103,18 @@ def _shown(values: dict[str, Any]) -> dict[str, Any]:
     return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
 
 
-def verdict_table(summary: dict[str, Any]) -> Table:
-    """Verdicts for the screen."""
-    heads: tuple[Column | str, ...] = (
-        "requirement",
-        "interpretation",
-        "verdict",
-        *numbers("quantile", "limit", "beyond", "samples"),
-    )
-    table = Table(*heads, title="Requirements (ECSS-E-ST-60-10C)", title_justify="left")
+def verdict_table(summary: dict[str, Any]) -> TextTable:
+    """Verdicts."""
+    rows = []
     for v in summary["verdicts"]:
-        value = "unbounded" if v["value"] is None else with_unit(f"{v['value']:.4g}", v["unit"])
-        limit = f"{'above ' if v['lower_limit'] else ''}{v['limit']:.4g}"
+        value = "unbounded" if v["value"] is None else with_unit(digits(v["value"], 4), v["unit"])
+        limit = f"{'above ' if v['lower_limit'] else ''}{digits(v['limit'], 4)}"
         bounds = "" if v["upper"] is None else f" ({100 * v['lower']:.2g} to {100 * v['upper']:.2g})"
-        beyond = f"{100 * v['exceeding']:.3g} %{bounds}"
         samples = f"{v['samples']}" + (f", {v['undecided']} undecided" if v["undecided"] else "")
-        table.add_row(v["requirement"], v["interpretation"], v["status"], value, limit, beyond, samples)
-    return table
+        beyond = f"{percent(v['exceeding'])}{bounds}"
+        rows.append((v["requirement"], v["interpretation"], v["status"], value, limit, beyond, samples))
+    heads = (*texts("requirement", "interpretation", "verdict"), *numbers("quantile", "limit", "beyond", "samples"))
+    return TextTable.of(heads, rows, "Requirements (ECSS-E-ST-60-10C)")
 
 
 def _member(row: dict[str, Any], campaign: Campaign) -> dict[str, Any]:
@@ -139,12 +133,12 @@ def worst_lines(summary: dict[str, Any]) -> list[str]:
     return [f"{summary['ranked_by']} {member['figure']}: {member['command']}" for member in summary["worst"]]
 
 
-def metric_table(summary: dict[str, Any]) -> Table:
-    """Table for the screen."""
+def metric_table(summary: dict[str, Any]) -> TextTable:
+    """Quantiles of each metric."""
     counts = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
     title = f"{summary['members']} of {summary['samples']} members, depth {summary['depth']}: {counts}"
-    table = Table(Column("metric", no_wrap=True), *numbers(*quantile_heads(summary)), title=title)
-    for name, found in summary["metrics"].items():
-        values = (value for key, value in found.items() if key != "members")
-        table.add_row(name, *("-" if value is None else f"{value:.4g}" for value in values))
-    return table
+    rows = [
+        (name, *(digits(value, 4) for key, value in found.items() if key != "members"))
+        for name, found in summary["metrics"].items()
+    ]
+    return TextTable.of((*texts("metric"), *numbers(*quantile_heads(summary))), rows, title)

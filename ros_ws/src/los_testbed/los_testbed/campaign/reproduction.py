@@ -15,7 +15,7 @@ from los_testbed.campaign.meanings import RANKED
 from los_testbed.campaign.sampling import MemberParameters
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import SIMULATED, command_options
-from pointing_analysis.requirements.rows import digits, with_unit
+from pointing_analysis.formatting.number_text import digits, with_unit
 
 FILES = ("k_fsm", "k_pma", "parameters")
 MODEL_DIGITS = 6

@@ -28,7 +28,7 @@ from los_testbed.cli.options.cluster_options import (
 from los_testbed.cli.options.options import Designs, Gate, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import MET, leave_by_gate, number, print_json, warn
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen
+from los_testbed.run.summary.screen import Screen, on_screen
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -169,9 +169,9 @@ def _show(console: Console, summary: dict[str, Any], folder: ResultFolder) -> No
     """Tables, the commands of the worst members, and where the results are."""
     from los_testbed.campaign.overview import metric_table, verdict_table, worst_lines
 
-    console.print(metric_table(summary))
+    console.print(on_screen(metric_table(summary), whole=("metric",)))
     if summary["verdicts"]:
-        console.print(verdict_table(summary))
+        console.print(on_screen(verdict_table(summary)))
     for text in summary["not_judged"]:
         console.print(f"no verdict of a campaign on {text}", soft_wrap=True, highlight=False, markup=False)
     for line in worst_lines(summary)[:5]:

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import typer
-from rich.table import Column, Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.output import print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, numbers
-from pointing_analysis.requirements.rows import ABSENT, digits
+from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 
 def refuse_beside_member(given: Mapping[str, Any]) -> None:
@@ -63,9 +63,8 @@ def show_member(base: RunConfig, text: str, seed: int, depth: str, json_: bool) 
     named = ("index", "seed", "status", "reason", "hash", *values)
     metrics = {name: value for name, value in row.items() if name not in named}
     title = f"one member, depth {depth}: {row['status']}"
-    table = Table(Column("metric", no_wrap=True), *numbers("value"), title=title, title_justify="left")
-    for name, value in metrics.items():
-        table.add_row(name, digits(value, MODEL_DIGITS) if math.isfinite(value) else ABSENT)
+    rows = [(name, digits(value, MODEL_DIGITS, infinite=ABSENT)) for name, value in metrics.items()]
+    table = on_screen(TextTable.of((*texts("metric"), *numbers("value")), rows, title), whole=("metric",))
     console = Screen(stderr=json_)
     console.print(table)
     if json_:

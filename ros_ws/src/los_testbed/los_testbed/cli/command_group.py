@@ -37,11 +37,11 @@ class CommandEntry:
 ENTRIES = {
     "run": CommandEntry("run", "Run the loop, record it, evaluate the record.", "run", "RUN_EXAMPLES"),
     "analyse": CommandEntry(
-        "analysis.analyse", "Evaluate recorded runs and write an HTML report.", "analyse", "ANALYSE_EXAMPLES"
+        "analysis.analyse", "Evaluate recorded runs and write a report, HTML or PDF.", "analyse", "ANALYSE_EXAMPLES"
     ),
     "report": CommandEntry(
         "analysis.report",
-        "Write one HTML page about one or several bags: verdict, requirements, figures, provenance.",
+        "Write a report about one or several bags, a page or a PDF: verdict, figures, tables, provenance.",
         "report",
         "REPORT_EXAMPLES",
     ),

@@ -14,6 +14,8 @@ from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_config import RunConfig
 from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 if TYPE_CHECKING:
     from los_testbed.rig.check import DeviceCheckRow
@@ -81,7 +83,7 @@ def check(
     rows = judge(found, model)
     said = faults(rows)
     console = Screen(stderr=json_)
-    say(console, _table(rows))
+    say(console, _table(rows).markdown())
     for line in said or ("no fault: directions, gains, delays and noise are those of the model",):
         say(console, line)
     if (pause := found.longest_pause_ms) > config.hold_ticks:
@@ -106,10 +108,14 @@ def _json(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _table(rows: tuple[DeviceCheckRow, ...]) -> str:
-    lines = ["| value | gain | delay [ms] | noise | model's | age [ms] | |", "|---|---|---|---|---|---|---|"]
-    for row in rows:
-        cells = (f"{row.gain:.2f}", f"{row.delay_ms:.1f}", f"{row.noise:.2g}", f"{row.expected_noise:.2g}")
-        shown = [("" if cell == "nan" else cell) for cell in (*cells, f"{row.age_ms:.1f}")]
-        lines.append(f"| {row.part}[{row.value}] | {' | '.join(shown)} | {row.fault or 'pass'} |")
-    return "\n".join(lines)
+def _table(rows: tuple[DeviceCheckRow, ...]) -> TextTable:
+    heads = (*texts("value"), *numbers("gain", "delay [ms]", "noise", "model's", "age [ms]"), *texts(""))
+    cells = [
+        (
+            f"{row.part}[{row.value}]",
+            *(digits(x, none="") for x in (row.gain, row.delay_ms, row.noise, row.expected_noise, row.age_ms)),
+            row.fault or "pass",
+        )
+        for row in rows
+    ]
+    return TextTable.of(heads, cells)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from rich.table import Table as ScreenTable
 
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import print_json
 from los_testbed.config.members import CASES, check_ranges, named_cases
-from los_testbed.run.summary.screen import Screen, numbers
+from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import TextTable, numbers
 
 if TYPE_CHECKING:
     from titop_plant.telescope.summary import PlantSummary
@@ -101,13 +102,13 @@ def cases(
     from los_testbed.config.run_config import RunConfig
     from titop_plant.telescope.load import load_telescope
 
-    table = Table("case", "telescope", title_justify="left")
+    rows = []
     for name, settings in named_cases(file).items():
         given = {key: value for key, value in settings.items() if key != "description"}
         member = RunConfig.from_mapping(given)
         check_ranges(member, load_telescope(member.parameters))
-        table.add_row(Text(name), Text(str(settings.get("description", given))))
-    Screen().print(table)
+        rows.append((name, str(settings.get("description", given))))
+    Screen().print(on_screen(TextTable.of(("case", "telescope"), rows)))
 
 
 def show(console: Console, found: PlantSummary) -> None:
@@ -125,11 +126,9 @@ def show(console: Console, found: PlantSummary) -> None:
         console.print(_table("modes of rotors, their mounts held", rotors, rows))
 
 
-def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:
-    table = Table(heads[0], *numbers(*heads[1:]), title=title, title_justify="left")
-    for row in rows:
-        table.add_row(*(f"{x:.4g}" if isinstance(x, float) else str(x) for x in row))
-    return table
+def _table(title: str, heads: tuple[str, ...], rows: list[tuple[Any, ...]]) -> ScreenTable:
+    cells = [tuple(digits(x, 4) if isinstance(x, float) else str(x) for x in row) for row in rows]
+    return on_screen(TextTable.of((heads[0], *numbers(*heads[1:])), cells, title))
 
 
 def _parameters(found: PlantSummary) -> list[tuple[Any, ...]]:

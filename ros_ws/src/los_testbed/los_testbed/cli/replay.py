@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.analysis.recordings import check_bag
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk, Transient, option
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, number, print_json, seconds, warn
 from los_testbed.config.run_config import RunConfig
-from los_testbed.run.summary.screen import Screen, numbers, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 if TYPE_CHECKING:
     from pointing_analysis.read.run import Run
@@ -158,9 +159,11 @@ def _show(
     say(console, f"{'controllers as recorded' if as_recorded else 'other controllers'}: {comparison}")
     if comparison.incomplete:
         console.print(f"{comparison.incomplete} ticks lack a sensor in the bag and were left out", soft_wrap=True)
-    table = Table("metric", *numbers("recorded", "replayed"), title="Recorded and replayed", title_justify="left")
+    rows = []
     for text, key, unit in ROWS:
-        values = [f"{found[side][key]:.4g} {unit}" if key in found[side] else "-" for side in ("recorded", "replayed")]
-        if set(values) != {"-"}:
-            table.add_row(text.format(window=window), *values)
-    console.print(table)
+        values = [found[side].get(key) for side in ("recorded", "replayed")]
+        if any(value is not None for value in values):
+            shown = (ABSENT if value is None else f"{digits(value, 4)} {unit}" for value in values)
+            rows.append((text.format(window=window), *shown))
+    table = TextTable.of((*texts("metric"), *numbers("recorded", "replayed")), rows, "Recorded and replayed")
+    console.print(on_screen(table))

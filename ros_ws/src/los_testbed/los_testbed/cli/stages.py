@@ -18,7 +18,7 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import Case, Cases, Designs, Json, NewFolder, chosen, with_settings
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.run_settings import SIMULATED
-from los_testbed.run.summary.screen import Screen, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
 
 if TYPE_CHECKING:
     from los_testbed.run.stages import Plan, StageResult, StageRun
@@ -120,7 +120,7 @@ def _write(console: Console, results: Sequence[StageResult], plan: Plan) -> dict
     from los_testbed.run import stages_tables
 
     for table in stages_tables.screen(results, plan):
-        console.print(table)
+        console.print(on_screen(table))
     for result in results:
         if result.note:
             say(console, f"{result.run.name}: {result.note}", "note")
@@ -139,6 +139,7 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
     from los_testbed.run.stages import REPORTED, WORST, select
     from los_testbed.run.summary.summary import judged
     from pointing_analysis.read.run import Run
+    from pointing_analysis.report.outputs import ReportOutputs
     from pointing_analysis.report.report import labels
 
     paths = []
@@ -153,5 +154,6 @@ def _reports(results: Sequence[StageResult], plan: Plan) -> list[Path]:
                 lines[label] = alone.model()
         if runs:
             page = plan.folder / f"report-{scenario}.html"
-            paths.append(judged(runs, None, None).write_page(page, lines=lines))
+            judged(runs, None, None).write_page(ReportOutputs(page), lines=lines)
+            paths.append(page)
     return paths

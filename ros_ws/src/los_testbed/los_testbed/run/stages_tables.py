@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
-
-from rich.table import Column, Table
 
 from los_testbed.parts.run_parts import RunParts
 from los_testbed.run.stages import WORST, Plan, StageResult, provenance, select, stages_of
 from los_testbed.run.summary import worst_case_rows
-from los_testbed.run.summary.screen import numbers
+from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.tables import Heading, TextTable, numbers, texts
 from pointing_analysis.indices.errors import RAD_PER_MAS
 from pointing_analysis.requirements.exposure import exposure_of
 from pointing_analysis.requirements.requirement import time_text
-from pointing_analysis.requirements.rows import HEADS as ROW_HEADS
-from pointing_analysis.requirements.rows import cells
+from pointing_analysis.requirements.rows import BRIEF, requirement_table
 
 TONES_SHOWN = 12
 SETTLED = 0.02
@@ -36,13 +35,8 @@ PART_METRICS = {"all": tuple(HEADS), "disturbance": ALONE, "noise": ALONE}
 """What is shown of each part of the error."""
 
 
-def digits(value: float, none: str = "diverged") -> str:
-    """Three digits, no powers of ten where they can be avoided; `none` where there is no number."""
-    if not math.isfinite(value):
-        return none
-    if value == 0.0:
-        return "0"
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else f"{value:.1e}"
+DIVERGED = "diverged"
+"""In place of a metric of a run without a summary."""
 
 
 def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, metric: str) -> str:
@@ -50,11 +44,12 @@ def cell(results: Sequence[StageResult], scenario: str, loop: str, part: str, me
     chosen = select(results, scenario, loop, part)
     found = {name: r.metrics[metric] for name, r in chosen.items() if metric in r.metrics}
     if "nominal" not in found:
-        return "-"
+        return ABSENT
     sign = -1.0 if metric in LOWER else 1.0
     worst = max(found, key=lambda name: math.inf if math.isnan(found[name]) else sign * found[name])
     # a run that is too short for an index has a summary without it, one that diverged has no summary
-    texts = [digits(found[name], "diverged" if chosen[name].summary is None else "-") for name in ("nominal", worst)]
+    missing = [DIVERGED if chosen[name].summary is None else ABSENT for name in ("nominal", worst)]
+    texts = [digits(found[name], none=none, infinite=none) for name, none in zip(("nominal", worst), missing)]
     return texts[0] if len(found) == 1 else f"{texts[0]} ({texts[1]})"
 
 
@@ -101,7 +96,7 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
         for loop in stages:
             tone = found[loop].get(omega)
             if tone is None:
-                row.append("-")
+                row.append(ABSENT)
                 continue
             scale = tone.disturbance * RAD_PER_MAS
             text = f"{digits(tone.measured / scale)} / {digits(tone.expected / scale)}"
@@ -111,53 +106,50 @@ def tone_rows(results: Sequence[StageResult], scenario: str) -> tuple[list[list[
     return table, len(omegas)
 
 
-def requirement_rows(results: Sequence[StageResult], scenario: str) -> list[list[str]]:
-    """Rows of the table of requirements of the nominal telescope: stage, requirement and verdict."""
+def requirements(results: Sequence[StageResult], scenario: str) -> TextTable:
+    """Table of the requirements of the nominal telescope, stage by stage."""
     found = [(loop, select(results, scenario, loop, "all").get("nominal")) for loop in stages_of(results)]
-    return [[loop, *cells(row)] for loop, r in found if r is not None and r.summary for row in r.summary.rows]
+    rows = [replace(row, run=loop) for loop, r in found if r is not None and r.summary for row in r.summary.rows]
+    table = requirement_table(rows, several=True).only("run", *BRIEF)
+    heads = (Heading("stage"), *table.columns[1:])
+    return replace(table, columns=heads, title=f"{scenario}: requirements, nominal telescope")
 
 
-REQUIREMENT_HEADS = ("stage", *ROW_HEADS)
-"""Headings of `requirement_rows`."""
-
-
-def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[Table]:
-    """Tables for the terminal."""
+def tables(results: Sequence[StageResult], plan: Plan) -> Iterable[tuple[str, TextTable]]:
+    """Tables of all scenarios, each with what stands above it in Markdown; those without a row are left out."""
+    window = time_text(exposure_of(RunParts(plan.base).telescope.requirements))
     for scenario in plan.scenarios:
+        title = f"{scenario}: {worst_caption(plan) if scenario == WORST else caption(results, plan)}"
+        above = f"**Scenario `{scenario}`** ({title.partition(': ')[2]}; RPE: windows of {window})"
         if scenario == WORST:
-            title = f"{WORST}: {worst_caption(plan)}"
-            yield _plain_table(worst_case_rows.HEADS, worst_rows(results, plan), title)
+            yield above, TextTable.of(worst_case_rows.COLUMNS, worst_rows(results, plan), title)
             continue
-        whole = [c for c in columns(results) if c[0] == "all"]
-        for chosen in (whole, [c for c in columns(results) if c[0] != "all"]):
-            title = caption(results, plan) if chosen is whole else "parts of the error, each alone"
-            values = numbers(*(head.replace(" alone", "") for _, _, head in chosen), overflow="fold")
-            table = Table(Column("stage", no_wrap=True), *values, title=f"{scenario}: {title}", title_justify="left")
-            for row in rows(results, scenario, chosen):
-                table.add_row(*row)
-            if chosen:
-                yield table
-        judged = requirement_rows(results, scenario)
-        if judged:
-            yield _plain_table(REQUIREMENT_HEADS, judged, f"{scenario}: requirements, nominal telescope")
+        shown = columns(results)
+        heads = (*texts("stage"), *numbers(*(head for _, _, head in shown)))
+        yield above, TextTable.of(heads, rows(results, scenario, shown), title)
+        yield "Requirements, nominal telescope:", requirements(results, scenario)
         found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
-        if found:
-            yield _plain_table(
-                ("Hz", *plan.stages),
-                found,
-                f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}",
-            )
+        title = f"{scenario}: transmissibility [mas per N], measured / model (when settled), {_of(found, total)}"
+        above = (
+            "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
+            f"when settled, where it differs), {_of(found, total)}:"
+        )
+        yield above, TextTable.of((*texts("Hz"), *numbers(*plan.stages)), found, title)
+
+
+def screen(results: Sequence[StageResult], plan: Plan) -> Iterable[TextTable]:
+    """Tables for the terminal; parts of the error, each alone, have one of their own."""
+    for _, table in tables(results, plan):
+        alone = [head for head in table.heads if " alone: " in head]
+        if alone:
+            yield table.only(*(head for head in table.heads if head not in alone))
+            yield replace(table.only("stage", *alone), title="parts of the error, each alone")
+        elif table.rows:
+            yield table
 
 
 def _of(found: Sequence[Any], total: int) -> str:
     return f"the {len(found)} strongest of {total} tones" if len(found) < total else f"{total} tones"
-
-
-def _plain_table(heads: Sequence[str], found: Sequence[Sequence[str]], title: str) -> Table:
-    table = Table(*numbers(*heads, overflow="fold"), title=title, title_justify="left")
-    for row in found:
-        table.add_row(*row)
-    return table
 
 
 def worst_caption(plan: Plan) -> str:
@@ -176,44 +168,9 @@ def caption(results: Sequence[StageResult], plan: Plan) -> str:
     return text + (f"; in brackets the worst of {plan.samples} telescopes" if plan.samples > 1 else "")
 
 
-def _markdown_table(heads: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
-    return lines + ["| " + " | ".join(row) + " |" for row in body]
-
-
-def _escaped(text: str) -> str:
-    """Text of a cell: a bar would end it."""
-    return text.replace("|", "\\|")
-
-
 def markdown(results: Sequence[StageResult], plan: Plan) -> str:
     """All tables as Markdown."""
-    lines, shown, window = [], columns(results), time_text(exposure_of(RunParts(plan.base).telescope.requirements))
-    for scenario in plan.scenarios:
-        if scenario == WORST:
-            lines += [f"**Scenario `{WORST}`** ({worst_caption(plan)}; RPE: windows of {window})", ""]
-            lines += _markdown_table(worst_case_rows.HEADS, worst_rows(results, plan)) + [""]
-            continue
-        lines += [f"**Scenario `{scenario}`** ({caption(results, plan)}; RPE: windows of {window})", ""]
-        lines += _markdown_table(["stage", *(head for _, _, head in shown)], rows(results, scenario, shown)) + [""]
-        judged = requirement_rows(results, scenario)
-        if judged:
-            table = [[_escaped(text) for text in row] for row in judged]
-            lines += [
-                "Requirements, nominal telescope:",
-                "",
-                *_markdown_table(REQUIREMENT_HEADS, table),
-                "",
-            ]
-        found, total = tone_rows(results, scenario) if "disturbance" in plan.parts else ([], 0)
-        if found:
-            lines += [
-                "Transmissibility [mas per N; 1 Nm counts as 1 N] of the nominal telescope, measured / model (model "
-                f"when settled, where it differs), {_of(found, total)}:",
-                "",
-                *_markdown_table(["Hz", *plan.stages], found),
-                "",
-            ]
+    lines = [line for above, t in tables(results, plan) if t.rows for line in (above, "", t.markdown(), "")]
     return "\n".join(lines)
 
 

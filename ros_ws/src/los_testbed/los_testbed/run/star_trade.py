@@ -23,6 +23,8 @@ from los_testbed.run.input_files import map_files
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.simulate import run_in_process
 from pointing_analysis.files.structured_text import load_json, load_toml, read_text
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from pointing_analysis.units import RAD_PER_MAS
 from titop_plant.telescope.load import load_telescope
 
@@ -273,28 +275,26 @@ def measure(point: TradePoint, bag: Path) -> dict[str, Any]:
     }
 
 
-HEAD = (
-    "| magnitude | frames/s | noise of a frame [mas] | frames without angles | APE [arcsec] | RPE [mas] "
-    "| MTF | Strehl | design |"
+HEADS = (
+    *texts("magnitude"),
+    *numbers("frames/s", "noise of a frame [mas]", "frames without angles"),
+    *numbers("APE [arcsec]", "RPE [mas]", "MTF", "Strehl"),
+    *texts("design"),
 )
 
 
-def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Table of the rows; values that 99.7 % of instants or exposures of a run keep."""
-
-    def shown(value: Any, digits: int = 3) -> str:
-        return "-" if value is None else f"{value:.{digits}g}"
-
-    lines = [HEAD, "|" + "---|" * 9]
+    cells = []
     for row in rows:
         lost = sum(count for reason, count in row["without_angles"].items() if reason != "before_start")
         share = "diverged" if row["failure"] else f"{lost} of {row['frames']}"
-        values = (shown(row[key]) for key in ("ape_arcsec", "rpe_mas", "mtf_nyquist", "strehl"))
-        first = f"| {row['magnitude']:g} | {row['rate_hz']:g} | {row['noise_mas']:.3g} | {share} | "
+        values = (digits(row[key]) for key in ("ape_arcsec", "rpe_mas", "mtf_nyquist", "strehl"))
         missed = f"{len(row['not_met'])} not met" if row["not_met"] else "all met"
         design = row["design"] if row["design"] == "kept" else f"{row['design']}, {missed}"
-        lines.append(first + " | ".join(values) + f" | {design} |")
-    return "\n".join(lines) + "\n"
+        first = (f"{row['magnitude']:g}", f"{row['rate_hz']:g}", digits(row["noise_mas"]), share)
+        cells.append((*first, *values, design))
+    return TextTable.of(HEADS, cells)
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

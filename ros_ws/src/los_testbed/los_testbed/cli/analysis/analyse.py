@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lftkit.support.atomic_output import check_output
 from los_testbed.cli.analysis.recordings import (
     Bags,
     Los,
@@ -20,6 +19,7 @@ from los_testbed.cli.analysis.recordings import (
     require_different,
     requirements_in,
 )
+from los_testbed.cli.analysis.report_files import Export, Format, PaperSize, report_files
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Gate, Json, MaxChunk, Transient
 from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
 from los_testbed.run.summary.screen import Screen
@@ -27,13 +27,15 @@ from los_testbed.run.summary.screen import Screen
 if TYPE_CHECKING:
     from pointing_analysis.read.recording import Recording
 
-ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
+ANALYSE_EXAMPLES = """Evaluate recorded runs and write a report, HTML or PDF.
 
 **Examples**
 
     los-testbed analyse bags/run-20260101-120000
 
     los-testbed analyse bags/isolator bags/fsm+pma --report comparison.html --json
+
+    los-testbed analyse bags/night --format pdf --paper letter --export night    # and each figure, each table as a file
 
     los-testbed analyse my_bag --los /my/los --unit arcsec --rate 512     # another bag: topic, or topic.field
 
@@ -49,7 +51,12 @@ ANALYSE_EXAMPLES = """Evaluate recorded runs and write an HTML report.
 
 def analyse(
     bags: Bags,
-    report: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="File, .html or .pdf. Default: report.html in the folder of a single bag.")
+    ] = None,
+    form: Format = None,
+    paper: PaperSize = None,
+    export: Export = None,
     transient: Transient = None,
     los: Los = None,
     unit: Unit = None,
@@ -70,11 +77,8 @@ def analyse(
 
     seconds("--transient", transient)
     require_different(bags)
-    target = report
-    if target is None and len(bags) == 1 and bags[0].is_dir():
-        target = bags[0] / "report.html"
-    if target is not None:
-        check_output(target, "the report")
+    usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else None
+    outputs = report_files("--report", report, usual, form, paper, export)
     given = requirements_in(requirements)
 
     def opener(bag: Path, limit: int) -> Recording:
@@ -84,7 +88,7 @@ def analyse(
         runs = open_runs(bags, opener, max_chunk, optics)
         for run in runs:
             check_exposures(run, given or (), transient)
-        summaries = summarise_runs(runs, target, transient, requirements=given)
+        summaries = summarise_runs(runs, outputs, transient, requirements=given)
     print_summary(Screen(stderr=json_), summaries)
     if json_:
         print_json(summaries.runs[0] if len(bags) == 1 else {"runs": list(summaries.runs)})

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Column, Table
-from rich.text import Text
 
 from los_testbed.cli.options.options import Designs, Gate, Json
 from los_testbed.cli.output import leave_by_gate, number, print_json
-from los_testbed.run.summary.screen import Screen, numbers
+from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.formatting.number_text import digits, percent
+from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 
 if TYPE_CHECKING:
     from los_testbed.run.summary.worst_pointing_budget import Loader, Overlay, WorstTotal
@@ -39,21 +39,17 @@ requirements of the reference telescope.
 ROWS = 12
 
 
-def _shown(v: PointingBudgetVerdict) -> Table:
-    """Contributions, total and margin of a requirement for the screen."""
-    from pointing_analysis.report.pointing_budget_page import digits, vector
+def _shown(v: PointingBudgetVerdict) -> TextTable:
+    """Contributions, total and margin of a requirement."""
+    from pointing_analysis.report.pointing_budget_page import vector
 
-    heads = (Column("source", overflow="fold"), *numbers("sigma", "alone", "share"))
-    table = Table(*heads, title=f"{v.requirement}", title_justify="left")
-    for s in v.shares[:ROWS]:
-        table.add_row(s.source.name, vector(s.sigma.tolist()), digits(s.level), f"{100 * s.share:.3g} %")
+    rows = [(s.source.name, vector(s.sigma.tolist()), digits(s.level, 4), percent(s.share)) for s in v.shares[:ROWS]]
     if len(v.shares) > ROWS:
-        rest = sum(s.share for s in v.shares[ROWS:])
-        table.add_row(f"{len(v.shares) - ROWS} others", "", "", f"{100 * rest:.3g} %")
-    table.add_row("total", "", digits(v.total), "", style="bold")
-    table.add_row("limit", "", digits(v.limit), "")
-    table.add_row("margin", "", digits(v.margin), "", style="green" if v.compliant else "red")
-    return table
+        rows.append((f"{len(v.shares) - ROWS} others", "", "", percent(sum(s.share for s in v.shares[ROWS:]))))
+    margin = Marked(digits(v.margin, 4), "ok" if v.compliant else "bad")
+    rows += [(name, "", cell, "") for name, cell in (("total", digits(v.total, 4)), ("limit", digits(v.limit, 4)))]
+    rows.append(("margin", "", margin, ""))
+    return TextTable.of((*texts("source"), *numbers("sigma", "alone", "share")), rows, str(v.requirement))
 
 
 def budget(
@@ -139,7 +135,7 @@ def _print(console: Screen, found: PointingBudget, verdicts: Sequence[PointingBu
 
     console.print(f"{found.title} [{found.unit}]", highlight=False, soft_wrap=True)
     for v in verdicts:
-        console.print(_shown(v))
+        console.print(on_screen(_shown(v)))
     for rule in found.totals:
         total = axis_total(found, rule)
         axes = ", ".join(found.axes)
@@ -153,17 +149,16 @@ def _over_members(
     """Totals over members of the family, shown beside those at the point of the budget."""
     from lftkit.support.progress import Progress
     from los_testbed.run.summary.worst_pointing_budget import worst_totals
-    from pointing_analysis.report.pointing_budget_page import digits
 
     with Progress("members") as bar:
         found = worst_totals(load, verdicts, members, lambda done: bar.report(done, len(members)))
-    heads = (Column("requirement", overflow="fold"), *numbers("at the point", "worst", "limit", "margin", "member"))
-    title = f"Over {len(members)} members of the family: worst found, no bound"
-    table = Table(*heads, title=title, title_justify="left")
+    rows = []
     for row in found:
         v = row.worst
-        style = "green" if v.compliant else "red"
-        cells = (digits(row.at.total), digits(v.total), digits(v.limit), Text(digits(v.margin), style=style))
-        table.add_row(str(v.requirement), *cells, row.member)
-    console.print(table)
+        margin = Marked(digits(v.margin, 4), "ok" if v.compliant else "bad")
+        totals = (digits(total, 4) for total in (row.at.total, v.total, v.limit))
+        rows.append((str(v.requirement), *totals, margin, row.member))
+    heads = (*texts("requirement"), *numbers("at the point", "worst", "limit", "margin", "member"))
+    title = f"Over {len(members)} members of the family: worst found, no bound"
+    console.print(on_screen(TextTable.of(heads, rows, title)))
     return found

@@ -12,6 +12,8 @@ import typer
 from los_testbed.cli.options.options import Json, TelescopeFile
 from los_testbed.cli.output import number, numbers, print_json
 from los_testbed.run.summary.screen import Screen, say
+from pointing_analysis.formatting.number_text import digits, percent
+from pointing_analysis.formatting.tables import Heading, TextTable
 
 if TYPE_CHECKING:
     from pointing_analysis.image.noise_curve import NoisePoint
@@ -33,7 +35,10 @@ of its star's magnitude. Stars that half of the frames do not see are left out.
 """
 
 MAGNITUDES = ",".join(f"{0.5 * k:g}" for k in range(14, 33))
-HEAD = "| exposure [ms] | magnitude | noise [mas] | bound of Cramer and Rao [mas] | frames without angles |"
+HEADS = tuple(
+    Heading(head, number=True)
+    for head in ("exposure [ms]", "magnitude", "noise [mas]", "bound of Cramer and Rao [mas]", "frames without angles")
+)
 
 
 def noise(
@@ -70,7 +75,7 @@ def noise(
     }
     write_text(output, to_text(curves, provenance))
     console = Screen(stderr=json_)
-    say(console, _table(cameras, measured))
+    say(console, _table(cameras, measured).markdown())
     say(console, str(output))
     if json_:
         print_json({"output": str(output), **provenance, "curves": [curve.to_mapping() for curve in curves]})
@@ -119,13 +124,18 @@ def _measured(cameras: list[list[StarCamera]], frames: int, seed: int, time_limi
     return found
 
 
-def _table(cameras: list[list[StarCamera]], measured: list[list[NoisePoint]]) -> str:
+def _table(cameras: list[list[StarCamera]], measured: list[list[NoisePoint]]) -> TextTable:
     from pointing_analysis.units import RAD_PER_MAS
 
-    lines = [HEAD, "|" + "---|" * 5]
-    for row, points in zip(cameras, measured):
-        for camera, p in zip(row, points):
-            noise, bound = (f"{x / RAD_PER_MAS:.3g}" for x in (p.noise, p.bound))
-            exposure = 1e3 * camera.camera.exposure
-            lines.append(f"| {exposure:g} | {p.magnitude:g} | {noise} | {bound} | {100.0 * p.without:.3g} % |")
-    return "\n".join(lines) + "\n"
+    cells = [
+        (
+            f"{1e3 * camera.camera.exposure:g}",
+            f"{p.magnitude:g}",
+            digits(p.noise / RAD_PER_MAS),
+            digits(p.bound / RAD_PER_MAS),
+            percent(p.without),
+        )
+        for row, points in zip(cameras, measured)
+        for camera, p in zip(row, points)
+    ]
+    return TextTable.of(HEADS, cells)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FIGURES_EXAMPLES = """Draw a star and a test target as the detector sees them, MTF, encircled energy and ellipticity.
 
-One run or several side by side, as PNG and SVG. The exposures are the windows of the strictest requirement on the
+One run or several side by side, as PNG, SVG and PDF. The exposures are the windows of the strictest requirement on the
 relative error, or of 20 ms; the one that is shown of a run is that of 1000 which three are worse than.
 
 **Examples**

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
-from lftkit.support.atomic_output import check_output
 from los_testbed.cli.analysis.recordings import OpticsFile, Requirements, check_bag, open_runs, requirements_in
+from los_testbed.cli.analysis.report_files import Export, Format, PaperSize, report_files
 from los_testbed.cli.options.options import MAX_CHUNK_MB, From, Gate, Json, MaxChunk, To, Transient
 from los_testbed.cli.output import gate_of, leave_by_gate, leave_if_contradicted, print_json, seconds
-from los_testbed.run.summary.screen import Screen, numbers, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.formatting.tables import Marked, TextTable, numbers
+from pointing_analysis.formatting.tables import texts as text_columns
 
 if TYPE_CHECKING:
     from pointing_analysis.requirements.summary import Summary
 
-REPORT_EXAMPLES = """Write one HTML page about one or several bags: verdict, requirements, figures, provenance.
+REPORT_EXAMPLES = """Write a report about one or several bags, a page or a PDF: verdict, figures, tables, provenance.
 
 For bags of this testbed it also compares the predicted with the measured amplitude of each tone of the disturbance. The
 page needs no other file and no network.
@@ -42,8 +42,13 @@ def report(
     bags: Annotated[list[Path], typer.Argument(help="Bags: folders or .mcap files.")],
     output: Annotated[
         Path | None,
-        typer.Option(help="HTML file. Default: report.html in the folder of a single bag, else in this folder."),
+        typer.Option(
+            help="File, .html or .pdf. Default: report.html in the folder of a single bag, else in this folder."
+        ),
     ] = None,
+    form: Format = None,
+    paper: PaperSize = None,
+    export: Export = None,
     requirements: Requirements = None,
     optics: OpticsFile = None,
     transient: Transient = None,
@@ -56,7 +61,7 @@ def report(
 ) -> None:
     """See REPORT_EXAMPLES."""
     from lftkit.support.progress import Progress
-    from los_testbed.run.summary.summary import judged
+    from los_testbed.run.summary.summary import judged, say_outputs
     from pointing_analysis.read.run import Run
     from pointing_analysis.report.report import labels
 
@@ -67,23 +72,23 @@ def report(
     for bag in bags:
         check_bag(bag)
     given = requirements_in(requirements)
-    target = output or (bags[0] / "report.html" if len(bags) == 1 and bags[0].is_dir() else Path("report.html"))
-    check_output(target, "--output")
+    usual = bags[0] / "report" if len(bags) == 1 and bags[0].is_dir() else Path("report")
+    outputs = report_files("--output", output, usual, form, paper, export)
 
     def opener(bag: Path, limit: int) -> Run:
         return Run.open(bag, namespace=namespace, start=start, stop=stop, max_chunk=limit)
 
     with Progress("report"):
         result = judged(open_runs(bags, opener, max_chunk, optics), transient, given)
-        result.write_page(target, start, stop)
+        result.write_page(outputs, start, stop)
     found, console, names = result.summaries, Screen(stderr=json_), labels(result.runs)
     show(console, names, found)
     for text in dict.fromkeys(text for texts in result.remarks for text in texts):
         whose = [name for name, texts in zip(names, result.remarks) if text in texts]
         say(console, text if len(whose) == len(names) else f"{', '.join(whose)}: {text}", "note")
-    say(console, f"report  {target}")
+    say_outputs(console, outputs)
     if json_:
-        print_json({"report": str(target), "runs": [s.as_dict() for s in found]})
+        print_json({"report": str(outputs.path), "runs": [s.as_dict() for s in found]})
     leave_if_contradicted(text for s in found for text in s.contradictions)
     if gate:
         leave_by_gate(gate_of(found))
@@ -91,18 +96,23 @@ def report(
 
 def show(console: Console, names: Sequence[str], found: Sequence[Summary]) -> None:
     """Print the metrics of some runs, one line each, and the problems of their bags."""
+    from pointing_analysis.formatting.number_text import digits
     from pointing_analysis.requirements.requirement import time_text
-    from pointing_analysis.requirements.rows import digits
+    from pointing_analysis.requirements.rows import css_class
     from pointing_analysis.requirements.summary import UNKNOWN
 
-    texts = (Column("run", overflow="fold"), Column("verdict", no_wrap=True))
-    heads = (*texts, *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"))
+    heads = (
+        *text_columns("run", "verdict"),
+        *numbers("APE max, 99.7 % [arcsec]", "RPE rms, 99.7 % [mas]", "left out", "lost"),
+    )
     windows = ", ".join(dict.fromkeys(time_text(s.window) for s in found))
-    table = Table(*heads, title=f"Pointing, start-up left out; windows of {windows}", title_justify="left")
+    rows = []
     for name, s in zip(names, found):
         ape, rpe = f"{digits(s.ape_max)}, {digits(s.ape_p997)}", f"{digits(s.rpe_rms)}, {digits(s.rpe_p997)}"
-        table.add_row(Text(name), s.overall, ape, rpe, f"{s.transient:g} s", s.lost_text())
-    console.print(table)
+        verdict = Marked(s.overall, css_class(s.overall))
+        rows.append((name, verdict, ape, rpe, f"{s.transient:g} s", s.lost_text()))
+    table = TextTable.of(heads, rows, f"Pointing, start-up left out; windows of {windows}")
+    console.print(on_screen(table, whole=("verdict",)))
     if not all(s.requirements_known for s in found):
         say(console, UNKNOWN, "note")
     for name, s in zip(names, found):

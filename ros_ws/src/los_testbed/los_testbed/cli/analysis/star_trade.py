@@ -78,7 +78,7 @@ def trade(
         rows, finished = _rows(found, cluster, time_limit)
     console = Screen(stderr=json_)
     if rows:
-        table = star_trade.markdown(rows)
+        table = star_trade.table(rows).markdown() + "\n"
         say(console, table)
         write_text(folder / "trade.md", table)
         write_text(folder / "trade.json", json.dumps(rows, indent=1) + "\n")

@@ -9,12 +9,11 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from los_testbed.cli.options.options import MAX_CHUNK_MB, Json, MaxChunk
 from los_testbed.cli.output import chunk_limit, leave_if_contradicted, print_json
-from los_testbed.run.summary.screen import Screen, numbers, printable, say
+from los_testbed.run.summary.screen import Screen, on_screen, say
+from pointing_analysis.formatting.tables import Marked, TextTable, numbers, texts
 
 INFO_EXAMPLES = """Show what a bag holds: times, topics with types and counts, the run with its seed, hashes.
 
@@ -44,7 +43,7 @@ SIGN_EXAMPLES = """Sign a whole bag with an Ed25519 key; the signature is writte
 """
 
 Bag = Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")]
-STYLES = {"damaged": "red", "contradicts": "red", "agrees": "green"}
+MARKS = {"damaged": "bad", "contradicts": "bad", "agrees": "ok"}
 
 
 def info(bag: Bag, max_chunk: MaxChunk = MAX_CHUNK_MB, json_: Json = False) -> None:
@@ -77,11 +76,9 @@ def _show(console: Console, found: Mapping[str, Any]) -> None:
     width = max(map(len, lines))
     for name, value in lines.items():
         say(console, f"{name:<{width}}  {value}")
-    texts = (Column("topic", overflow="fold"), Column("type", overflow="fold"))
-    table = Table(*texts, *numbers("messages", overflow="fold"), box=None, padding=(0, 1))
-    for name, topic in found["topics"].items():
-        table.add_row(name, topic["type"], str(topic["messages"]))
-    console.print(table)
+    rows = [(name, topic["type"], str(topic["messages"])) for name, topic in found["topics"].items()]
+    table = TextTable.of((*texts("topic", "type"), *numbers("messages")), rows)
+    console.print(on_screen(table, box=None, padding=(0, 1)))
 
 
 def verify(
@@ -96,13 +93,8 @@ def verify(
 
     key = None if public_key is None else read_key("--public-key", public_key)
     found, console = check_bag(bag, chunk_limit(max_chunk), key), Screen(stderr=json_)
-    title = printable(f"{bag}: {found.title}")
-    table = Table(title=Text(title), title_justify="left")
-    for head in ("check", "result", "found"):
-        table.add_column(head, overflow="fold")
-    for row in found.rows:
-        table.add_row(row.name, Text(row.state, style=STYLES.get(row.state, "")), row.found)
-    console.print(table)
+    rows = [(row.name, Marked(row.state, MARKS.get(row.state, "open")), row.found) for row in found.rows]
+    console.print(on_screen(TextTable.of(("check", "result", "found"), rows, f"{bag}: {found.title}")))
     for problem in found.problems:
         say(console, problem, "note")
     if json_:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen, printable
+from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 TOPICS_EXAMPLES = """List what could be the line of sight in a bag of any program, for `analyse --los`.
 
@@ -29,18 +29,21 @@ def topics(
     from pointing_analysis.read.external_bag import candidates
 
     found = candidates(bag)
-    table = Table(
-        title=printable(f"{bag.name}: what could be the line of sight"), title_justify="left", box=None, padding=(0, 1)
-    )
-    table.add_column("--los", no_wrap=True, overflow="fold")  # to be copied
-    for head in ("type", "values", "time", "count", "Hz"):
-        table.add_column(head, justify="right" if head in ("count", "Hz") else "left", overflow="fold")
-    for c in found:
-        when = "header" if c.stamped else "log"
-        table.add_row(
-            c.name, c.schema.rpartition("/")[2], ", ".join(c.components), when, str(c.messages), f"{c.rate:.6g}"
+    rows = [
+        (
+            c.name,
+            c.schema.rpartition("/")[2],
+            ", ".join(c.components),
+            "header" if c.stamped else "log",
+            str(c.messages),
+            f"{c.rate:.6g}",
         )
-    Screen(stderr=json_).print(table if found else f"{bag}: no message with two numbers", soft_wrap=not found)
+        for c in found
+    ]
+    heads = (*texts("--los", "type", "values", "time"), *numbers("count", "Hz"))
+    table = TextTable.of(heads, rows, f"{bag.name}: what could be the line of sight")
+    shown = on_screen(table, whole=("--los",), box=None, padding=(0, 1))
+    Screen(stderr=json_).print(shown if found else f"{bag}: no message with two numbers", soft_wrap=not found)
     if json_:
-        rows = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
-        print_json({"bag": str(bag), "candidates": rows})
+        content = [{**asdict(c), "los": c.name, "rate": c.rate if c.rate == c.rate else None} for c in found]
+        print_json({"bag": str(bag), "candidates": content})

@@ -20,7 +20,7 @@ from los_testbed.cli.options.cluster_options import Cluster, with_cluster
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
 from los_testbed.run.summary.screen import printable
-from pointing_analysis.rounding import at_least, at_most
+from pointing_analysis.formatting.number_text import at_least, at_most
 from pointing_analysis.units import RAD_PER_ARCSEC, RAD_PER_MAS
 from titop_plant.interface import MIRROR_STAGES
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from lftkit.support.progress import Progress
 from los_testbed.cli.designs.folders import name_unseen_requirements
@@ -18,7 +17,8 @@ from los_testbed.cli.interrupts import told_how_to_go_on
 from los_testbed.cli.options.options import Designs, DesignSeed, Json, TelescopeFile
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
-from los_testbed.run.summary.screen import Screen, met, numbers
+from los_testbed.run.summary.screen import Screen, met, on_screen
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import LOOP_DELAY
 
 if TYPE_CHECKING:
@@ -168,15 +168,16 @@ def _show_design(system: SampledSystem, path: Path, json_: bool) -> None:
         print_json({"file": str(path), **shown})
         return
     title = f"{system.name}: {provenance['status']} after {provenance['seconds']} s"
-    table = Table("requirement", *numbers("tuned", "worst found", "at [rad/s]", ""), title=title)
+    rows = []
     worst = {w["requirement"]: w for w in provenance.get("worst_cases", [])}
     for name, value in provenance["tuned_values"].items():
         found = worst.get(name)
         row = (f"{found['value']:.4f}", f"{found['omega']:.4g}") if found else ("", "")
         largest = max(value, found["value"]) if found else value
-        table.add_row(name, f"{value:.4f}", *row, met(largest <= 1.0))
+        rows.append((name, f"{value:.4f}", *row, met(largest <= 1.0)))
+    heads = (*texts("requirement"), *numbers("tuned", "worst found", "at [rad/s]"), *texts(""))
     console = Screen()
-    console.print(table)
+    console.print(on_screen(TextTable.of(heads, rows, title)))
     console.print(f"written to {path}", soft_wrap=True)
 
 
@@ -203,11 +204,12 @@ def table(json_: Json = False) -> None:
     if json_:
         print_json(rows)
         return
-    shown = Table("design", "problem", "gammas", "status", title="Gammas (1 is the limit)")
+    cells = []
     for row in rows:
         text = ", ".join(f"{name} {value:.4f}" for name, value in row["gammas"].items())
-        shown.add_row(row["design"], row["variant"].replace("_", ", "), text, row.get("status", ""))
-    Screen().print(shown)
+        cells.append((row["design"], row["variant"].replace("_", ", "), text, row.get("status", "")))
+    shown = TextTable.of(("design", "problem", "gammas", "status"), cells, "Gammas (1 is the limit)")
+    Screen().print(on_screen(shown))
 
 
 @design_app.command()

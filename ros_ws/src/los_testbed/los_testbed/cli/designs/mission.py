@@ -13,7 +13,8 @@ from los_testbed.config.members import worst_member
 from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_designs, with_scenario
 from los_testbed.parts.run_parts import RunParts
-from pointing_analysis.requirements.rows import KEEPS, RequirementRow, digits, digits_beside, number
+from pointing_analysis.formatting.number_text import digits, digits_beside, number
+from pointing_analysis.requirements.rows import KEEPS, RequirementRow
 from titop_plant.interface import NO_SCENARIO, STAGES
 
 SECONDS = 20.0

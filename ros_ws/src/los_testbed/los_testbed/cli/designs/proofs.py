@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Column, Table
 
 from lftkit.support.atomic_output import atomic_file, check_output
 from lftkit.support.progress import Progress
@@ -22,9 +21,10 @@ from los_testbed.cli.options.options import Json, Uncertain
 from los_testbed.cli.output import number, print_json, warn
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.members import WORST_POINTS
-from los_testbed.run.summary.screen import Screen, numbers
+from los_testbed.run.summary.screen import Screen, on_screen
 from pointing_analysis.files.structured_text import load_json, read_text
-from pointing_analysis.rounding import at_least, at_most
+from pointing_analysis.formatting.number_text import ABSENT, at_least, at_most
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import (
     DT,
     K_FSM_INPUTS,
@@ -341,18 +341,14 @@ def _bundle(output: Path, loops: Mapping[str, ImplementedLoop]) -> None:
 
 def show_bounds(found: Sequence[FigureBounds]) -> None:
     """Table of bounds, and what is not proven."""
-    heads: tuple[Column | str, ...] = (
-        *numbers("lower", "upper", "at rad/s"),
-        "status",
-        "stable",
-        *numbers("strips", "CPU s"),
-    )
-    table = Table("stage", "figure", *heads, title="Bounds over the whole box (1 is the limit)")
+    bounds = numbers("lower", "upper", "at rad/s")
+    heads = (*texts("stage", "figure"), *bounds, *texts("status", "stable"), *numbers("strips", "CPU s"))
+    rows = []
     for b in found:
-        upper, stable = (at_most(b.upper) if math.isfinite(b.upper) else "-"), ("all" if b.stable else "")
+        upper, stable = (at_most(b.upper) if math.isfinite(b.upper) else ABSENT), ("all" if b.stable else "")
         work = (f"{b.strips}", f"{b.seconds:.0f}")
-        table.add_row(b.stage, b.figure, at_least(b.lower), upper, f"{b.frequency:.5g}", b.status, stable, *work)
-    Screen().print(table)
+        rows.append((b.stage, b.figure, at_least(b.lower), upper, f"{b.frequency:.5g}", b.status, stable, *work))
+    Screen().print(on_screen(TextTable.of(heads, rows, "Bounds over the whole box (1 is the limit)")))
     for b in found:
         if b.status == "violated":
             values = ", ".join(f"{name} {value:.5g}" for name, value in b.point.items())

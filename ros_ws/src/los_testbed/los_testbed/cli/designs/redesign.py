@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from lftkit.support.atomic_output import atomic_file
 from lftkit.support.progress import Progress
@@ -30,7 +29,8 @@ from los_testbed.cli.output import number, print_json
 from los_testbed.config.exit_codes import ExitCode
 from los_testbed.config.run_settings import TELESCOPE_FILE
 from los_testbed.run.input_files import with_files_beside
-from los_testbed.run.summary.screen import Screen, met, numbers
+from los_testbed.run.summary.screen import Screen, met, on_screen
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 
 if TYPE_CHECKING:
     from lftkit.support.workers import Workers
@@ -227,11 +227,14 @@ def show_implemented(
         print_json({"folder": str(folder), **shown, **proofs})
     else:
         title = f"{folder}: gammas as implemented (1 is the limit)"
-        table = Table("stage", "requirement", *numbers("gamma"), "", title=title)
-        for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES)):
-            for name, gamma in zip(names, implemented.get(stage, ())):
-                table.add_row(stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
-        Screen().print(table)
+        rows = [
+            (stage, name, f"{gamma}", met(isinstance(gamma, float) and gamma <= 1.0))
+            for stage, names in (("fsm", FSM_NAMES), ("pma", PMA_NAMES))
+            for name, gamma in zip(names, implemented.get(stage, ()))
+        ]
+        Screen().print(
+            on_screen(TextTable.of((*texts("stage", "requirement"), *numbers("gamma"), *texts("")), rows, title))
+        )
         for key in ("margins", "noise", "worst_point"):
             if key in implemented:
                 Screen().print(f"{key}: {json.dumps(implemented[key])}", soft_wrap=True, highlight=False)

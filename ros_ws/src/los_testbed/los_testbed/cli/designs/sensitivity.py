@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from los_testbed.cli.designs.folders import designs_in
 from los_testbed.cli.designs.proofs import loops_of
 from los_testbed.cli.options.options import Json
 from los_testbed.cli.output import print_json
-from los_testbed.run.summary.screen import Screen, numbers
+from los_testbed.run.summary.screen import Screen, on_screen
+from pointing_analysis.formatting.tables import TextTable, numbers, texts
 from titop_plant.interface import MIRROR_STAGES
 
 if TYPE_CHECKING:
@@ -61,9 +61,9 @@ def sensitivity(
 
 
 def _show(effects: list[ParameterEffect], title: str, slope: str) -> None:
-    columns = numbers("value", "least", "largest", slope)
-    shown = Table("figure", "parameter", *columns, title=f"{title} (1 is the limit)")
+    rows = []
     for e in effects:
         values = (f"{e.value:.4f}", f"{e.least:.4f}", f"{e.largest:.4f}", f"{100.0 * e.slope:+.2f} %")
-        shown.add_row(f"{e.stage}, {e.figure}", e.parameter, *values)
-    Screen().print(shown)
+        rows.append((f"{e.stage}, {e.figure}", e.parameter, *values))
+    heads = (*texts("figure", "parameter"), *numbers("value", "least", "largest", slope))
+    Screen().print(on_screen(TextTable.of(heads, rows, f"{title} (1 is the limit)")))

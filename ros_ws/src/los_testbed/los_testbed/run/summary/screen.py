@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich import table as rich_table
 from rich.console import Console
-from rich.table import Column
 from rich.text import Text
+
+from pointing_analysis.formatting.tables import Marked, TextTable
 
 
 def printable(text: str) -> str:
@@ -18,6 +20,11 @@ def printable(text: str) -> str:
     red\x1b[31m\nbag is whole
     """
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def printable_lines(text: str) -> str:
+    """The same of several lines, which stay lines."""
+    return "\n".join(map(printable, text.split("\n")))
 
 
 class Screen(Console):
@@ -39,17 +46,42 @@ class Screen(Console):
 
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
         """A text as it is shown; lines stay lines."""
-        return super().render_str("\n".join(map(printable, text.split("\n"))), **options)
+        return super().render_str(printable_lines(text), **options)
 
 
-def numbers(*heads: str, **options: Any) -> list[Column]:
-    """Columns of numbers for a table, each with its head; further options are those of :class:`rich.table.Column`."""
-    return [Column(head, justify="right", **options) for head in heads]
+STYLES = {"ok": "green", "kept": "green", "bad": "red"}
+"""Colours of marked cells."""
 
 
-def met(requirement: bool) -> Text:
+def on_screen(table: TextTable, whole: tuple[str, ...] = (), **options: Any) -> rich_table.Table:
+    """A table for the terminal; :class:`Screen` spells out what would control it.
+
+    Parameters
+    ----------
+    table : TextTable
+    whole : tuple of str
+        Headings of columns whose cells are never broken, for instance because they are to be copied.
+    **options
+        Of :class:`rich.table.Table`.
+    """
+    title = Text(printable(table.title), style="table.title") if table.title else None
+    shown = rich_table.Table(title=title, title_justify="left", **options)
+    for column in table.columns:
+        justify: Any = "right" if column.number else "left"
+        shown.add_column(column.head, justify=justify, overflow="fold", no_wrap=column.head in whole)
+    for row in table.rows:
+        shown.add_row(*map(marked, row))
+    return shown
+
+
+def marked(cell: str) -> Text:
+    """A cell in the colour of its mark."""
+    return Text(printable_lines(cell), style=STYLES.get(cell.mark, "") if isinstance(cell, Marked) else "")
+
+
+def met(requirement: bool) -> Marked:
     """Cell of a table."""
-    return Text("met") if requirement else Text("not met", style="red")
+    return Marked("met", "open") if requirement else Marked("not met", "bad")
 
 
 def say(console: Console, text: str, label: str = "") -> None:

@@ -5,34 +5,34 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
+from rich.table import Table as ScreenTable
 
-from lftkit.support.atomic_output import check_output
 from los_testbed.config.topics import UNSENT_TICKS
 from los_testbed.run.change_requests import requested
 from los_testbed.run.older_bags import REMARK, is_older, with_requirements
 from los_testbed.run.results import MAX_MISSED
 from los_testbed.run.summary.local_proofs import stated_lines, with_confirmed
-from los_testbed.run.summary.screen import met, numbers, printable, say
+from los_testbed.run.summary.screen import marked, met, on_screen, say
 from los_testbed.run.summary.source_shares import as_rows, source_shares
+from pointing_analysis.formatting.number_text import ABSENT
 from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.read import run_end
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
 from pointing_analysis.read.unsent import UNSENT
-from pointing_analysis.report.source_share import SourceShare
+from pointing_analysis.report.outputs import NO_REPORT, ReportOutputs
+from pointing_analysis.report.source_share import SourceShare, source_table
 from pointing_analysis.requirements.conditions import differences
 from pointing_analysis.requirements.guarantee import NOISE as PROOF_NOISE
 from pointing_analysis.requirements.image_guarantee import METADATA as PROOF_RPE
 from pointing_analysis.requirements.image_guarantee import proven_text
 from pointing_analysis.requirements.requirement import time_text
-from pointing_analysis.requirements.rows import HEADS, cells
+from pointing_analysis.requirements.rows import BRIEF, requirement_table
 from pointing_analysis.requirements.summary import UNKNOWN, Summary, summarise_all
 from pointing_analysis.requirements.verdict import Requirement
 
@@ -54,8 +54,8 @@ class RunSummaries:
     summaries : tuple of Summary
     runs : tuple of dict
         Each run as the JSON object of the command line.
-    report : Path or None
-        HTML report, if one was written.
+    outputs : ReportOutputs
+        Files of the report that were written.
     remarks : tuple of tuple of str
         Of each run sentences beside its verdict.
     shares : tuple of tuple of SourceShare
@@ -64,14 +64,14 @@ class RunSummaries:
 
     summaries: tuple[Summary, ...]
     runs: tuple[dict[str, Any], ...]
-    report: Path | None
+    outputs: ReportOutputs = NO_REPORT
     remarks: tuple[tuple[str, ...], ...] = ()
     shares: tuple[tuple[SourceShare, ...], ...] = ()
 
 
 def summarise_runs(
     bags: Sequence[Path | Recording],
-    report: Path | None,
+    report: Path | ReportOutputs | None,
     transient: float | None = None,
     requirements: Sequence[Requirement] | None = None,
 ) -> RunSummaries:
@@ -81,8 +81,8 @@ def summarise_runs(
     ----------
     bags : sequence of Path or Recording
         Folders or .mcap files of the testbed, or what is open already.
-    report : Path or None
-        HTML file to write.
+    report : Path, ReportOutputs or None
+        HTML or PDF file to write, or all files.
     transient : float, optional
         Seconds of start-up to leave out.
     requirements : sequence of Requirement, optional
@@ -93,17 +93,17 @@ def summarise_runs(
     ValueError
         A bag that cannot be read or holds no run.
     """
-    if report is not None:
-        check_output(report, "the report")
+    outputs = report if isinstance(report, ReportOutputs) else ReportOutputs(report)
+    outputs.check()
     runs = [Run.open(bag) if isinstance(bag, Path) else bag for bag in bags]
     found = judged(runs, transient, requirements)
-    if report is not None:
-        found.write_page(report)
+    if outputs:
+        found.write_page(outputs)
     metrics = tuple(_metrics(*one) for one in zip(found.runs, found.summaries, found.remarks))
     for values, rows in zip(metrics, found.shares):
         if rows:
             values["disturbances"] = as_rows(rows)
-    return RunSummaries(found.summaries, metrics, report, found.remarks, found.shares)
+    return RunSummaries(found.summaries, metrics, outputs, found.remarks, found.shares)
 
 
 @dataclass(frozen=True)
@@ -134,16 +134,16 @@ class JudgedRuns:
 
     def write_page(
         self,
-        path: Path,
+        outputs: ReportOutputs,
         start: float = 0.0,
         stop: float = math.inf,
         lines: ExpectedLines | None = None,
-    ) -> Path:
-        """Write the HTML report; returns `path`.
+    ) -> None:
+        """Write the report, and its figures and tables.
 
         Parameters
         ----------
-        path : Path
+        outputs : ReportOutputs
         start, stop : float
             Part of each bag that was read [s].
         lines : mapping, optional
@@ -152,18 +152,18 @@ class JudgedRuns:
         from los_testbed.run.summary.loop_curves import loop_curves
         from los_testbed.run.summary.predictions import predictions
         from pointing_analysis.report.model_results import ModelResults
-        from pointing_analysis.report.report import write_report  # with matplotlib, which nothing else of a run needs
+        from pointing_analysis.report.report import report_content  # with matplotlib, which nothing else of a run needs
 
         predicted = predictions(self.runs, self.transient, start, stop)
-        return write_report(
+        content = report_content(
             self.runs,
-            path,
             transient=self.transient,
             requirements=self.requirements,
             model=ModelResults(lines or {}, predicted, self.shares, loop_curves(self.runs)),
             remarks=self.remarks,
             summaries=self.summaries,
         )
+        outputs.write(content)
 
 
 def judged(
@@ -288,7 +288,7 @@ def print_summary(console: Console, results: RunSummaries) -> None:
         if not summary.requirements_known:
             say(console, UNKNOWN, "note")
         if shares:
-            console.print(_shares(shares))
+            console.print(on_screen(source_table(shares)))
         if summary.budget is not None:
             console.print(str(summary.budget), soft_wrap=True, highlight=False, markup=False)
         for remark in metrics["remarks"]:
@@ -300,29 +300,22 @@ def print_summary(console: Console, results: RunSummaries) -> None:
         if summary.sampling:
             say(console, f"rate    {summary.sampling}")
         say(console, f"{summary.kind:<7} {summary.path}")
-    if results.report is not None:
-        say(console, f"report  {results.report}")
+    say_outputs(console, results.outputs)
 
 
-def _shares(shares: Sequence[SourceShare]) -> Table:
-    values = numbers("APE 99.7 % [arcsec]", "RPE rms [mas]", "share of the RPE")
-    heads: tuple[Column | str, ...] = (Column("source", overflow="fold"), "kind", "place", *values)
-    table = Table(*heads, title="What acts, each alone in the loop; shares add up", title_justify="left")
-    for s in shares:
-        table.add_row(*s.shown.values())
-    return table
+def say_outputs(console: Console, outputs: ReportOutputs) -> None:
+    """Print where the report is, and its figures and tables."""
+    if outputs.path is not None:
+        say(console, f"report  {outputs.path}")
+    if outputs.export is not None:
+        say(console, f"export  {outputs.export}")
 
 
-def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
+def _table(summary: Summary, metrics: Mapping[str, Any]) -> ScreenTable:
     what = (summary.loop or summary.path.name, summary.scenario, summary.mode, f"{summary.duration:g} s")
     title = ", ".join(part for part in what if part)
     title += f", first {summary.transient:g} s (start-up) left out" if summary.transient else ", steady start"
-    table = Table(title=Text(printable(title), style="table.title"))
-    for head in HEADS:
-        table.add_column(head, justify="right" if head in ("value", "limit") else "left")
-    for row in summary.rows:
-        style = {"ok": "green", "bad": "red"}.get(row.css, "")
-        table.add_row(*cells(row)[:-1], Text(printable(row.verdict_text), style=style))
+    table = on_screen(replace(requirement_table(summary.rows).only(*BRIEF), title=title))
     table.add_section()
     judged = {row.quantity for row in summary.rows}
     for figure in summary.figures:
@@ -330,15 +323,15 @@ def _table(summary: Summary, metrics: Mapping[str, Any]) -> Table:
             table.add_row(figure.name, figure.text)
     lost = metrics["samples_lost"]
     verdict = "not known: cut off" if summary.open_end and not lost else met(not lost)
-    table.add_row("samples lost", summary.lost_text(lost), "0", "", verdict)
+    table.add_row("samples lost", summary.lost_text(lost), "0", "", marked(verdict))
     missed, periods = metrics["missed_ticks"], metrics["periods"]
     if summary.mode == "realtime" and missed is not None:
         share, max_missed = missed_share(metrics), metrics["max_missed"]
         ok = met(share <= max_missed)
-        table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", f"{max_missed:g} %", "", ok)
+        table.add_row("missed ticks", f"{missed} of {periods} ({share:.2f} %)", f"{max_missed:g} %", "", marked(ok))
         if lost := metrics["lost_periods"]:
             table.add_row("of these periods lost by the machine", f"{lost} ({100.0 * lost / periods:.2f} %)")
         latency = metrics["latency_us"]
-        texts = [f"{latency[key]:.0f}" if latency[key] is not None else "-" for key in ("median", "p99", "p999")]
+        texts = [f"{latency[key]:.0f}" if latency[key] is not None else ABSENT for key in ("median", "p99", "p999")]
         table.add_row("sensor to command: median, 99 %, 99.9 %", " / ".join(texts) + " µs")
     return table

@@ -18,6 +18,8 @@ import numpy as np
 from scipy import linalg, special
 
 from los_testbed.parts.start import START_FILE, RunStart
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import Heading, numbers
 from pointing_analysis.indices.errors import RAD_PER_ARCSEC, RAD_PER_MAS
 from pointing_analysis.read.run import Run
 from pointing_analysis.requirements.requirement import Requirement
@@ -130,20 +132,13 @@ def judges(requirement: Requirement, index: str, window: float) -> bool:
 
 def figure(value: float) -> str:
     """Three digits."""
-    return "diverged" if not math.isfinite(value) else f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+    return digits(value, none="diverged", infinite="diverged")
 
 
-HEADS = (
-    "stage",
-    "worst tone",
-    "rad/s",
-    "Hz",
-    "gamma",
-    "predicted",
-    "measured",
-    "with noise, 99.7 %",
-    "windows, 99.7 %",
-    "limits",
+COLUMNS = (
+    Heading("stage"),
+    Heading("worst tone"),
+    *numbers("rad/s", "Hz", "gamma", "predicted", "measured", "with noise, 99.7 %", "windows, 99.7 %", "limits"),
 )
 
 
@@ -169,4 +164,4 @@ def rows(cells: Sequence[tuple[str, WorstToneRun, Summary]], requirements: Seque
     return table
 
 
-__all__ = ["HEADS", "WORST_INDICES", "WorstToneRun", "level", "limits_kept", "rows", "worst_tone_of"]
+__all__ = ["COLUMNS", "WORST_INDICES", "WorstToneRun", "level", "limits_kept", "rows", "worst_tone_of"]

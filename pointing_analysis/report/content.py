@@ -1,0 +1,339 @@
+"""What a report says, whatever it is written as: verdict, figures, tables, notes.
+
+The page, the PDF and the files of tables are made from the same :class:`ReportContent`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from pointing_analysis.formatting.number_text import digits
+from pointing_analysis.formatting.tables import Marked, TextTable, texts
+from pointing_analysis.indices.motion import motion_of
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.read.run import Run
+from pointing_analysis.read.series import LOS
+from pointing_analysis.report.figures import Picture, RunView, windows_text
+from pointing_analysis.report.model_results import ModelResults
+from pointing_analysis.report.provenance import provenance_table
+from pointing_analysis.report.run_tables import (
+    LINES_SHOWN,
+    line_table,
+    metric_table,
+    prediction_table,
+    sensor_table,
+)
+from pointing_analysis.report.source_share import source_table
+from pointing_analysis.requirements.requirement import time_text
+from pointing_analysis.requirements.rows import (
+    ALL_RUNS,
+    RequirementRow,
+    css_class,
+    definition_table,
+    requirement_table,
+    rows_of,
+    verdict_table,
+)
+from pointing_analysis.requirements.summary import UNKNOWN, Summary
+from pointing_analysis.spectra.line_search import FALSE_LINES
+
+LEADING = ("time", "psd", "rpe-over-exposure")
+"""Pictures that stand first; behind them the star where a requirement is on the image, else the trajectory."""
+
+
+@dataclass(frozen=True)
+class ReportPart:
+    """A table, or paragraphs, or both.
+
+    Parameters
+    ----------
+    title : empty for a part that is never folded
+    table : TextTable, optional
+    lines : paragraphs behind the table
+    run : number of the run that it is about, from 0; None for all
+    open : whether it is shown before it is asked for; on paper everything is
+    warning : whether it restricts what the verdict is worth
+    """
+
+    title: str = ""
+    table: TextTable | None = None
+    lines: tuple[str, ...] = ()
+    run: int | None = None
+    open: bool = False
+    warning: bool = False
+
+
+@dataclass(frozen=True)
+class ReportSection:
+    """Parts under a heading; `key` is its anchor, `note` stands above them."""
+
+    key: str
+    title: str
+    parts: tuple[ReportPart, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """All of a report.
+
+    Parameters
+    ----------
+    title, subtitle : of the report
+    bags : names of the recordings
+    names : labels of the runs
+    overall : (label, verdict) of each run
+    verdict : a line for each group of requirements
+    warnings : what restricts the verdict
+    leading, further : pictures, those that stand first and the others
+    missing : pictures that there are not, and why
+    tables : sections of numbers
+    notes : sections that stand at the end
+    """
+
+    title: str
+    subtitle: str
+    bags: tuple[str, ...]
+    names: tuple[str, ...]
+    overall: tuple[tuple[str, Marked], ...]
+    verdict: TextTable
+    warnings: tuple[ReportPart, ...]
+    leading: tuple[Picture, ...]
+    further: tuple[Picture, ...]
+    missing: tuple[str, ...]
+    tables: tuple[ReportSection, ...]
+    notes: tuple[ReportSection, ...]
+
+    @property
+    def several(self) -> bool:
+        """Whether there are several runs."""
+        return len(self.names) > 1
+
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """All pictures in reading order."""
+        return (*self.leading, *self.further)
+
+    def all_tables(self) -> Iterator[TextTable]:
+        """All tables in reading order."""
+        yield self.verdict
+        yield from (p.table for section in (*self.tables, *self.notes) for p in section.parts if p.table is not None)
+
+
+def requirement_rows(names: Sequence[str], summaries: Sequence[Summary]) -> list[RequirementRow]:
+    """Rows of all runs; requirements over several runs are judged on all of them and stand once, at the end."""
+    several = len(names) > 1
+    joint = {str(v.requirement): v for s in summaries for v in s.verdicts if several and v.requirement.across_runs}
+    own = [row for name, s in zip(names, summaries) for row in rows_of(s.verdicts, s.beside, name)]
+    return [row for row in own if row.text not in joint] + rows_of(list(joint.values()), (), ALL_RUNS)
+
+
+def content_of(
+    views: Sequence[RunView],
+    summaries: Sequence[Summary],
+    drawn: Sequence[Picture],
+    model: ModelResults,
+    remarks: Sequence[Sequence[str]] = (),
+    untimed: Sequence[str] = (),
+) -> ReportContent:
+    """The content of a report.
+
+    Parameters
+    ----------
+    views, summaries : of the runs
+    drawn : pictures in reading order
+    model : what a model says of the runs
+    remarks : for each run sentences beside its verdict, or none at all
+    untimed : labels of bags without times of their messages
+    """
+    names, runs = tuple(v.label for v in views), [v.run for v in views]
+    rows, several = requirement_rows(names, summaries), len(views) > 1
+    images = any(v.requirement.of_image for s in summaries for v in s.verdicts)
+    first = (*LEADING, "star" if images else "trajectory")
+    leading = sorted((p for p in drawn if p.name in first), key=lambda p: first.index(p.name))
+    no_spectrum = [v.label for v in views if v.spectrum is None]
+    missing = {
+        "No spectrum for {}: the run is too short or has too many gaps.": no_spectrum,
+        "No timing histogram for {}: the messages carry simulated times only.": untimed,
+    }
+    bags = tuple(dict.fromkeys(run.path.name for run in runs))
+    tables = (
+        _requirements(rows, several, all(not s.requirements_known for s in summaries), names),
+        ReportSection("metrics", "Metrics", (ReportPart(table=metric_table(names, summaries)),)),
+        _lines(views, several),
+        _sources(names, model, several),
+        _predictions(names, model, several),
+        ReportSection("sensors", "Sensors", tuple(_sensors(names, runs, several))),
+    )
+    notes = (
+        ReportSection("notes", "Notes", tuple(_notes(names, summaries, remarks or [()] * len(names)))),
+        ReportSection("provenance", "Provenance", tuple(_provenance(names, runs))),
+        ReportSection("terms", "Terms", (ReportPart("Indices after ECSS-E-ST-60-10C", _terms(windows_text(views))),)),
+    )
+    return ReportContent(
+        " / ".join(names),
+        f"{_origin(runs)} RPE and RKE: exposures of {windows_text(views)}. {_from(runs)}: {', '.join(bags)}.",
+        bags,
+        names,
+        tuple((name, Marked(s.overall, css_class(s.overall))) for name, s in zip(names, summaries)),
+        _of_runs(verdict_table(rows, several), names, several),
+        tuple(_warnings(names, summaries)),
+        tuple(leading),
+        tuple(p for p in drawn if p not in leading),
+        tuple(text.format(", ".join(labels)) for text, labels in missing.items() if labels),
+        tuple(section for section in tables if section.parts),
+        notes,
+    )
+
+
+def _of_runs(table: TextTable, names: Sequence[str], several: bool) -> TextTable:
+    """The table with the class of the run of each row, so that a page can hide it."""
+    if not several:
+        return table
+    classes = tuple(f"run-{names.index(row[0]) if row[0] in names else 'all'}" for row in table.rows)
+    return replace(table, classes=classes)
+
+
+def _requirements(rows: Sequence[RequirementRow], several: bool, unknown: bool, names: Sequence[str]) -> ReportSection:
+    if not rows:
+        none = f"{UNKNOWN[0].upper()}{UNKNOWN[1:]}." if unknown else "No requirement applies to this run."
+        return ReportSection("requirements", "Requirements", (ReportPart(lines=(none,)),))
+    note = (
+        "The value is the limit that the run just keeps with the required probability; its bound holds at the stated "
+        "confidence without assuming a distribution. A bound that is proven is one of the loop, for every telescope of "
+        "the family, with the tone that acts and noise. Correlated samples count as the smaller number of independent "
+        "ones shown; for the RPE no more than one per exposure counts."
+    )
+    table = _of_runs(requirement_table(rows, several), names, several)
+    stated = ReportPart("Requirements as stated", definition_table(rows))
+    return ReportSection("requirements", "Requirements", (ReportPart(table=table, lines=(note,)), stated))
+
+
+def _file(name: str, k: int, several: bool) -> str:
+    return f"{name}_{k + 1}" if several else name
+
+
+def _lines(views: Sequence[RunView], several: bool) -> ReportSection:
+    parts = []
+    for k, view in enumerate(views):
+        title = f"{view.label}: what each line adds to the RPE"
+        table = line_table(view, _file("lines", k, several)) if view.tones else None
+        parts.append(ReportPart(title, table, tuple(_about_lines(view)), k, not several))
+    return ReportSection("lines", "Disturbance lines", tuple(parts))
+
+
+def _about_lines(view: RunView) -> Iterator[str]:
+    if not view.tones and motion_of(view.run) is not None:
+        yield (
+            "Wheels or arrays move during this run: see the waterfall, the Campbell diagram and the relative error "
+            "over time."
+        )
+    elif not view.tones:
+        who = "The bag" if view.run.kind == "bag" else "The data"
+        yield f"{who} names no lines that can be told apart in this run, and none stands out of the noise."
+    if len(view.tones) > LINES_SHOWN:
+        yield f"The {LINES_SHOWN} largest of {len(view.tones)} lines."
+    if any(line.found for line in view.tones):
+        yield (
+            "Known from the spectrum: sinusoids that stand out of the noise beside them, although the recording does "
+            f"not name them. In a record of noise alone {FALSE_LINES:g} lines are expected. Amplitudes have bounds at "
+            "95 % confidence; the level is that of the peak in the power density (resolution 0.375 Hz)."
+        )
+
+
+def _sources(names: Sequence[str], model: ModelResults, several: bool) -> ReportSection:
+    note = (
+        "All that acts, each part alone in the loop as implemented. Their lines of sight add up to that of the run. "
+        "Share: covariance of a part with the whole in windows of the relative error, over the variance of the whole; "
+        "the shares add up to 100 %."
+    )
+    parts = tuple(
+        ReportPart(
+            f"{name}: what each source does", source_table(shares, _file("sources", k, several)), (), k, not several
+        )
+        for k, (name, shares) in enumerate(zip(names, model.sources))
+        if shares
+    )
+    return ReportSection("sources", "Sources of disturbance", parts, note)
+
+
+def _predictions(names: Sequence[str], model: ModelResults, several: bool) -> ReportSection:
+    note = (
+        "Amplitude of the line of sight at each tone of the disturbance, norm of both axes. The prediction is the loop "
+        "as implemented (sampled plant, one tick of delay, camera held between frames, commands limited), run from the "
+        "same start. That of a rig is the mean of settled loops with the delays that the run has measured. It knows "
+        "nothing else of the record but the tones. Ratio: measured over predicted, ± two standard deviations by noise; "
+        "“in noise”: neither amplitude stands out of it."
+    )
+    parts = []
+    for k, (name, found) in enumerate(zip(names, model.predictions)):
+        if found is not None and found.tones:
+            title = f"{name}: {digits(found.start, 6)} s to {digits(found.stop, 6)} s"
+            table = prediction_table(found, _file("predicted", k, several))
+            parts.append(ReportPart(title, table, (), k, not several))
+        elif found is not None:
+            parts.append(ReportPart(lines=(f"{name}: no prediction: {found.note}.",), run=k))
+    return ReportSection("predicted", "Predicted and measured tones", tuple(parts), note)
+
+
+def _sensors(names: Sequence[str], runs: Sequence[Recording], several: bool) -> Iterator[ReportPart]:
+    for k, (name, run) in enumerate(zip(names, runs)):
+        table = sensor_table(run, _file("sensors", k, several))
+        if table.rows:
+            yield ReportPart(f"{name}: rate and noise of its sensors", table, (), k, not several)
+
+
+def _warnings(names: Sequence[str], summaries: Sequence[Summary]) -> Iterator[ReportPart]:
+    for k, (name, s) in enumerate(zip(names, summaries)):
+        if s.problems:
+            what = "bag" if s.kind == "bag" else "data"
+            title = f"{name}: {len(s.problems)} warning{'s' if len(s.problems) > 1 else ''} about the {what}"
+            yield ReportPart(title, lines=s.problems, run=k, warning=True)
+
+
+def _notes(
+    names: Sequence[str], summaries: Sequence[Summary], remarks: Sequence[Sequence[str]]
+) -> Iterator[ReportPart]:
+    for k, (name, s, more) in enumerate(zip(names, summaries, remarks)):
+        data = (
+            f"{digits(s.duration, 6)} s, {digits(s.ticks, 6)} {'ticks' if s.mode else 'samples'}; "
+            f"first {s.transient:g} s dropped; {digits(s.windows, 6)} windows of {time_text(s.window)}, "
+            f"{s.windows_skipped} skipped; samples lost: {s.lost_text()}"
+        )
+        scenario = [f"Scenario {s.scenario}{f', {s.mode}' if s.mode else ''}"] if s.scenario else []
+        conditions = [f"{label}: {text}" for label, text in s.conditions.lines]
+        budget = [] if s.budget is None else [str(s.budget)]
+        lines = tuple(f"{text[:1].upper()}{text[1:]}." for text in (*scenario, data, *conditions, *budget, *more))
+        yield ReportPart(f"{name}: conditions, budget and remarks", lines=lines, run=k)
+
+
+def _provenance(names: Sequence[str], runs: Sequence[Recording]) -> Iterator[ReportPart]:
+    for k, (name, run) in enumerate(zip(names, runs)):
+        table = provenance_table(run, _file("provenance", k, len(runs) > 1))
+        yield ReportPart(f"{name}: {len(table.rows)} values", table, run=k)
+
+
+def _terms(exposure: str) -> TextTable:
+    rows = (
+        ("APE", "absolute performance error: the error at each instant"),
+        ("RPE", f"relative performance error: the error less its mean over an exposure ({exposure}), over all instants "
+         "of disjoint exposures"),
+        ("AKE, RKE", "absolute and relative knowledge error: the same for the estimate less the truth"),
+        ("temporal", "interpretation of a requirement unless stated: over the time of each run"),
+        ("both axes", "indices are formed on both axes before the norm is taken"),
+    )  # fmt: skip
+    return TextTable.of(texts("term", "meaning"), rows, "Terms", name="terms")
+
+
+def _origin(runs: Sequence[Recording]) -> str:
+    """Where the line of sight is from."""
+    if all(isinstance(run, Run) for run in runs):
+        return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
+    found = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)
+    return f"Line of sight: {'; '.join(found)}."
+
+
+def _from(runs: Sequence[Recording]) -> str:
+    what = "Bag" if all(run.kind == "bag" for run in runs) else "File"
+    return what if len(runs) == 1 else f"{what}s"

@@ -1,0 +1,51 @@
+"""Where a line of the spectrum is known from, and what is likely to make it: a wheel, or the scenario of the run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pointing_analysis.files.structured_text import is_number
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.report.figures import RunView
+from pointing_analysis.requirements.conditions import ACTING
+from pointing_analysis.spectra.spectra import SpectralLine
+
+ORDERS = 6
+"""Multiples of the speed of a wheel at which its bearings and its imbalance make lines."""
+
+
+def origin(line: SpectralLine) -> str:
+    """Where a line is known from: the recording names it, or it was found in the spectrum."""
+    return "recording" if line.found is None else f"spectrum, {line.found.level:.0f} dB above the noise"
+
+
+def likely_source(view: RunView, line: SpectralLine) -> str:
+    """What is likely to make a line, in a few words; empty where nothing of the recording fits.
+
+    A line within the resolution of the run, one over its length, at a multiple of the speed of a wheel is that wheel's;
+    others that the recording names are of its scenario.
+    """
+    if line.found is not None and line.found.is_sideband:
+        return f"sideband of {line.found.carrier / (2 * math.pi):.4g} Hz"
+    speeds = view.run.parameters.get("wheel_speed", [])
+    near = 2 * math.pi / max(view.series.duration, 1e-9)
+    found = _wheels(
+        line.omega, [abs(float(x)) for x in speeds if is_number(x)] if isinstance(speeds, list) else [], near
+    )
+    return found or (_scenario(view.run) if line.found is None else "")
+
+
+def _wheels(omega: float, speeds: Sequence[float], near: float) -> str:
+    for order in range(1, ORDERS + 1):
+        own = [str(k + 1) for k, speed in enumerate(speeds) if speed > near and abs(omega - order * speed) <= near]
+        if own:
+            name = f"wheel{'s' if len(own) > 1 else ''} {', '.join(own)}"
+            return name if order == 1 else f"{order} × {name}"
+    return ""
+
+
+def _scenario(run: Recording) -> str:
+    entries = run.parameters.get(ACTING)
+    known = entries if isinstance(entries, list) else []
+    return next((str(e.get("name")) for e in known if isinstance(e, dict) and e.get("kind") == "scenario"), "")

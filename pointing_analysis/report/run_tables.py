@@ -1,0 +1,116 @@
+"""Tables of the report about its runs: metrics, disturbance lines, predicted and measured tones, sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pointing_analysis.formatting.number_text import ABSENT, digits
+from pointing_analysis.formatting.tables import Heading, TextTable, numbers, texts
+from pointing_analysis.indices.errors import RAD_PER_MAS
+from pointing_analysis.read.recorded_sensors import sensors_of
+from pointing_analysis.read.recording import Recording
+from pointing_analysis.report.figures import RunView
+from pointing_analysis.report.line_sources import likely_source, origin
+from pointing_analysis.requirements.summary import Summary
+from pointing_analysis.spectra.prediction import Prediction, ToneComparison
+from pointing_analysis.spectra.spectra import SpectralLine
+
+LINES_SHOWN = 12
+"""Largest lines of a run that are in its table."""
+
+
+def metric_table(names: Sequence[str], summaries: Sequence[Summary]) -> TextTable:
+    """Metrics that need no requirement: a row each, a column for each run."""
+    found = [_metrics(summary) for summary in summaries]
+    metrics = dict.fromkeys(name for one in found for name in one)
+    rows = [(name, *(one.get(name, ABSENT) for one in found)) for name in metrics]
+    runs = (Heading(name, number=True, name=True) for name in names)
+    heads = (*texts("metric"), *(runs if len(names) > 1 else numbers("value")))
+    return TextTable.of(heads, rows, "Metrics", name="metrics")
+
+
+def _metrics(summary: Summary) -> dict[str, str]:
+    found = {figure.name: figure.text for figure in summary.figures}
+    if summary.knowledge:
+        found["AKE 99.7 %"] = f"{digits(summary.knowledge.ake_p997_arcsec)} arcsec"
+        found["RKE rms"] = f"{digits(summary.knowledge.rke_rms_mas)} mas"
+    return found
+
+
+def line_table(view: RunView, name: str = "lines") -> TextTable:
+    """The largest disturbance lines of a run; amplitudes of found ones with the larger distance of their bounds."""
+    total = math.fsum(line.rpe**2 for line in view.tones)
+    rows = [
+        (
+            f"{line.omega / (2 * math.pi):.3f}",
+            _frequency(line.omega, line.merged),
+            likely_source(view, line) or ABSENT,
+            origin(line),
+            _amplitude(line, 0),
+            _amplitude(line, 1),
+            digits(line.rpe / RAD_PER_MAS),
+            f"{100 * line.rpe**2 / total:.1f} %" if total else ABSENT,
+        )
+        for line in view.tones[:LINES_SHOWN]
+    ]
+    heads = (
+        *numbers("Hz", "rad/s"),
+        *texts("likely source", "known from"),
+        *numbers("x [mas]", "y [mas]", "RPE rms [mas]", "share of all lines"),
+    )
+    return TextTable.of(heads, rows, "Disturbance lines", name=name)
+
+
+def _frequency(omega: float, merged: int) -> str:
+    return f"{omega:.2f}" + (f" ({merged} lines)" if merged > 1 else "")
+
+
+def _amplitude(line: SpectralLine, axis: int) -> str:
+    value = float(line.amplitude[axis])
+    text = digits(value / RAD_PER_MAS)
+    if line.found is None:
+        return text
+    bound = max(float(line.found.upper[axis]) - value, value - float(line.found.lower[axis]))
+    return f"{text} ± {digits(bound / RAD_PER_MAS, 2)}"
+
+
+def prediction_table(found: Prediction, name: str = "predicted") -> TextTable:
+    """Predicted and measured amplitudes of the tones of a run, the strongest first."""
+    rows = [
+        (
+            f"{tone.omega / (2 * math.pi):.3f}",
+            _frequency(tone.omega, tone.merged),
+            digits(tone.predicted / RAD_PER_MAS),
+            digits(tone.measured / RAD_PER_MAS),
+            _ratio(tone),
+        )
+        for tone in sorted(found.tones, key=lambda tone: -tone.predicted)
+    ]
+    heads = numbers("Hz", "rad/s", "predicted [mas]", "measured [mas]", "ratio")
+    return TextTable.of(heads, rows, "Predicted and measured tones", name=name)
+
+
+def _ratio(tone: ToneComparison) -> str:
+    if tone.in_noise or not tone.predicted:
+        return "in noise" if tone.in_noise else ABSENT
+    return f"{tone.ratio:.3f}" + ("" if tone.uncertainty < 5e-4 else f" ± {tone.uncertainty:.3f}")
+
+
+def sensor_table(run: Recording, name: str = "sensors") -> TextTable:
+    """Rate and noise of the sensors of a run."""
+    rows = []
+    for sensor in sensors_of(run):
+        found = run[sensor.topic].integrity
+        rows.append(
+            (
+                sensor.topic,
+                ", ".join(sensor.unit.split(",")),
+                digits(sensor.rate),
+                ", ".join(digits(value) for value in dict.fromkeys(sensor.noise)),
+                str(len(run[sensor.topic]) - found.nan),
+                str(found.nan) if sensor.held else ABSENT,
+            )
+        )
+    heads = (*texts("topic", "unit"), *numbers("rate [Hz]", "noise of a sample, rms", "samples", "dropped"))
+    return TextTable.of(heads, rows, "Sensors", name=name)

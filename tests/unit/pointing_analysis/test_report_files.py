@@ -1,0 +1,203 @@
+"""Reports as files: a PDF with the verdict and the tables as text and figures as vectors, parts for documents."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import CommandLine
+from support.table_forms import of_html, of_latex, of_markdown
+
+from pointing_analysis.indices.synthetic import write_bag
+from pointing_analysis.read.run import Run
+from pointing_analysis.report import content, paper
+from pointing_analysis.report.export import write_parts
+from pointing_analysis.report.html_page import page
+from pointing_analysis.report.report import report_content, write_report
+
+MAS = np.pi / 648_000_000
+SIZES = {"a4": (595.28, 841.89), "letter": (612.0, 792.0)}
+RULES = [
+    {"name": "APE", "text": "prob(|APE| < 10 arcsec) >= 0.9 at 95 % confidence"},
+    {"name": "REQ_7 & <b>*50 %*</b> #x $y$ @z", "text": "prob(rms RPE(20 ms) < 40 mas) >= 0.9 at 95 % confidence"},
+    {"name": "finest", "text": "prob(rms RPE(20 ms) < 1 mas) >= 0.9 at 95 % confidence"},
+]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    t = 1e-3 * np.arange(5000)
+    los = 5 * MAS * np.column_stack([np.sin(88 * t), np.cos(88 * t)])
+    los += MAS * np.random.default_rng(0).standard_normal(los.shape)
+    parameters = {"loop": "fsm", "scenario": "design", "seed": 1, "tones_rad_s": [88.0], "requirements": RULES}
+    return write_bag(tmp_path_factory.mktemp("bags") / "night", {"truth/los": los}, parameters=parameters)
+
+
+@pytest.fixture(scope="module")
+def made(bag: Path) -> content.ReportContent:
+    return report_content([Run.open(bag)])
+
+
+@pytest.fixture
+def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> CommandLine:
+    return CommandLine.below(tmp_path, monkeypatch, capsys)
+
+
+def plain(text: str) -> str:
+    """Without white space: a PDF breaks lines where it likes."""
+    return re.sub(r"\s", "", text)
+
+
+# -- PDF ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=SIZES)
+def pdf(request: pytest.FixtureRequest, bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Any]:
+    pytest.importorskip("typst")
+    pypdf = pytest.importorskip("pypdf")
+    path = tmp_path_factory.mktemp("pdf") / "report.pdf"
+    assert write_report([Run.open(bag)], path, paper=request.param) == path
+    return request.param, pypdf.PdfReader(path)
+
+
+def test_pages_have_their_size_and_something_on_them(pdf: tuple[str, Any]) -> None:
+    size, reader = pdf
+    assert 2 <= len(reader.pages) <= 8
+    for sheet in reader.pages:
+        assert (sheet.mediabox.width, sheet.mediabox.height) == pytest.approx(SIZES[size], abs=0.5)
+        assert len(plain(sheet.extract_text())) > 60
+
+
+def test_verdict_and_tables_are_text(pdf: tuple[str, Any], made: content.ReportContent) -> None:
+    """The verdict with each requirement on the first page; the cells of all tables somewhere."""
+    _, reader = pdf
+    texts = [plain(sheet.extract_text()) for sheet in reader.pages]
+    assert "✗notcompliant" in texts[0] and "✓compliant" in texts[0] and made.several is False
+    assert all(plain(cell) in texts[0] for row in made.verdict.rows for cell in row)
+    whole = "".join(texts)
+    missing = [cell for table in made.all_tables() for row in table.rows for cell in row if plain(cell) not in whole]
+    assert missing == []
+    assert all(plain(rule["name"]) in whole and plain(rule["text"]) in whole for rule in RULES)
+
+
+def test_figures_are_vectors_with_a_text_for_those_who_cannot_see_them(
+    pdf: tuple[str, Any], made: content.ReportContent
+) -> None:
+    _, reader = pdf
+    assert [image for sheet in reader.pages for image in sheet.images] == [], "no optics, so no picture of pixels"
+    titles = [plain(picture.title) for picture in made.pictures]
+    whole = "".join(plain(sheet.extract_text()) for sheet in reader.pages)
+    assert len(titles) > 5 and all(title in whole for title in titles)
+    alternatives = [o["/Alt"] for k in range(1, reader.trailer["/Size"]) if (o := _figure(reader, k))]
+    assert sorted(alternatives) == sorted(picture.alt for picture in made.pictures)
+    assert reader.metadata.title == "Pointing report: fsm"
+
+
+def _figure(reader: Any, number: int) -> Any:
+    import pypdf
+
+    try:
+        found = reader.get_object(number)
+    except Exception:
+        return None
+    return found if isinstance(found, pypdf.generic.DictionaryObject) and "/Alt" in found else None
+
+
+def test_same_bag_same_pdf(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("typst")
+    one, two = (write_report([Run.open(bag)], tmp_path / name) for name in ("a.pdf", "b.PDF"))
+    assert one.read_bytes() == two.read_bytes() and one.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("command", ["analyse", "report"])
+def test_without_the_extra_there_is_one_line_before_any_work(
+    command: str, bag: Path, call: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in ("pointing_analysis.read.los_source.open_los", "pointing_analysis.read.run.Run.open"):
+        monkeypatch.setattr(place, lambda *_, **__: pytest.fail("was read"))
+    monkeypatch.setattr(paper.importlib.util, "find_spec", lambda _: None)
+    code, out, err = call(command, bag, "--format", "pdf")
+    assert (code, out) == (2, "")
+    assert err == "los-testbed: typst must be installed for PDF reports: pip install 'los-testbed[pdf]'\n"
+    assert sorted(file.name for file in bag.iterdir()) == ["metadata.yaml", "night_0.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--format", "docx"], "--format must be html or pdf, got 'docx'"),
+        (["--format", "pdf", "--paper", "a5"], "--paper must be a4 or letter, got 'a5'"),
+        (["--paper", "letter"], "--paper must be given with a PDF report, got --paper letter without --format pdf"),
+        (["--format", "html", "--report", "x.pdf"], "--report must not end in .pdf with --format html, got x.pdf"),
+        (["--format", "pdf", "--report", "x.html"], "--report must end in .pdf with --format pdf, got x.html"),
+        (["--export", "file"], "the folder of figures and tables must be a folder, got file"),
+    ],
+)
+def test_options_that_do_not_fit(options: list[str], words: str, bag: Path, call: CommandLine) -> None:
+    (call.here / "file").write_text("")
+    code, out, err = call("analyse", bag, *options)
+    assert (code, out, err) == (2, "", f"los-testbed: {words}\n")
+    assert [file.name for file in call.here.iterdir()] == ["file"]
+
+
+def test_a_pdf_that_fails_leaves_the_old_one(made: content.ReportContent, tmp_path: Path) -> None:
+    typst = pytest.importorskip("typst")
+    from pointing_analysis.report.pdf_file import write_pdf
+
+    (tmp_path / "r.pdf").write_text("old")
+    broken = replace(made, leading=(replace(made.leading[0], svg=b"<no svg"),))
+    with pytest.raises(typst.TypstError):
+        write_pdf(broken, tmp_path / "r.pdf")
+    assert [file.name for file in tmp_path.iterdir()] == ["r.pdf"] and (tmp_path / "r.pdf").read_text() == "old"
+
+
+# -- figures and tables ------------------------------------------------------------------------------------------
+
+
+def test_each_figure_and_each_table_is_a_file(made: content.ReportContent, tmp_path: Path) -> None:
+    paths = write_parts(made, tmp_path / "parts")
+    assert sorted(paths) == sorted((tmp_path / "parts").iterdir())
+    assert {"psd.svg", "psd.pdf", "time.svg", "requirements.tex", "verdict.csv", "lines.md"} <= {p.name for p in paths}
+    for picture in made.pictures:
+        assert (tmp_path / "parts" / f"{picture.name}.svg").read_bytes() == picture.svg
+        assert (tmp_path / "parts" / f"{picture.name}.pdf").read_bytes().startswith(b"%PDF")
+    shown = page(made)
+    for table in made.all_tables():
+        rows = [list(map(str, row)) for row in table.rows]
+        texts = [(tmp_path / "parts" / f"{table.name}.{kind}").read_text() for kind in ("csv", "tex", "md")]
+        assert list(csv.reader(texts[0].splitlines(keepends=True))) == [list(table.heads), *rows]
+        assert of_markdown(table) == of_html(table) == rows and texts[2] == f"{table.markdown()}\n"
+        assert of_latex(texts[1]) == rows
+        assert table.html("stack" if len(table.columns) > 3 else "") in shown
+
+
+def test_files_of_two_times_are_equal_and_others_stay(made: content.ReportContent, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    first = {path: path.read_bytes() for path in write_parts(made, tmp_path)}
+    assert {path: path.read_bytes() for path in write_parts(made, tmp_path)} == first
+    assert (tmp_path / "mine.txt").read_text() == "mine" and not list(tmp_path.glob(".*"))
+
+
+def test_figures_as_pdf_have_their_letters_as_text(made: content.ReportContent, tmp_path: Path) -> None:
+    pypdf = pytest.importorskip("pypdf")
+    write_parts(made, tmp_path)
+    (sheet,) = pypdf.PdfReader(tmp_path / "psd.pdf").pages
+    assert "frequency[Hz]" in plain(sheet.extract_text()) and "14.01Hz" in plain(sheet.extract_text())
+
+
+def test_the_command_writes_the_report_and_its_parts(bag: Path, call: CommandLine) -> None:
+    code, out, err = call("report", bag, "--output", "r.html", "--export", "new/parts")
+    assert code == 0, err
+    assert "report  r.html" in out and "export  new/parts" in out
+    assert (call.here / "new" / "parts" / "requirements.tex").exists()
+    code, out, err = call("analyse", bag, "--export", "others", "--report", "a.html")
+    assert code == 0 and "export  others" in out and len(list((call.here / "others").glob("*.pdf"))) > 5
+
+
+def test_words_of_a_bag_are_no_markup(made: content.ReportContent) -> None:
+    assert "<b>*50" not in page(made) and "&lt;b&gt;*50" in page(made)
