@@ -23,11 +23,11 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make run        10 s of the closed loop on ROS 2: table, bag, report"
 	@echo "make test       style, types, tests of some 10 minutes; at the end what was skipped and how to get it"
-	@echo "make test-further  more whole programs, strangers and damage; CI has them, some minutes"
+	@echo "make test-further  more whole programs, foreign nodes and damage; CI has them, some minutes"
 	@echo "make test-anywhere  those that other machines could fail: tests/elsewhere.py makes such"
 	@echo "make test-slow  the long ones"
 	@echo "make fuzz MINUTES=10  random damaged bags, files and command lines"
-	@echo "make attacks MINUTES=10  runs beside random strangers on their domain; CASES=200: so many instead"
+	@echo "make attacks MINUTES=10  runs beside random foreign nodes on their domain; CASES=200: so many instead"
 	@echo "make forgeries MINUTES=10  files of proofs and signed bags that are forged, and whether anything false is said"
 	@echo "make faults MINUTES=10  runs with signals, full disks, too little memory ..., and what is left of them"
 	@echo "                SEED=N repeats what one of these four has found: they print it"
