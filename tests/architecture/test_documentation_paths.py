@@ -22,7 +22,9 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
+    "damper.toml",
     "lead.py",
+    "my_damper.py",
     "start.json",
     "twice.toml",
     "mine.json",
