@@ -79,13 +79,8 @@ def _zero(events: list[dict[str, Any]], ended: bool) -> str:
 
 def table(rows: list[list[str]]) -> str:
     """Rows as Markdown."""
-    heads = [
-        "`--fault`",
-        "exit code",
-        "message",
-        "ms from the last command, from the fault, to zero",
-        "ticks in the bag",
-    ]
+    times = "ms from the last command, from the fault, to zero"
+    heads = ["`--fault`", "exit code", "message", times, "ticks in the bag"]
     cells = [[f"`{row[0]}`" if row[0] in FAULTS else row[0], *row[1:]] for row in rows]
     return TextTable.of(heads, cells).markdown() + "\n"
 

@@ -22,7 +22,9 @@ BASES = (ROOT, ROOT / "ros_ws/src/los_testbed")
 """A path in the documentation is relative to the root of the repository or to that of the ROS package."""
 FILE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|toml|json|md)")
 MADE = {
+    "damper.toml",
     "lead.py",
+    "my_damper.py",
     "start.json",
     "twice.toml",
     "mine.json",
@@ -230,6 +232,16 @@ def test_prose_lines_are_short(page: Path) -> None:
     text = re.sub(GENERATED, "", without_blocks(page.read_text("utf-8")), flags=re.DOTALL)
     prose = [line for line in text.splitlines() if not re.match(r" {4}|\s*[|<!]", line)]
     assert not [line for line in prose if len(line) >= 120]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_tables_are_whole(page: Path) -> None:
+    """Each begins with a head and its separator; all rows have as many cells."""
+    text = re.sub(r"\\\||`[^`\n]*`", "", without_blocks(page.read_text("utf-8")))
+    for table in re.findall(r"^\|.*(?:\n\|.*)*", text, re.MULTILINE):
+        rows = table.splitlines()
+        assert len(rows) > 2 and re.fullmatch(r"\|[\s:|-]+\|", rows[1]), rows[0]
+        assert len({row.count("|") for row in rows}) == 1, rows[0]
 
 
 def test_the_pages_are_few_and_short() -> None:

@@ -189,6 +189,19 @@ def compliance_peak(kzp: np.ndarray) -> float:
     return float(np.abs((s + p) / (s**2 * (s + p) + k * (s + z))).max())
 
 
+def test_an_actuator_of_a_file_is_driven_by_a_class(copy: PackageCopy) -> None:
+    """Its commands are those of the law for the recorded sensor, a tick after another; the mass moves."""
+    copy.follow("Add an actuator")
+    run = Run.open(copy.folder / "bags/damper")
+    speed, expected = 0.0, []
+    for value in run["sensor/root"].values[:, 0]:
+        speed += 1e-3 * (value - speed)
+        expected.append(-20.0 * speed)
+    force = run["actuator/damper/command"].values[:, 0]
+    assert np.abs(force).max() > 0.0
+    np.testing.assert_allclose(force, np.array(expected)[-len(force) :], atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def guided(tmp_path_factory: pytest.TempPathFactory) -> tuple[PackageCopy, list[str]]:
     """A copy after the page on sensors, and what its commands printed."""

@@ -32,6 +32,7 @@ NOT_RUN = {
 }
 """What is not run, by its words, and why."""
 TESTED_ELSEWHERE = {"tutorial.md": ("test_three_paths.py", "test_tutorials.py")}
+TESTED_ELSEWHERE |= {path.name: ("test_contributing_pages.py",) for path in (ROOT / "docs/extend").glob("*.md")}
 SHORTER = {
     "run": {"--mode": "inprocess", "--duration": "2", "--no-report": ""},
     "stages": {"--duration": "2", "--samples": "1", "--no-parts": ""},
