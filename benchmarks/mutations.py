@@ -69,8 +69,8 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/unit/lftkit/tuning/test_worst_case.py",
         "tests/unit/lftkit/tuning/test_worst_case_climbs.py",
     ),
-    "los_estimator": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
-    "fsm_pma_controller": ("tests/unit/los_testbed/test_runtime_controllers.py", "tests/unit/los_design"),
+    "los_estimator": ("tests/unit/los_testbed/run/test_runtime_controllers.py", "tests/unit/los_design"),
+    "fsm_pma_controller": ("tests/unit/los_testbed/run/test_runtime_controllers.py", "tests/unit/los_design"),
     "los_design": ("tests/unit/los_design",),
     "lftkit/analysis/lft_response.py": ("tests/unit/lftkit/analysis/test_lft_response.py",),
     "los_loop/closing.py": ("tests/unit/los_loop/test_closing.py", "tests/unit/los_loop/test_sampled_loop.py"),
@@ -90,15 +90,19 @@ TESTS: dict[str, tuple[str, ...]] = {
     "pointing_analysis/indices/metrics.py": ("tests/unit/pointing_analysis/test_index_laws.py",),
     "pointing_analysis/requirements/summary.py": ("tests/unit/pointing_analysis/test_summary_figures.py",),
     f"{ROS_PACKAGE}/los_testbed": ("tests/unit/los_testbed",),
-    f"{ROS_PACKAGE}/los_testbed/run/loop/stamp_synchronizer.py": ("tests/unit/los_testbed/test_stamp_synchronizer.py",),
-    f"{ROS_PACKAGE}/los_testbed/campaign/campaign_verdict.py": ("tests/unit/los_testbed/test_campaign_verdict.py",),
+    f"{ROS_PACKAGE}/los_testbed/run/loop/stamp_synchronizer.py": (
+        "tests/unit/los_testbed/run/test_stamp_synchronizer.py",
+    ),
+    f"{ROS_PACKAGE}/los_testbed/campaign/campaign_verdict.py": (
+        "tests/unit/los_testbed/campaign/test_campaign_verdict.py",
+    ),
     f"{ROS_PACKAGE}/los_testbed/run/summary/summary.py": (
-        "tests/unit/los_testbed/test_summary_on_screen.py",
-        "tests/unit/los_testbed/test_requirement_outputs.py",
+        "tests/unit/los_testbed/run/test_summary_on_screen.py",
+        "tests/unit/los_testbed/cli/test_requirement_outputs.py",
     ),
     f"{ROS_PACKAGE}/los_testbed/bags/repair.py": (
-        "tests/unit/los_testbed/test_bag_repair_records.py",
-        "tests/unit/los_testbed/test_bag_repair.py",
+        "tests/unit/los_testbed/bags/test_bag_repair_records.py",
+        "tests/unit/los_testbed/bags/test_bag_repair.py",
     ),
 }
 """Tests of a folder or file; the longest path that fits a module counts. Its doctests always run too."""

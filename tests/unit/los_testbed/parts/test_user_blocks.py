@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from los_testbed.cli import app
-from los_testbed.config.run_config import RunConfig, plugins
+from los_testbed.config import plugins
+from los_testbed.config.run_config import RunConfig
 from los_testbed.parts.run_parts import RunParts, build_controller, build_estimator
 from los_testbed.parts.start import RunStart
 from los_testbed.parts.user_blocks import BlockFailedError, UserBlock

@@ -22,7 +22,7 @@ from los_testbed.rig.wire import Kind, encode
 
 from titop_plant.interface import COLUMNS, COMMANDS
 
-SUPPORT = Path(__file__).parents[2] / "support"
+SUPPORT = Path(__file__).parents[3] / "support"
 PLANT = "simple_telescope:SimpleTelescope"
 
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from los_testbed.config.run_config import RunConfig
 
-PACKAGE = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed"
+PACKAGE = Path(__file__).parents[4] / "ros_ws" / "src" / "los_testbed"
 
 
 class Kept(SimpleNamespace):

@@ -15,7 +15,7 @@ from los_testbed.run.loop.slow_sensor import SlowSensor
 
 from titop_plant.interface import CAMERA_PORT, TICK_NS
 
-PAGE = (Path(__file__).parents[3] / "docs" / "connect_your_rig.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[4] / "docs" / "connect_your_rig.md").read_text("utf-8")
 
 
 class Clock:

@@ -17,7 +17,7 @@ from lftkit.proofs import BoundOptions, robust_stability
 from los_design.verification import shipped_proofs
 
 Content = dict[str, Any]
-PROOFS = Path(__file__).parents[2] / "fixtures" / "proofs"
+PROOFS = Path(__file__).parents[3] / "fixtures" / "proofs"
 PLACE = shipped_proofs.FOLDER
 
 

@@ -23,7 +23,7 @@ from los_loop.control_laws import ControlLaws
 from los_loop.sampled_loop_norms import weighted_gains
 from titop_plant.interface import FRAME_TICKS
 
-SMALL = Path(__file__).parents[3] / "examples" / "spacecraft" / "small_telescope.toml"
+SMALL = Path(__file__).parents[4] / "examples" / "spacecraft" / "small_telescope.toml"
 WHEEL = """
 [[reaction_wheel]]
 name = "w{i}"

@@ -16,7 +16,7 @@ from los_testbed.run.results import Results
 
 from pointing_analysis.read.run import Run
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 ROW = re.compile(r"^\| (\d+) \| (.*) \| (.*) \|$", re.MULTILINE)
 
 LEAVING = """

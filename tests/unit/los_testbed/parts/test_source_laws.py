@@ -198,7 +198,7 @@ def test_the_values_of_pulses_are_newtons(tmp_path: Path) -> None:
     assert source(law, tmp_path, 3.0).tick(5, INSTANTS)[0, 0] == pytest.approx(3.0)
 
 
-MECHANISMS = Path(__file__).parents[3] / "examples" / "spacecraft" / "moving_rotors.toml"
+MECHANISMS = Path(__file__).parents[4] / "examples" / "spacecraft" / "moving_rotors.toml"
 
 
 @cache

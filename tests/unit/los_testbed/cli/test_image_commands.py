@@ -20,7 +20,7 @@ from pointing_analysis.requirements import image_summary
 from pointing_analysis.requirements.summary import summarise
 from pointing_analysis.units import RAD_PER_MAS
 
-MAS, ROOT = RAD_PER_MAS, Path(__file__).parents[3]
+MAS, ROOT = RAD_PER_MAS, Path(__file__).parents[4]
 TABLE = {"aperture_diameter": 1.5, "obscuration": 0.3, "wavelength": 550e-9, "pixel_mas": 38.0}
 OPTICS = "[optics]\naperture_diameter = 1.5\nobscuration = 0.3\nwavelength = 550e-9\npixel_mas = 38.0\n"
 MISSION = """

@@ -122,7 +122,7 @@ def test_every_command_prints_names_with_brackets_as_they_are(call: Call, bag: P
         writer.finish()
     code, out, err = call("bag", "topics", "[/topic].mcap")
     assert code == 0 and "/[/red]:x:" in out and "topic].mcap" in out and "\x1b" not in out, err
-    budget = (Path(__file__).parents[3] / "pointing_analysis" / "budget" / "budget_testbed.toml").read_text()
+    budget = (Path(__file__).parents[4] / "pointing_analysis" / "budget" / "budget_testbed.toml").read_text()
     (tmp_path / "b.toml").write_text(budget.replace("[sources.loop]", '[sources."[/red]"]'))
     code, out, err = call("budget", "b.toml", "--output=[/b].html")
     assert code == 0 and "[/red]" in out and "[/b].html" in out, err

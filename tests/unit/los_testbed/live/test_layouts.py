@@ -13,7 +13,7 @@ from los_testbed.run.loop.latency_histogram import LatencyHistogram
 
 from pointing_analysis.read.messages.message_types import JOINT_NAMES, JOINT_STATE
 
-FOLDER = Path(__file__).parents[3] / "ros_ws" / "src" / "los_testbed" / "layouts"
+FOLDER = Path(__file__).parents[4] / "ros_ws" / "src" / "los_testbed" / "layouts"
 BY_PATH = {topic.path: topic for topic in TOPICS}
 
 

@@ -40,7 +40,7 @@ def test_allowances_of_the_bag_are_no_part_of_other_limits(tmp_path: Path, capsy
     given.write_text(
         '[[requirement]]\nname = "fine"\ntext = "prob(rms RPE(20 ms) < 10 mas) >= 0.9 at 95 % confidence"\n'
     )
-    bag, page = str(Path(__file__).parents[3] / "bags" / "reference"), tmp_path / "page.html"
+    bag, page = str(Path(__file__).parents[4] / "bags" / "reference"), tmp_path / "page.html"
     told = {}
     for name, more in (("bag", []), ("own", [f"--requirements={given}"])):
         assert main(["analyse", bag, f"--report={page}", "--json", *more]) == 0
@@ -137,7 +137,7 @@ def test_a_campaign_says_what_it_does_not_judge() -> None:
 
 
 def test_a_bag_from_before_is_judged_by_the_reference_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    bag = Path(__file__).parents[3] / "bags" / "reference"
+    bag = Path(__file__).parents[4] / "bags" / "reference"
     run = copy.copy(Run.open(bag))
     run.parameters = MappingProxyType({k: v for k, v in run.parameters.items() if k != METADATA})
     assert is_older(run) and recorded(run) is None

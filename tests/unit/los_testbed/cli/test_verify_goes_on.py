@@ -13,7 +13,7 @@ from los_testbed.cli import app
 from los_design.synthesis import provenance
 from los_design.verification import stage_check
 
-FOLDER = Path(__file__).parents[3] / "examples" / "spacecraft" / "small_telescope"
+FOLDER = Path(__file__).parents[4] / "examples" / "spacecraft" / "small_telescope"
 
 
 def test_an_interrupted_verification_goes_on_and_gives_the_same(

@@ -19,7 +19,7 @@ from pointing_analysis.read.run import Run
 from titop_plant.physical_settings import PhysicalSettings
 from titop_plant.simulation.plant_config import PlantConfig
 
-REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
+REFERENCE = Path(__file__).parents[4] / "bags" / "reference"
 FORMER = {
     "scenario": "",
     "theta": 0.0,
@@ -220,7 +220,7 @@ def test_no_physical_setting_is_declared_twice(kind) -> None:
 
 
 def test_the_installed_parameter_file_and_no_options_mean_the_defaults(tmp_path) -> None:
-    file = Path(__file__).parents[3] / "ros_ws/src/los_testbed/config/run.yaml"
+    file = Path(__file__).parents[4] / "ros_ws/src/los_testbed/config/run.yaml"
     assert replace(RunConfig.from_file(file), wait_for_recorder=False) == RunConfig()
     chosen = configure(None, [], {"output": str(tmp_path / "bag")})
     assert chosen.scenario == "worst_case"

@@ -27,7 +27,7 @@ from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
 Call = Callable[..., tuple[int, str, str]]
-REFERENCE = Path(__file__).parents[3] / "bags" / "reference"
+REFERENCE = Path(__file__).parents[4] / "bags" / "reference"
 
 
 def told(call: Call, *arguments: object) -> tuple[int, dict[str, Any]]:

@@ -12,7 +12,7 @@ from los_testbed.bags.trace import MISSED, events, write_trace
 from pointing_analysis.read.run import Run
 from titop_plant.interface import TICK_NS
 
-REFERENCE = Path(__file__).parents[3] / "bags/reference"
+REFERENCE = Path(__file__).parents[4] / "bags/reference"
 FIRST = 1_000_000_000
 
 

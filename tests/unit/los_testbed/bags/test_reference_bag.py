@@ -10,7 +10,7 @@ from los_testbed.run import replay
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay.replay import compare
 
-BAG = Path(__file__).parents[3] / "bags" / "reference"
+BAG = Path(__file__).parents[4] / "bags" / "reference"
 
 
 def test_it_is_small_and_whole() -> None:
