@@ -17,8 +17,8 @@ def content(path: Path) -> dict[str, Any]:
     return loaded
 
 
-def test_there_are_three() -> None:
-    assert [path.stem[0] for path in NOTEBOOKS] == ["1", "2", "3"]
+def test_they_are_numbered() -> None:
+    assert [path.stem[0] for path in NOTEBOOKS] == ["1", "2", "3", "4"]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

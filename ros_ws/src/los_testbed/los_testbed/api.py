@@ -42,7 +42,7 @@ LABELS = {"name": "requirement", "text": "definition", "quantile": "value", "sta
 """Columns of a table of requirements that have another name than in the JSON object."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
     """A recorded run with its verdicts.
 
@@ -65,6 +65,10 @@ class RunResult:
     summary: Summary
     remarks: tuple[str, ...]
     values: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        """Path and verdict; notebooks show the table of requirements."""
+        return f"RunResult({str(self.path)!r}, verdict={self.verdict!r})"
 
     @property
     def verdict(self) -> str:
