@@ -67,7 +67,7 @@ ENTRIES = {
         "keys",
         "KEYS_EXAMPLES",
     ),
-    "bag": CommandEntry("groups", "Describe, check, sign, repair and trace recorded runs.", "bag_app"),
+    "bag": CommandEntry("groups", "Describe, check, export, sign, repair and trace recorded runs.", "bag_app"),
     "image": CommandEntry(
         "analysis.image", "What the telescope sees: pictures, and jitter for other programs.", "image_app"
     ),

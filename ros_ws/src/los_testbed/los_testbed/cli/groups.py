@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from los_testbed.cli.bags.bag import bag_app
 from los_testbed.cli.bags.bag_checks import INFO_EXAMPLES, SIGN_EXAMPLES, VERIFY_EXAMPLES, info, sign, verify
+from los_testbed.cli.bags.bag_export import EXPORT_EXAMPLES, export
 from los_testbed.cli.bags.bag_topics import TOPICS_EXAMPLES, topics
 from los_testbed.cli.designs.check_proof import CHECK_PROOF_EXAMPLES, check_proof
 from los_testbed.cli.designs.design import design_app
@@ -11,6 +12,7 @@ from los_testbed.cli.designs.proofs import CERTIFY_EXAMPLES, certify
 from los_testbed.cli.designs.sensitivity import sensitivity
 
 bag_app.command(name="topics", help=TOPICS_EXAMPLES)(topics)
+bag_app.command(name="export", help=EXPORT_EXAMPLES)(export)
 bag_app.command(name="info", help=INFO_EXAMPLES)(info)
 bag_app.command(name="verify", help=VERIFY_EXAMPLES)(verify)
 bag_app.command(name="sign", help=SIGN_EXAMPLES)(sign)

@@ -35,13 +35,15 @@ period are marked. 60 s are some 30 MB.
 """
 
 bag_app = typer.Typer(
-    help="Describe, check, sign, repair and trace recorded runs.", no_args_is_help=True, rich_markup_mode="markdown"
+    help="Describe, check, export, sign, repair and trace recorded runs.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
 )
 
 
 @bag_app.callback()
 def bag_group() -> None:
-    """Describe, check, sign, repair and trace recorded runs."""
+    """Describe, check, export, sign, repair and trace recorded runs."""
 
 
 @bag_app.command(help=REPAIR_EXAMPLES)

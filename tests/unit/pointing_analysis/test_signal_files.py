@@ -1,0 +1,138 @@
+"""Signals of a bag in other formats: every number comes back, and what is evaluated of it is the same."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.command_line import call_command
+
+from pointing_analysis.read.run import Run
+from pointing_analysis.report.signal_files import TopicSignal, signals_of, write_signals
+
+BAG = Path(__file__).parents[3] / "bags" / "reference"
+
+
+@pytest.fixture(scope="module")
+def signals() -> list[TopicSignal]:
+    return signals_of(Run.open(BAG))
+
+
+def matlab_5(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    content = loadmat(path, simplify_cells=True)
+    return {s["topic"]: s for name, s in content.items() if not name.startswith("__")}
+
+
+def matlab_7_3(path: Path) -> dict[str, Any]:
+    """As MATLAB sees it: axes the other way round, texts as codes, cells as references."""
+    h5py = pytest.importorskip("h5py")
+    found = {}
+
+    def text(data: Any) -> str:
+        assert data.attrs["MATLAB_class"] == b"char"
+        return "".join(map(chr, data[()].ravel()))
+
+    with h5py.File(path, "r") as file:
+        for name, group in file.items():
+            if name == "#refs#":
+                continue
+            assert group.attrs["MATLAB_class"] == b"struct"
+            cells = {key: [text(file[ref]) for ref in group[key][()].ravel()] for key in ("columns", "units")}
+            numbers = {key: group[key][()].T for key in ("time", "stamp_ns", "values")}
+            found[text(group["topic"])] = {**numbers, **cells}
+    return found
+
+
+@pytest.mark.parametrize(("version", "read"), [("5", matlab_5), ("7.3", matlab_7_3)])
+def test_matlab_has_each_topic_as_a_structure(
+    version: str, read: Any, signals: list[TopicSignal], tmp_path: Path
+) -> None:
+    write_signals(signals, tmp_path / "run.mat", version)
+    found = read(tmp_path / "run.mat")
+    assert set(found) == {s.name for s in signals}
+    for s in signals:
+        there = found[s.name]
+        np.testing.assert_array_equal(there["values"], s.values)
+        np.testing.assert_array_equal(np.ravel(there["stamp_ns"]), s.stamp)
+        np.testing.assert_array_equal(np.ravel(there["time"]), s.time)
+        assert tuple(there["columns"]) == s.columns and tuple(there["units"]) == s.units
+    start = (tmp_path / "run.mat").read_bytes()[:128]
+    assert start.startswith(b"MATLAB 5.0" if version == "5" else b"MATLAB 7.3") and start[126:] == b"IM"
+
+
+def test_numpy_has_arrays_by_topic(signals: list[TopicSignal], tmp_path: Path) -> None:
+    write_signals(signals, tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz") as found:
+        for s in signals:
+            np.testing.assert_array_equal(found[s.name], s.values)
+            np.testing.assert_array_equal(found[f"{s.name}.stamp_ns"], s.stamp)
+            assert tuple(found[f"{s.name}.units"]) == s.units
+
+
+def table_of(path: Path) -> tuple[list[str], np.ndarray[Any, Any]]:
+    if path.suffix == ".csv":
+        with path.open(newline="") as file:
+            heads, *rows = csv.reader(file)
+        return heads, np.array([[float(cell or "nan") for cell in row] for row in rows])
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(path)
+    return table.column_names, np.column_stack([column.to_numpy() for column in table.columns]).astype(float)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_table_has_a_row_for_each_stamp(suffix: str, signals: list[TopicSignal], tmp_path: Path) -> None:
+    """The camera has a frame in every twentieth row; a topic is what its columns are without the empty cells."""
+    write_signals(signals, tmp_path / f"run{suffix}")
+    heads, rows = table_of(tmp_path / f"run{suffix}")
+    assert heads[0] == "time [s]" and len(rows) == len(np.unique(np.concatenate([s.stamp for s in signals])))
+    for s in signals:
+        columns = [heads.index(head) for head in s.heads]
+        there = ~np.isnan(rows[:, columns]).all(axis=1)
+        np.testing.assert_array_equal(rows[there][:, columns], s.values[~np.isnan(s.values).all(axis=1)])
+        assert s.name != "camera/los" or 0 < there.sum() < len(rows) / 10
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_an_exported_line_of_sight_has_the_figures_of_its_bag(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / f"run{suffix}"
+    code, _, err = call_command(capsys, "bag", "export", str(BAG), "--topics", "truth/los", "--output", str(file))
+    assert code == 0, err
+    names = ["--los", "truth/los x [rad],truth/los y [rad]"]
+    if suffix == ".mat":
+        names = ["--los", "truth_los.values", "--time", "truth_los.time", "--unit", "rad"]
+    figures = []
+    for words in ([str(file), *names], [str(BAG)]):
+        code, out, err = call_command(capsys, "analyse", *words, "--transient", "1", "--json")
+        assert code == 0, err
+        figures.append(json.loads(out.splitlines()[-1]))
+    assert figures[0]["ape_arcsec"] == figures[1]["ape_arcsec"] and figures[0]["rpe_mas"] == figures[1]["rpe_mas"]
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["--output", "run.xls"], [".mat, .npz, .csv, .parquet", "run.xls"]),
+        (["--output", "run.mat", "--mat-version", "6"], ["--mat-version", "6"]),
+        (["--output", "run.csv", "--topics", "truth/pos"], ["truth/pos", "truth/los"]),
+        (["--output", "run.csv", "--from", "3", "--to", "2"], ["--from", "--to"]),
+        (["--output", "there.csv"], ["--output", "there.csv"]),
+        (["--output", "none/run.csv"], ["--output", "none"]),
+    ],
+)
+def test_what_cannot_be_written_is_one_line(
+    words: list[str], names: list[str], tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.csv").write_text("mine", "utf-8")
+    code, _, err = call_command(capsys, "bag", "export", str(BAG), *words)
+    last = err.splitlines()[-1]
+    assert code == 2 and all(name in last for name in names), err
+    assert [path.name for path in tmp_path.iterdir()] == ["there.csv"]
