@@ -13,7 +13,10 @@ from los_testbed.run.loop.simulate import run_in_process
 from los_testbed.run.replay import write_signals
 from simple_telescope import SimpleTelescope, write_controllers
 
+from lftkit.systems.exchange import write_mat
+from lftkit.systems.ports import Port
 from lftkit.systems.sampled.sampled_system import SampledSystem
+from lftkit.systems.system import System
 from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from titop_plant.interface import DT, K_FSM_INPUTS, K_FSM_OUTPUTS
@@ -88,6 +91,54 @@ def test_another_observer_gives_a_bag_and_a_comparison(call, recorded, tmp_path)
     assert again == 0 and json.loads(out.splitlines()[-1])["identical"]
     code, out, _ = call("replayed")
     assert "identical" in out
+
+
+FORMS = """
+import control
+import numpy as np
+from lftkit.systems.sampled.sampled_system import SampledSystem
+
+law = SampledSystem.from_file("quick.json")
+names = [[f"{port.name}[{k}]" for port in side for k in range(port.size)] for side in (law.inputs, law.outputs)]
+system = control.ss(law.A, law.B, law.C, law.D, law.dt, inputs=names[0], outputs=names[1])
+
+
+class Observer:
+    def reset(self):
+        self.x, self.seen = np.zeros(law.order), np.zeros(22)
+
+    def step(self, measurement, out):
+        self.seen = np.where(np.isnan(measurement), self.seen, measurement)  # the last frame is held
+        out[:] = law.C @ self.x + law.D @ self.seen
+        self.x = law.A @ self.x + law.B @ self.seen
+"""
+
+
+def test_every_form_of_a_controller_that_a_run_takes_is_replayed(call, tmp_path, monkeypatch) -> None:
+    """The same matrices as JSON, .mat, python-control and a class, from rest and without lost frames: one answer."""
+    config = RunConfig(duration=3.0, mode="inprocess", start="rest", **write_controllers(tmp_path))
+    run_in_process(config, tmp_path / "plain", SimpleTelescope())
+    law = SampledSystem.from_file(other_observer(call.here / "quick.json"))
+    K = System(law.A, law.B, law.C, law.D, law.inputs, law.outputs, "K", law.dt)
+    write_mat(call.here / "quick.mat", K=K)
+    (call.here / "forms_of_a_law.py").write_text(FORMS, "utf-8")
+    monkeypatch.syspath_prepend(str(call.here))
+    found = []
+    for form in ("quick.json", "quick.mat", "forms_of_a_law:system", "forms_of_a_law:Observer"):
+        code, out, err = call(tmp_path / "plain", "--k-fsm", form, "--json")
+        assert code == 0, err
+        found.append(json.loads(out.splitlines()[-1]))
+    assert not any(one["as_recorded"] for one in found)
+    for other in found[1:]:
+        assert other["replayed"] == pytest.approx(found[0]["replayed"], rel=1e-9)
+
+
+def test_a_file_without_names_of_the_loop_is_refused_by_all_of_them(call, recorded, tmp_path) -> None:
+    law = SampledSystem.from_file(other_observer(tmp_path / "quick.json"))
+    unnamed = SampledSystem(law.A, law.B, law.C, law.D, (Port("u", 22),), (Port("y", 2),), DT)
+    unnamed.to_file(tmp_path / "unnamed.json")
+    code, _, err = call(recorded, "--k-fsm", str(tmp_path / "unnamed.json"))
+    assert code == 2 and "inputs must be accel_Ip[6], accel_M1[6], " in err and "got u[22]" in err
 
 
 def test_a_replay_says_where_its_controllers_start(call, tmp_path) -> None:

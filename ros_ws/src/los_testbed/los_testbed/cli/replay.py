@@ -56,9 +56,11 @@ ROWS = (
 def replay(
     bag: Annotated[Path, typer.Argument(help="Bag: folder or .mcap file.")],
     k_fsm: Annotated[
-        Path | None, typer.Option(help="Observer (file or flight library) instead of the recorded one.")
+        str | None, typer.Option(metavar="LAW", help="Observer, as `run` takes it; default: the recorded one.")
     ] = None,
-    k_pma: Annotated[Path | None, typer.Option(help="Proof-mass law, likewise.")] = None,
+    k_pma: Annotated[
+        str | None, typer.Option(metavar="LAW", help="Proof-mass law, as `run` takes it; default: the recorded one.")
+    ] = None,
     loop: Annotated[str | None, typer.Option(help="Stage instead of the recorded one: none ... fsm+pma.")] = None,
     output: Annotated[Path | None, typer.Option(help="New bag with the sensors and what the replay gave.")] = None,
     transient: Transient = None,
@@ -99,7 +101,7 @@ def replay(
 def _through(
     console: Console,
     run: Run,
-    others: tuple[Path | None, Path | None, str | None],
+    others: tuple[str | None, str | None, str | None],
     output: Path | None,
     transient: float | None,
 ) -> dict[str, Any]:

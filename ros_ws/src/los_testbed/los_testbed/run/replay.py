@@ -24,12 +24,12 @@ from los_estimator.runtime import LosEstimator
 from los_loop.steady_state import LoopStart
 from los_testbed.bags.cdr import codec_for
 from los_testbed.bags.writer import BagWriter, check_new_bag
-from los_testbed.config.run_config import is_library
+from los_testbed.config.run_config import RunConfig, is_code, is_library
 from los_testbed.config.topics import COMMANDED, COMMANDS, FSM_COMMAND, TOPICS, TopicDefinition, further_topics
 from los_testbed.parts.controllers import assemble_controller, compare_with_telescope
 from los_testbed.parts.flight_library import LibraryLaw
 from los_testbed.parts.start import START_FILE, RunStart
-from los_testbed.parts.user_blocks import with_further_ports
+from los_testbed.parts.user_blocks import LAWS, UserBlock, make_law, read_law, with_further_ports
 from los_testbed.run.loop.closed_loop import LoopDivergedError
 from los_testbed.run.loop.contract import first_not_finite
 from los_testbed.run.metadata import METADATA_NAME
@@ -49,12 +49,15 @@ from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
 from pointing_analysis.replay.replay import LoopLayout
 from pointing_analysis.requirements.summary import exposure_of_run
-from titop_plant.interface import FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
+from titop_plant.interface import DT, FORCE_STAGES, RATE, STAGES, TICK_NS, DesignBasis
 from titop_plant.telescope.loop_ports import REFERENCE_PORTS, LoopPorts
 
 CHUNK_NS = RATE * TICK_NS
 
 COMMAND_TOPICS = {topic.name for topic in COMMANDS}
+
+Law = SampledSystem | LibraryLaw | UserBlock
+"""K_FSM or K_PMA: matrices, a flight library, or code of the user."""
 
 Signals = Mapping[str, tuple[NDArray[np.int64], FloatArray]]
 
@@ -84,23 +87,21 @@ class Controllers:
     files: Mapping[str, bytes]
     loop: str
     as_recorded: bool
-    estimator: LosEstimator | LibraryLaw
+    estimator: LosEstimator | LibraryLaw | UserBlock
     controller: FsmPmaController
     layout: LoopLayout
     start: LoopStart | None = None
     warnings: tuple[str, ...] = ()
 
 
-def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[SampledSystem, bytes]:
-    """A controller and its file: the given one, else the one that travels in the bag.
+def controller_of(run: Run, name: str) -> tuple[SampledSystem, bytes]:
+    """The controller that travels in a bag, and its file.
 
     Raises
     ------
     ValueError
         A file that is no controller, a bag without it.
     """
-    if given is not None:
-        return SampledSystem.from_file(given), read_bytes(given)
     data = run.attachments.get(f"{name}.json")
     if data is None:
         raise BagError(
@@ -114,14 +115,24 @@ def controller_of(run: Run, name: str, given: Path | None = None) -> tuple[Sampl
             raise BagError(str(error).replace(file.path, f"{run.path}: {name}.json")) from None
 
 
-def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, loop: str | None = None) -> Controllers:
+def controllers(
+    run: Run, k_fsm: str | Path | None = None, k_pma: str | Path | None = None, loop: str | None = None
+) -> Controllers:
     """Controllers as recorded, or others instead.
+
+    Parameters
+    ----------
+    run : Run
+    k_fsm, k_pma : str or Path, optional
+        As the settings of a run: a file (.json, .mat), a flight library, MODULE:NAME or an entry point.
+    loop : str, optional
+        Stage.
 
     Raises
     ------
     ValueError
-        A file that is no controller, a bag without controllers or without its loop stage, an unknown stage, a
-        controller made for another sensitivity of the mirror than that of the bag.
+        A file that is no controller, code that cannot be used, a bag without controllers or without its loop stage, an
+        unknown stage, a controller made for another sensitivity of the mirror than that of the bag.
     """
     recorded = run.parameters.get("replay_loop", run.parameters.get("loop"))
     stage = recorded if loop is None else loop
@@ -131,12 +142,12 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     found = {"k_fsm": _law_of(run, "k_fsm", k_fsm), "k_pma": _law_of(run, "k_pma", k_pma)}
     chosen, telescope = {name: law for name, (law, _) in found.items()}, telescope_of(run)
     warnings = compare_with_telescope(chosen, telescope, stage)
-    rows = {name: REFERENCE_PORTS if isinstance(law, LibraryLaw) else rows_of(run, law) for name, law in chosen.items()}
+    rows = {name: _rows_of(run, law) for name, law in chosen.items()}
     fsm, pma = (_in_order(name, law, rows[name]) for name, law in chosen.items())
     controller = assemble_controller({"k_fsm": fsm, "k_pma": pma}, _completed(telescope), stage, ports=rows["k_pma"])
-    files = {_file_name(name, law): data for name, (law, data) in found.items()}
+    files = {_file_name(name, law): data for name, (law, data) in found.items() if data}
     same = {name: run.attachments.get(name) == data for name, data in files.items()}
-    estimator = fsm if isinstance(fsm, LibraryLaw) else LosEstimator(fsm, rows["k_fsm"].further_measured)
+    estimator = LosEstimator(fsm, rows["k_fsm"].further_measured) if isinstance(fsm, SampledSystem) else fsm
     start, resting = _started(run, {"k_fsm": fsm, "k_pma": pma}, closed=stage == recorded)
     if start is not None:
         estimator.start_at(start.k_fsm, start.camera)
@@ -144,33 +155,50 @@ def controllers(run: Run, k_fsm: Path | None = None, k_pma: Path | None = None, 
     if resting := [name for name in resting if name == "k_fsm" or stage in FORCE_STAGES]:
         of_replay = " and ".join(resting)
         warnings += (f"the run starts in a steady state, {of_replay} of the replay at rest: figures have the start-up",)
-    as_recorded, layout = stage == recorded and all(same.values()), layout_of(rows["k_fsm"], rows["k_pma"])
+    as_recorded, layout = (
+        stage == recorded and len(files) == len(found) and all(same.values()),
+        layout_of(rows["k_fsm"], rows["k_pma"]),
+    )
     return Controllers(files, stage, as_recorded, estimator, controller, layout, start, warnings)
 
 
-def _law_of(run: Run, name: str, given: Path | None) -> tuple[SampledSystem | LibraryLaw, bytes]:
-    """:func:`controller_of`, or a law of a flight library and its file."""
-    if given is not None and is_library(str(given)):
-        return LibraryLaw(given, name), read_bytes(given, SYSTEM)
-    return controller_of(run, name, given)
+def _law_of(run: Run, name: str, asked: str | Path | None) -> tuple[Law, bytes]:
+    """A law as a run takes it, and the content of its file; of code nothing."""
+    if asked is None:
+        return controller_of(run, name)
+    given = str(asked)
+    if is_library(given):
+        return LibraryLaw(Path(given), name), read_bytes(given, SYSTEM)
+    if is_code(given):
+        block = make_law(RunConfig.from_mapping({name: given}), name)
+        linear = block.linear if block.is_linear else None
+        return (block, b"") if linear is None else (linear, linear.to_json().encode())
+    law = read_law(Path(given))
+    if not {port.name for port in law.inputs} & {port.name for port in LAWS[name][0]}:
+        law.require(*LAWS[name], DT)  # none of its ports has a name of the loop: the message has them all
+    return law, read_bytes(given) if given.endswith(".json") else law.to_json().encode()
 
 
-def _in_order(name: str, law: SampledSystem | LibraryLaw, rows: LoopPorts) -> SampledSystem | LibraryLaw:
+def _rows_of(run: Run, law: Law) -> LoopPorts:
+    if isinstance(law, SampledSystem):
+        return rows_of(run, law)
+    return law.ports if isinstance(law, UserBlock) else REFERENCE_PORTS
+
+
+def _in_order(name: str, law: Law, rows: LoopPorts) -> Law:
     """A controller with the inputs of its loop in their order."""
-    return law if isinstance(law, LibraryLaw) else with_further_ports(name, _file_name(name, law), law, rows)
+    return with_further_ports(name, _file_name(name, law), law, rows) if isinstance(law, SampledSystem) else law
 
 
-def _file_name(name: str, law: SampledSystem | LibraryLaw) -> str:
+def _file_name(name: str, law: Law) -> str:
     return f"{name}.so" if isinstance(law, LibraryLaw) else f"{name}.json"
 
 
-def _starts_as_recorded(
-    run: Run, name: str, law: SampledSystem | LibraryLaw, state: FloatArray | tuple[float, ...]
-) -> bool:
+def _starts_as_recorded(run: Run, name: str, law: Law, state: FloatArray | tuple[float, ...]) -> bool:
     """Whether the recorded state is of this law: one of the recorded matrices, or a library of the same order."""
     if isinstance(law, LibraryLaw):
         return bool(law.order == len(state))
-    if f"{name}.json" not in run.attachments:
+    if isinstance(law, UserBlock) or f"{name}.json" not in run.attachments:
         return False
     recorded = controller_of(run, name)[0]
     before = with_further_ports(name, _file_name(name, recorded), recorded, rows_of(run, recorded))
@@ -179,9 +207,7 @@ def _starts_as_recorded(
     return all(bool(np.array_equal(getattr(law, M), getattr(before, M))) for M in "ABCD")
 
 
-def _started(
-    run: Run, laws: Mapping[str, SampledSystem | LibraryLaw], *, closed: bool
-) -> tuple[LoopStart | None, list[str]]:
+def _started(run: Run, laws: Mapping[str, Law], *, closed: bool) -> tuple[LoopStart | None, list[str]]:
     """States in which the laws of a replay start, and the names of those that start at rest where the run did not.
 
     K_PMA starts as it did where the stage is that of the run, too (`closed`).
