@@ -49,6 +49,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from lftkit import Connection, Port, System, connect, invert, static_gain, transform
 from lftkit.arrays import FloatArray
@@ -104,6 +105,8 @@ class AssembledTelescope:
         Ports as in the module's tables.
     inertia : ndarray, shape (3, 3)
         Total inertia by the inverse low-frequency gain, nominal [kg m2].
+    rigid_mass : ndarray, shape (6, 6)
+        Mass matrix of the whole as a rigid body about G, by the same gain of forces and torques [kg, kg m, kg m2].
     bodies : tuple of ModalData
         Central body, payload, then each kind of solar array and of appendage.
     """
@@ -111,6 +114,7 @@ class AssembledTelescope:
     system: System
     inertia: FloatArray = field(repr=False)
     bodies: tuple[ModalData, ...]
+    rigid_mass: FloatArray = field(repr=False)
 
 
 def build_telescope(
@@ -153,7 +157,7 @@ def build_telescope(
     order = list(given.uncertain)
     kinds = {one.kind: one for one in (*given.solar_arrays, *given.appendages)}
     own = [component.body_modes(one) for one in kinds.values()]
-    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own))
+    return AssembledTelescope(system.sorted_channels(order), inertia, (body, payload, *own), _rigid_mass(free))
 
 
 def assembled_telescope(telescope: Telescope | None = None, isolated: bool = True) -> AssembledTelescope:
@@ -393,6 +397,14 @@ def _without_loads(body: System, points: Iterable[str]) -> System:
     if not loads:
         return body
     return body.select(inputs=[p.name for p in body.inputs if p.name not in loads])
+
+
+def _rigid_mass(free: System) -> FloatArray:
+    """Inverse low-frequency gain from external forces and torques at G to its acceleration, (6, 6)."""
+    nominal = free["accel_G", "wrench_G"].at({})
+    gain = nominal.D - nominal.C @ linalg.solve(nominal.A, nominal.B) if nominal.A.size else nominal.D
+    found = -linalg.inv(gain)  # the port is the wrench that the bodies exert
+    return np.asarray(0.5 * (found + found.T))
 
 
 def _torque_to_acceleration(free: System) -> System:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pickle
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lftkit.support.input_files import read_text
 from lftkit.support.structured_text import StructuredTextError, parse
@@ -109,6 +110,36 @@ def differences(path: str | Path) -> list[str]:
         if name not in reference or own[name] != reference[name]
     ]
     return lines + [f"{name} removed" for name in reference if name not in own]
+
+
+class DifferenceCounts(NamedTuple):
+    """Values of a table that differ from the reference, that it adds, and that it lacks."""
+
+    changed: int
+    added: int
+    removed: int
+
+
+def difference_counts(path: str | Path) -> dict[str, DifferenceCounts]:
+    """How many values of each table of a parameter file differ from the reference; tables without any are left out.
+
+    Raises
+    ------
+    ValueError
+        As :func:`load_telescope`.
+
+    Examples
+    --------
+    >>> difference_counts(REFERENCE)
+    {}
+    """
+    own, reference = (dict(_flat("", load_telescope(file).to_mapping())) for file in (path, REFERENCE))
+    found: dict[str, list[int]] = {}
+    for name in {**own, **reference}:
+        kind = 2 if name not in own else 1 if name not in reference else 0
+        if kind or own[name] != reference[name]:
+            found.setdefault(re.split(r"[.\[]", name)[0], [0, 0, 0])[kind] += 1
+    return {table: DifferenceCounts(*counts) for table, counts in found.items()}
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:

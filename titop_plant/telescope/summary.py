@@ -60,7 +60,11 @@ class PlantSummary:
     largest_real_part : float
         rad/s.
     total_inertia : ndarray, shape (3, 3)
-        About G by the inverse low-frequency gain [kg m2].
+        About the centre of mass by the inverse low-frequency gain, arrays at rest in their drives [kg m2].
+    mass : float
+        Of the whole, by the same gain [kg].
+    centre_of_mass : ndarray, shape (3,)
+        From G [m].
     bodies : tuple of BodySummary
     mechanisms : tuple of MechanismMode
         Modes of the rotors of wheels and drives; none in the reference telescope.
@@ -73,6 +77,8 @@ class PlantSummary:
     slowest_pole: float
     largest_real_part: float
     total_inertia: FloatArray
+    mass: float
+    centre_of_mass: FloatArray
     bodies: tuple[BodySummary, ...]
     mechanisms: tuple[MechanismMode, ...] = ()
 
@@ -85,6 +91,8 @@ class PlantSummary:
             "hurwitz": self.hurwitz,
             "slowest_pole": self.slowest_pole,
             "largest_real_part": self.largest_real_part,
+            "mass": self.mass,
+            "centre_of_mass": self.centre_of_mass.tolist(),
             "total_inertia": np.diag(self.total_inertia).tolist(),
             "total_inertia_matrix": self.total_inertia.tolist(),
             "min_residual_mass": {b.name: b.min_residual_mass for b in self.bodies},
@@ -119,6 +127,8 @@ def summarise(telescope: Telescope) -> PlantSummary:
         slowest_pole=float(np.abs(poles).min()),
         largest_real_part=float(poles.real.max()),
         total_inertia=assembled.inertia,
+        mass=float(np.trace(assembled.rigid_mass[:3, :3]) / 3.0),
+        centre_of_mass=_centre_of_mass(assembled.rigid_mass),
         mechanisms=mechanism_modes(telescope),
         bodies=tuple(
             BodySummary(
@@ -132,3 +142,10 @@ def summarise(telescope: Telescope) -> PlantSummary:
             for data in assembled.bodies
         ),
     )
+
+
+def _centre_of_mass(rigid_mass: FloatArray) -> FloatArray:
+    """Position of the centre of mass from the point of a rigid body's mass matrix (6, 6) [m]."""
+    moment = rigid_mass[3:, :3] / (np.trace(rigid_mass[:3, :3]) / 3.0)  # the cross product matrix of the position
+    skew = 0.5 * (moment - moment.T)
+    return np.array([skew[2, 1], skew[0, 2], skew[1, 0]])

@@ -15,9 +15,14 @@ from los_testbed.config.members import CASES, check_ranges, named_cases
 from los_testbed.run.summary.screen import Screen, on_screen
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import TextTable, numbers
+from titop_plant.interface import FORCE_STAGES, K_PMA_OUTPUTS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from titop_plant.telescope.load import DifferenceCounts
     from titop_plant.telescope.summary import PlantSummary
+    from titop_plant.telescope.telescope import Telescope
 
 PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bodies.
 
@@ -30,6 +35,15 @@ PLANT_EXAMPLES = """The telescope's model: order, parameters, poles, inertia, bo
     los-testbed plant --parameters my_telescope.toml   # your own
 
     los-testbed plant figures --output pictures        # disturbances to line of sight, PNG and SVG
+"""
+
+CHECK_EXAMPLES = """Check a parameter file: loop, mass properties, modes, and what differs from the reference.
+
+**Examples**
+
+    los-testbed plant check my_telescope.toml
+
+    los-testbed plant check my_telescope.toml --output pictures    # also responses to the line of sight
 """
 
 FIGURES_EXAMPLES = """Draw the responses from wheels and array drives to the line of sight.
@@ -94,6 +108,70 @@ def figures(
         console.print(str(path), soft_wrap=True, highlight=False)
 
 
+@plant_app.command(help=CHECK_EXAMPLES)
+def check(
+    file: Annotated[Path, typer.Argument(help="Parameter file of your telescope.")],
+    output: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for figures; default: none.")] = None,
+    json_: Json = False,
+) -> None:
+    """See CHECK_EXAMPLES."""
+    from lftkit.support.atomic_output import check_output
+    from lftkit.support.threads import one_thread
+    from titop_plant.telescope.load import difference_counts, load_telescope
+    from titop_plant.telescope.summary import summarise
+
+    if output is not None:
+        check_output(output, "--output", folder=True)
+    telescope, changed = load_telescope(file), difference_counts(file)
+    with one_thread():
+        found = summarise(telescope)
+    loop = _loop_of(telescope)
+    console = Screen(stderr=json_)
+    for name, text in loop.items():
+        console.print(f"{name:<14}{text}", highlight=False)
+    show(console, found)
+    console.print(f"{'reference':<14}{_changes(changed)}", highlight=False)
+    pictures: list[Path] = []
+    if output is not None:
+        from lftkit.support.progress import Progress
+        from los_design.figures.plant_figures import draw_figures
+
+        with one_thread(), Progress("figures"):
+            pictures = draw_figures(output, str(file))
+        for path in pictures:
+            console.print(str(path), soft_wrap=True, highlight=False)
+    if json_:
+        further = {"loop": loop, "changed": {name: counts._asdict() for name, counts in changed.items()}}
+        print_json({**found.to_mapping(), **further, "figures": [str(path) for path in pictures]})
+
+
+def _loop_of(telescope: Telescope) -> dict[str, str]:
+    """Stages, sensors, actuators, requirements and own disturbances of a telescope, in words."""
+    ports = telescope.loop_ports
+    forces = K_PMA_OUTPUTS if telescope.stages[-1] not in FORCE_STAGES else ()
+    driven = [port for port in ports.commanded if port not in forces]
+    measured, commanded = (", ".join(f"{p.name}[{p.size}]" for p in side) for side in (ports.measured, driven))
+    return {
+        "stages": ", ".join(telescope.stages),
+        "sensors": measured,
+        "actuators": commanded,
+        "wheels": ", ".join(wheel.name for wheel in telescope.wheels),
+        "arrays": ", ".join(array.name for array in telescope.solar_arrays) or "none",
+        "disturbances": ", ".join(str(table.get("name", "unnamed")) for table in telescope.sources)
+        or "none of the file",
+        "requirements": "; ".join(telescope.requirement_texts) or "none",
+    }
+
+
+def _changes(changed: Mapping[str, DifferenceCounts]) -> str:
+    """Tables that differ from the reference, each with how many values do."""
+    words = []
+    for name, counts in changed.items():
+        parts = {"changed": counts.changed, "added": counts.added, "removed": counts.removed}
+        words.append(f"{name} ({', '.join(f'{n} {what}' for what, n in parts.items() if n)})")
+    return "no value differs" if not words else f"differs in {', '.join(words)}"
+
+
 @plant_app.command(help=CASES_EXAMPLES)
 def cases(
     file: Annotated[Path, typer.Option(help="YAML file of cases of your own.")] = CASES,
@@ -116,6 +194,8 @@ def show(console: Console, found: PlantSummary) -> None:
     stable = "all poles in the left half plane" if found.hurwitz else "not stable"
     inertia = ", ".join(f"{x:.0f}" for x in found.to_mapping()["total_inertia"])
     console.print(f"order {found.order}, {stable}; slowest pole {found.slowest_pole:.3g} rad/s", highlight=False)
+    centre = ", ".join(f"{x:.3f}" for x in found.centre_of_mass)
+    console.print(f"mass {found.mass:.1f} kg, centre of mass at {centre} m from G", highlight=False)
     console.print(f"total inertia about x, y, z: {inertia} kg m2", highlight=False)
     console.print(_table("parameters", ("parameter", "in Delta", "nominal", "from", "to", "unit"), _parameters(found)))
     heads = ("body", "mass [kg]", "modes", "clamped at [rad/s]", "smallest residual mass")
