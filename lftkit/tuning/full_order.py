@@ -11,6 +11,7 @@ system, not the controller, is stable and is reduced by balanced truncation (lef
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -145,14 +146,9 @@ def _h2(plant: ExtendedPlant) -> list[FullOrderEstimator]:
 
 def lqg(plant: ExtendedPlant) -> FullOrderEstimator | None:
     """Controller with the least H2 norm, D11 left out; None where an equation has no solution."""
-    try:
-        X = linalg.solve_continuous_are(
-            plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, s=plant.C1.T @ plant.D12
-        )
-        Y = linalg.solve_continuous_are(
-            plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, s=plant.B1 @ plant.D21.T
-        )
-    except (linalg.LinAlgError, ValueError):
+    X = riccati(plant.A, plant.B2, plant.C1.T @ plant.C1, plant.D12.T @ plant.D12, plant.C1.T @ plant.D12)
+    Y = riccati(plant.A.T, plant.C2.T, plant.B1 @ plant.B1.T, plant.D21 @ plant.D21.T, plant.B1 @ plant.D21.T)
+    if X is None or Y is None:
         return None
     F = -linalg.solve(plant.D12.T @ plant.D12, plant.B2.T @ X + plant.D12.T @ plant.C1)
     L = -linalg.solve(plant.D21 @ plant.D21.T, plant.C2 @ Y + plant.D21 @ plant.B1.T).T
@@ -201,10 +197,8 @@ def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
     R = D1.T @ D1 - linalg.block_diag(level**2 * np.eye(nw), np.zeros((B2.shape[1],) * 2))
     S = D2 @ D2.T - linalg.block_diag(level**2 * np.eye(nz), np.zeros((len(C2),) * 2))
-    try:
-        X = linalg.solve_continuous_are(A, B, C1.T @ C1, R, s=C1.T @ D1)
-        Y = linalg.solve_continuous_are(A.T, C.T, B1 @ B1.T, S, s=B1 @ D2.T)
-    except (linalg.LinAlgError, ValueError):
+    X, Y = riccati(A, B, C1.T @ C1, R, C1.T @ D1), riccati(A.T, C.T, B1 @ B1.T, S, B1 @ D2.T)
+    if X is None or Y is None:
         return None
     product = X @ Y / level**2
     least = min(float(linalg.eigvalsh(M)[0]) / max(1.0, float(np.abs(M).max())) for M in (X, Y))
@@ -216,6 +210,18 @@ def central(plant: ExtendedPlant, level: float) -> FullOrderEstimator | None:
     seen = C2 + shifted.D21 @ F[:nw]
     into = B2 + ZL @ shifted.D22
     return FullOrderEstimator(A + B1 @ F[:nw] + ZL @ seen, into, ZL + into @ K, F[nw:], K)
+
+
+def riccati(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
+) -> FloatArray | None:
+    """Stabilising solution of a continuous Riccati equation; None where there is none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", linalg.LinAlgWarning)  # of an equation without a solution
+        try:
+            return np.asarray(linalg.solve_continuous_are(A, B, Q, R, s=S), dtype=float)
+        except (linalg.LinAlgError, ValueError):
+            return None
 
 
 def _parrott(plant: ExtendedPlant, level: float) -> FloatArray | None:

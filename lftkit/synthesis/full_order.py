@@ -1,0 +1,286 @@
+"""Controllers of the least H-infinity and H2 norm, and of mixed sensitivity.
+
+Names and arguments are those of MATLAB's Robust Control Toolbox as far as named ports allow it. **Sign: u = + K y**; a
+negative feedback has its sign in the plant or in the controller. Sampled plants go through the bilinear map, which
+keeps the H-infinity norm. Every value that is returned is the norm of the closed loop, computed from it and not from
+the synthesis.
+
+Sources: Doyle, Glover, Khargonekar and Francis, IEEE TAC 34 (1989); Safonov, Limebeer and Chiang, Int. J. Control 50
+(1989), direct paths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from lftkit.analysis.norms import h2_norm, hinf_norm
+from lftkit.synthesis.standard_plant import (
+    Names,
+    StandardPlant,
+    continuous,
+    has_rank,
+    is_stable,
+    of_full_rank,
+    only_port,
+    standard_plant,
+    weight_of,
+)
+from lftkit.systems.connection.interconnection import connect
+from lftkit.systems.exchange import as_system
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.system import System
+from lftkit.tuning.full_order import FullOrderEstimator, central, lowest_level, lqg
+from lftkit.tuning.gains.loop import ExtendedPlant
+
+REGULARISED = 1e-6, 1e-5, 1e-4, 1e-3
+"""Weights of commands and noises of measurements that are tried where an assumption of the equations fails."""
+ABOVE = 1.00002, 1.0002, 1.002, 1.02, 1.1
+"""Levels of controllers over the lowest one: nearer to it their poles are faster."""
+REACHED = 1e-6
+"""Relative distance of the norm of a loop above its level that counts as rounding."""
+
+
+@dataclass(frozen=True)
+class FullOrderDesign:
+    """A controller and what its loop reaches.
+
+    Attributes
+    ----------
+    controller : System
+        From the measured to the commanded ports, of the order of the plant.
+    closed : System
+        From the other inputs to the other outputs of the plant.
+    value : float
+        Norm of `closed`.
+    lower : float
+        What no controller of any order can do better, numerically; minus infinity where a weight had to be added so
+        that the equations have a solution.
+    regularised : float
+        Weight of commands and noise of measurements that was added, 0 for none.
+    """
+
+    controller: System
+    closed: System
+    value: float
+    lower: float
+    regularised: float = 0.0
+
+    @property
+    def gap(self) -> float:
+        """Part of the value by which another controller could be better at most."""
+        return (self.value - self.lower) / self.value if self.value > 0.0 and self.lower > -np.inf else np.inf
+
+
+def hinfsyn(plant: System, measured: Names, commanded: Names, level: float | None = None) -> FullOrderDesign:
+    """Controller with the least H-infinity norm from the other inputs to the other outputs of a plant.
+
+    Parameters
+    ----------
+    plant : System
+        Certain, continuous or sampled.
+    measured, commanded : str or sequence of str
+        Its outputs that the controller sees, and its inputs that it drives.
+    level : float, optional
+        A larger norm is enough: the central controller at this level, with slower poles than that of the least one.
+
+    Returns
+    -------
+    FullOrderDesign
+
+    Raises
+    ------
+    ValueError
+        No stabilising controller exists, and why; a level that no controller reaches.
+
+    Examples
+    --------
+    An integrator with noise and disturbance:
+
+    >>> from lftkit import System
+    >>> ports = [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]
+    >>> P = System([[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], *ports)
+    >>> found = hinfsyn(P, "y", "u")
+    >>> round(found.value, 4), round(found.lower, 4)
+    (1.4142, 1.4142)
+    """
+    given = standard_plant(plant, measured, commanded)
+    mapped = continuous(given.system)
+    generalised = replace(given, system=mapped).extended
+    if level is not None:
+        return _at_level(given, generalised, level)
+    best = _best(given, generalised) if of_full_rank(generalised) else None
+    if best is not None:
+        return best
+    candidates = [found for weight in REGULARISED if (found := _best(given, generalised, weight)) is not None]
+    if not candidates:
+        raise ValueError(
+            f"{plant.name}: the Riccati equations have no solution at any level, with a weight of up to "
+            f"{REGULARISED[-1]:g} on commands and measurements too"
+        )
+    return min(candidates, key=lambda found: found.value)
+
+
+def h2syn(plant: System, measured: Names, commanded: Names) -> FullOrderDesign:
+    """Controller with the least H2 norm from the other inputs to the other outputs of a continuous plant.
+
+    Raises
+    ------
+    ValueError
+        A sampled plant, a direct path from the other inputs to the other outputs, no stabilising controller, a
+        command without weight, a measurement without noise.
+
+    Examples
+    --------
+    >>> from lftkit import System
+    >>> ports = [("w", 2), ("u", 1)], [("z", 2), ("y", 1)]
+    >>> P = System([[0.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], *ports)
+    >>> round(h2syn(P, "y", "u").value, 6)
+    1.414214
+    """
+    given = standard_plant(plant, measured, commanded)
+    if given.system.dt:
+        raise ValueError(f"{plant.name}: must be continuous for h2syn, got the period {given.system.dt:g} s")
+    generalised = given.extended
+    if generalised.D11.any():
+        raise ValueError(f"{plant.name}: D11 must be zero for a finite H2 norm, got a direct path")
+    for name, matrix, least in (
+        ("every command must have a weight (D12 of full column rank)", generalised.D12, generalised.D12.shape[1]),
+        ("every measurement must have noise (D21 of full row rank)", generalised.D21, len(generalised.D21)),
+    ):
+        if not has_rank(matrix, least):
+            raise ValueError(f"{plant.name}: {name}, got a matrix of lower rank")
+    full = lqg(generalised)
+    if full is None:
+        raise ValueError(f"{plant.name}: must have no zeros on the imaginary axis in its weights, got some")
+    controller = _controller(given, full)
+    closed = given.closed(controller)
+    value = float(h2_norm(*closed.matrices))
+    return FullOrderDesign(controller, closed, value, value)
+
+
+def augw(
+    plant: System,
+    error: System | float | None = None,
+    effort: System | float | None = None,
+    output: System | float | None = None,
+) -> System:
+    """Generalised plant of mixed sensitivity: reference ``w`` and command ``u`` to weighted ``z1, z2, z3`` and ``y``.
+
+    ``y = w - G u`` is what the controller sees, z1 the weighted y, z2 the weighted u, z3 the weighted output of the
+    plant. A weight of one channel is that of each channel.
+
+    Parameters
+    ----------
+    plant : System
+        G, with one input and one output port.
+    error, effort, output : System or float, optional
+        W1, W2, W3; those that are left out have no output.
+    """
+    G = as_system(plant)
+    (u,), (y,) = (only_port(ports, kind, G) for ports, kind in ((G.inputs, "input"), (G.outputs, "output")))
+    given = (("z1", error, "e", y.size), ("z2", effort, "u", u.size), ("z3", output, "y", y.size))
+    weights = {name: weight_of(name, w, size, G.dt) for name, w, _, size in given if w is not None}
+    if not weights:
+        raise ValueError("augw must have one of the weights error, effort and output, got none")
+    eye = np.eye(y.size)
+    split = System(  # e = w - y, to the weight and to the controller
+        np.zeros((0, 0)), np.zeros((0, 2 * y.size)), np.zeros((y.size, 0)), np.hstack([eye, -eye]),
+        (Port("r", y.size), Port("seen", y.size)), (Port("e", y.size),), "error", G.dt,
+    )  # fmt: skip
+    sources = {"e": "error.e", "u": "u", "y": f"plant.{y.name}"}
+    return connect(
+        {"plant": G, "error": split, **weights},
+        [
+            ("u", f"plant.{u.name}"),
+            ("w", "error.r"),
+            (f"plant.{y.name}", "error.seen"),
+            *((sources[signal], f"{name}.in") for name, w, signal, _ in given if w is not None),
+        ],
+        inputs=[Port("w", y.size), Port("u", u.size, u.unit)],
+        outputs={**{name: f"{name}.out" for name in weights}, "y": "error.e"},
+    )
+
+
+def mixsyn(
+    plant: System,
+    error: System | float | None = None,
+    effort: System | float | None = None,
+    output: System | float | None = None,
+) -> FullOrderDesign:
+    """Controller of the least H-infinity norm of the weighted S, K S and T: :func:`hinfsyn` of :func:`augw`.
+
+    The loop is that of negative feedback, ``u = K (w - y)``.
+
+    Examples
+    --------
+    Skogestad and Postlethwaite, Multivariable Feedback Control, section 2.8.2, first weight, where 1.37 is printed:
+
+    >>> from lftkit import s
+    >>> G = (200 / ((10 * s + 1) * (0.05 * s + 1) ** 2)).system("u", "y")
+    >>> W1 = ((s / 1.5 + 10) / (s + 1e-3)).system("e", "z")
+    >>> round(mixsyn(G, W1, 1.0).value, 2)
+    1.37
+    """
+    return hinfsyn(augw(plant, error, effort, output), "y", "u")
+
+
+def _weighted(plant: ExtendedPlant, weight: float) -> ExtendedPlant:
+    """The plant with a small weight on each command and a small noise on each measurement."""
+    (n, nu), ny = plant.B2.shape, len(plant.C2)
+    return replace(
+        plant,
+        B1=np.hstack([plant.B1, np.zeros((n, ny))]),
+        C1=np.vstack([plant.C1, np.zeros((nu, n))]),
+        D11=linalg.block_diag(plant.D11, np.zeros((nu, ny))),
+        D12=np.vstack([plant.D12, weight * np.eye(nu)]),
+        D21=np.hstack([plant.D21, weight * np.eye(ny)]),
+    )
+
+
+def _best(given: StandardPlant, generalised: ExtendedPlant, weight: float = 0.0) -> FullOrderDesign | None:
+    """The controller with the least norm of those at levels a little above the lowest one."""
+    plant = _weighted(generalised, weight) if weight else generalised
+    found = lowest_level(plant)
+    if found is None:
+        return None
+    designs = [_design(given, plant, above * found[1]) for above in ABOVE]
+    known = [one for one in designs if one is not None]
+    if not known:
+        return None
+    best = min(known, key=lambda one: one.value)
+    confirmed = not weight and best.value <= ABOVE[-2] * found[1]
+    return replace(best, lower=found[0] if confirmed else -np.inf, regularised=weight)
+
+
+def _design(given: StandardPlant, plant: ExtendedPlant, level: float) -> FullOrderDesign | None:
+    full = central(plant, level)
+    if full is None:
+        return None
+    try:
+        controller = _controller(given, full)
+        closed = given.closed(controller)
+    except ValueError:  # a loop that is not well posed
+        return None
+    if not is_stable(closed):
+        return None
+    return FullOrderDesign(controller, closed, hinf_norm(*closed.matrices, dt=closed.dt or None).value, -np.inf)
+
+
+def _at_level(given: StandardPlant, generalised: ExtendedPlant, level: float) -> FullOrderDesign:
+    found = _design(given, generalised, level) if of_full_rank(generalised) else None
+    for weight in () if found is not None else REGULARISED:
+        found = found or _design(given, _weighted(generalised, weight), level)
+    if found is None or found.value > (1.0 + REACHED) * level:
+        raise ValueError(f"{given.system.name}: level must be one that a controller reaches, got {level:g}")
+    return found
+
+
+def _controller(given: StandardPlant, full: FullOrderEstimator) -> System:
+    A, B, C, D = full.A + full.B @ full.F, full.B @ full.D - full.L, full.F, full.D
+    dt = given.system.dt
+    matrices = (A, B, C, D) if not dt else to_discrete(A, B, C, D, dt)
+    return System(*matrices, given.measured, given.commanded, "K", dt)

@@ -1,0 +1,175 @@
+"""Plants for synthesis: ports in two groups, what the Riccati equations assume of them, weights and chains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from lftkit.arrays import FloatArray
+from lftkit.systems.connection.feedback import close_loop
+from lftkit.systems.exchange import as_system
+from lftkit.systems.ports import Port
+from lftkit.systems.sampled.bilinear import to_continuous
+from lftkit.systems.system import System
+from lftkit.tuning.gains.loop import ExtendedPlant
+
+Names = str | Sequence[str]
+
+RANK = 1e-9
+"""Smallest singular value of D12 and D21, relative to the largest one or to 1, that counts as rank."""
+AXIS = 1e-9
+"""Real part of a mode, relative to the largest pole, above which it must be reached and seen."""
+
+
+@dataclass(frozen=True)
+class StandardPlant:
+    """A plant with its ports in two groups."""
+
+    system: System
+    measured: tuple[Port, ...]
+    commanded: tuple[Port, ...]
+    disturbances: tuple[Port, ...]
+    errors: tuple[Port, ...]
+
+    @property
+    def extended(self) -> ExtendedPlant:
+        """Matrices by the groups."""
+        rows = [self.system.output_indices([p.name for p in ports]) for ports in (self.errors, self.measured)]
+        columns = [self.system.input_indices([p.name for p in ports]) for ports in (self.disturbances, self.commanded)]
+        A, B, C, D = self.system.matrices
+        (z, y), (w, u) = rows, columns
+        return ExtendedPlant(
+            A, B[:, w], B[:, u], C[z], C[y], D[np.ix_(z, w)], D[np.ix_(z, u)], D[np.ix_(y, w)], D[np.ix_(y, u)]
+        )  # fmt: skip
+
+    def closed(self, controller: System) -> System:
+        """The loop from disturbances to errors."""
+        names = [[p.name for p in ports] for ports in (self.disturbances, self.errors)]
+        return close_loop(self.system, controller, *names)
+
+
+def standard_plant(plant: System, measured: Names, commanded: Names) -> StandardPlant:
+    """A plant with its ports in two groups.
+
+    Raises
+    ------
+    ValueError
+        An uncertain plant, a port that it does not have, a group without ports, a mode that is not stable and that no
+        command reaches or no measurement sees.
+    """
+    system = as_system(plant)
+    system.require_certain()
+    groups = []
+    for names, ports, kind in ((measured, system.outputs, "outputs"), (commanded, system.inputs, "inputs")):
+        chosen = (names,) if isinstance(names, str) else tuple(names)
+        known = {p.name: p for p in ports}
+        if missing := [name for name in chosen if name not in known]:
+            raise ValueError(f"{kind} must be of {', '.join(known)}, got {', '.join(missing)}")
+        rest = tuple(p for p in ports if p.name not in chosen)
+        if not chosen or not rest:
+            raise ValueError(
+                f"{plant.name}: some {kind} must be the controller's and some not, got {', '.join(chosen)}"
+            )
+        groups.append((tuple(known[name] for name in chosen), rest))
+    (seen, errors), (driven, disturbances) = groups
+    found = StandardPlant(system, seen, driven, disturbances, errors)
+    _require_stabilisable(found)
+    return found
+
+
+def _require_stabilisable(given: StandardPlant) -> None:
+    """Refuse a mode that is not stable and that no command reaches or no measurement sees."""
+    A, B, C, _ = given.system.matrices
+    u = given.system.input_indices([p.name for p in given.commanded])
+    y = given.system.output_indices([p.name for p in given.measured])
+    poles = given.system.poles()
+    scale = max(1.0, float(np.abs(poles).max(initial=0.0)))
+    for pole in poles:
+        slow = abs(pole) < 1.0 if given.system.dt else pole.real < -AXIS * scale
+        if slow:
+            continue
+        for matrix, what in (
+            (
+                np.hstack([A - pole * np.eye(len(A)), B[:, u]]),
+                f"reached from {', '.join(p.name for p in given.commanded)}",
+            ),
+            (np.vstack([A - pole * np.eye(len(A)), C[y]]), f"seen in {', '.join(p.name for p in given.measured)}"),
+        ):
+            if linalg.svdvals(matrix)[len(A) - 1] < 1e-9 * max(1.0, float(linalg.norm(matrix, 2))):
+                where = f"{pole.real:.4g}" + (f" {pole.imag:+.4g}j" if pole.imag else "")
+                raise ValueError(
+                    f"{given.system.name}: the mode at {where} is not stable and must be {what}; of a weight, move the "
+                    "pole to the left"
+                )
+
+
+def continuous(system: System) -> System:
+    """The system, or of a sampled one that which the bilinear map takes to it."""
+    if not system.dt:
+        return system
+    return System(*to_continuous(*system.matrices, system.dt), system.inputs, system.outputs, system.name)
+
+
+def has_rank(matrix: FloatArray, least: int) -> bool:
+    """Whether a matrix has at least this rank, not zero."""
+    sizes = linalg.svdvals(matrix) if min(matrix.shape) else np.zeros(0)
+    return len(sizes) >= least > 0 and bool(sizes[least - 1] > RANK * max(1.0, float(sizes[0])))
+
+
+def of_full_rank(plant: ExtendedPlant) -> bool:
+    """Whether every command has a weight (D12) and every measurement noise (D21)."""
+    return has_rank(plant.D12, plant.D12.shape[1]) and has_rank(plant.D21, len(plant.D21))
+
+
+def is_stable(system: System) -> bool:
+    """Whether every pole is inside the stable region, the circle for a sampled system."""
+    if not system.order:
+        return True
+    poles = linalg.eigvals(system.A)
+    return bool(np.abs(poles).max() < 1.0 if system.dt else poles.real.max() < 0.0)
+
+
+def only_port(ports: tuple[Port, ...], kind: str, system: System) -> tuple[Port]:
+    """The port of a side that must have one."""
+    if len(ports) != 1:
+        raise ValueError(f"{system.name}: must have one {kind} port, got {', '.join(p.name for p in ports)}")
+    return (ports[0],)
+
+
+def weight_of(name: str, given: System | ArrayLike, size: int, dt: float) -> System:
+    """A weight with the ports ``in`` and ``out``: a system, a matrix, or a number on each channel."""
+    if not isinstance(given, System):
+        gain = np.atleast_2d(np.asarray(given, dtype=float))
+        gain = gain * np.eye(size) if gain.size == 1 else gain
+        empty = np.zeros((0, 0))
+        return System(
+            empty,
+            np.zeros((0, gain.shape[1])),
+            np.zeros((len(gain), 0)),
+            gain,
+            (Port("in", gain.shape[1]),),
+            (Port("out", len(gain)),),
+            name,
+            dt,
+        )
+    if given.D.shape == (1, 1) and size > 1:
+        A, B, C, D = (linalg.block_diag(*[M] * size) for M in given.matrices)
+        return System(A, B, C, D, (Port("in", size),), (Port("out", size),), name, given.dt)
+    if given.D.shape[1] != size:
+        raise ValueError(f"{name} must have {size} inputs or one, got {given.D.shape[1]}")
+    return System(*given.matrices, (Port("in", size),), (Port("out", len(given.D)),), name, given.dt)
+
+
+def chain(*systems: System, names: tuple[Port, Port] | None = None) -> System:
+    """Systems in series, the first one first; ports of the first and the last, or those of `names`."""
+    A, B, C, D = systems[0].matrices
+    for following in systems[1:]:
+        a, b, c, d = following.matrices
+        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
+        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
+    first, last = names or (systems[0].inputs[0], systems[-1].outputs[0])
+    return System(A, B, C, D, (first,), (last,), systems[-1].name, systems[0].dt)

@@ -1,0 +1,172 @@
+"""Full-order synthesis: published values, an independent bound, conservation by the bilinear map, and refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.full_order_bound import full_order_bound
+from scipy import linalg
+
+from lftkit import Port, System, hinf_norm, s
+from lftkit.synthesis import augw, h2syn, hinfsyn, mixsyn, ncfsyn
+from lftkit.systems.sampled.bilinear import to_discrete
+from lftkit.systems.symbolic.expressions import Expression
+
+
+def system(expression: Any) -> System:
+    made: System = expression.system("u", "y")
+    return made
+
+
+def random_plant(seed: int, states: int, through: bool = False) -> System:
+    """Generalised plant with weights on all commands and noise on all measurements; half of its modes unstable."""
+    rng = np.random.default_rng(seed)
+    nw, nu, nz, ny = 3, 2, 3, 2
+    A, B, C = (rng.standard_normal(shape) for shape in ((states, states), (states, nw + nu), (nz + ny, states)))
+    D = np.zeros((nz + ny, nw + nu))
+    D[:nz, nw:], D[nz:, :nw] = rng.standard_normal((nz, nu)), rng.standard_normal((ny, nw))
+    if through:
+        D[:nz, :nw], D[nz:, nw:] = rng.standard_normal((nz, nw)), 0.1 * rng.standard_normal((ny, nu))
+    return System(A, B, C, D, (Port("w", nw), Port("u", nu)), (Port("z", nz), Port("y", ny)), "P")
+
+
+def norm(closed: System) -> float:
+    return hinf_norm(*closed.matrices, dt=closed.dt or None).value
+
+
+def stable(closed: System) -> bool:
+    poles = linalg.eigvals(closed.A)
+    return bool(np.abs(poles).max() < 1.0 if closed.dt else poles.real.max() < 0.0)
+
+
+DISTURBANCE = 200 / ((10 * s + 1) * (0.05 * s + 1) ** 2)
+
+
+def test_mixed_sensitivity_of_the_disturbance_process() -> None:
+    """Skogestad and Postlethwaite, Multivariable Feedback Control (2005), section 2.8.2: 1.37 is printed."""
+    found = mixsyn(system(DISTURBANCE), system((s / 1.5 + 10) / (s + 1e-3)), 1.0)
+    assert round(found.value, 2) == 1.37 and found.gap < 1e-3 and stable(found.closed)
+
+
+def test_a_steeper_weight_reaches_its_independent_bound() -> None:
+    weight = ((s / 1.5**0.5 + 10) / (s + 0.1)) ** 2
+    plant = augw(system(DISTURBANCE), system(weight), 1.0)
+    bound = full_order_bound(_with_one_error(plant))
+    found = hinfsyn(plant, "y", "u")
+    assert found.lower == pytest.approx(bound, rel=1e-4) and found.value == pytest.approx(bound, rel=1e-3)
+
+
+def _with_one_error(plant: System) -> System:
+    """z1 and z2 as one port z."""
+    return System(*plant.matrices, plant.inputs, (Port("z", 2), Port("y", 1)), plant.name)
+
+
+@pytest.mark.parametrize(
+    ("plant", "margin"),
+    [
+        (1 / s, np.sqrt(0.5)),
+        (1 / s**2, np.sin(np.pi / 8)),
+        (1 / (s - 1), 1.0 / np.sqrt(1.0 + (1.0 + np.sqrt(2.0)) ** 2)),
+    ],
+)
+def test_margins_of_coprime_factors_in_closed_form(plant: Expression, margin: float) -> None:
+    """Of 1 / (s - a) the two Riccati equations are quadratic: X = Z = a + sqrt(a^2 + 1)."""
+    found = ncfsyn(system(plant))
+    assert 1.0 / found.lower == pytest.approx(margin, rel=1e-9) and found.value <= 1.0001 * found.lower
+    assert stable(found.closed)
+
+
+@pytest.mark.parametrize("through", [False, True])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_value_is_reached_and_no_controller_does_better(seed: int, through: bool) -> None:
+    """Against existence conditions that share no code; the value is the norm of the assembled loop."""
+    plant = random_plant(seed, 2 + seed % 5, through)
+    found = hinfsyn(plant, "y", "u")
+    assert stable(found.closed) and found.value == pytest.approx(norm(found.closed), rel=1e-9)
+    without = System(plant.A, plant.B, plant.C, _without_d22(plant), plant.inputs, plant.outputs)
+    bound = full_order_bound(without)
+    assert found.lower <= 1.0001 * bound and found.value >= (1.0 - 1e-5) * bound and found.value <= 1.001 * bound
+
+
+def _without_d22(plant: System) -> np.ndarray[Any, Any]:
+    """The direct path from commands to measurements changes the controller, and not what it reaches."""
+    D = plant.D.copy()
+    D[np.ix_(plant.output_indices(["y"]), plant.input_indices(["u"]))] = 0.0
+    return D
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_larger_level_is_kept_by_its_central_controller(seed: int) -> None:
+    plant = random_plant(seed, 4)
+    least = hinfsyn(plant, "y", "u").value
+    found = hinfsyn(plant, "y", "u", level=2.0 * least)
+    assert stable(found.closed) and found.value <= 2.0 * least
+    with pytest.raises(ValueError, match="level must be one that a controller reaches, got"):
+        hinfsyn(plant, "y", "u", level=0.9 * least)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sampled_plant_reaches_what_its_continuous_image_does(seed: int) -> None:
+    plant, dt = random_plant(seed, 3), 0.1
+    image = System(*to_discrete(*plant.matrices, dt), plant.inputs, plant.outputs, "P", dt)
+    found = hinfsyn(image, "y", "u")
+    assert found.controller.dt == dt and stable(found.closed)
+    assert found.value == pytest.approx(hinfsyn(plant, "y", "u").value, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_h2_controller_is_a_minimum(seed: int) -> None:
+    """Random changes of the controller raise the norm, to second order: by more than rounding and never less."""
+    from lftkit import close_loop, h2_norm
+
+    plant = random_plant(seed, 3)
+    found = h2syn(plant, "y", "u")
+    assert stable(found.closed) and found.gap == 0.0
+    rng, K = np.random.default_rng(seed), found.controller
+    for size in (1e-3, 1e-2):
+        changed = [M + size * rng.standard_normal(M.shape) for M in K.matrices[:3]]
+        other = System(*changed, K.D, K.inputs, K.outputs)
+        closed = close_loop(plant, other, ["w"], ["z"])
+        assert not stable(closed) or h2_norm(*closed.matrices) >= found.value * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("slow", [1e-2, 1e-4, 1e-6])
+def test_slow_weights_work(slow: float) -> None:
+    """The commonest habit: an integrator in the weight of the error, moved a little to the left."""
+    found = mixsyn(system(1 / (s + 1)), system((0.5 * s + 1) / (s + slow)), 0.1)
+    assert stable(found.closed) and found.gap < 1e-2
+
+
+def test_weights_of_one_channel_are_those_of_each() -> None:
+    plant = System(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), (Port("u", 2),), (Port("y", 2),), "G")
+    alone = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)), 0.5, 0.1)
+    both = mixsyn(plant, system(1 / (s + 0.1)), 0.5, 0.1)
+    assert both.value == pytest.approx(alone.value, rel=1e-3)
+
+
+def test_without_a_weight_on_commands_the_value_is_that_of_the_loop_and_has_no_bound() -> None:
+    """Cheap control: the infimum is approached and not reached; what is said is the loop's own norm."""
+    found = mixsyn(system(1 / (s + 1)), system(1 / (s + 0.1)))
+    assert found.regularised > 0.0 and found.gap == np.inf
+    assert found.value == pytest.approx(norm(found.closed), rel=1e-9) and found.value < 0.1
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: hinfsyn(random_plant(0, 2), "x", "u"), "outputs must be of z, y, got x"),
+        (lambda: hinfsyn(random_plant(0, 2), "y", ["u", "w"]), "some inputs must be the controller's and some not"),
+        (
+            lambda: mixsyn(system(1 / (s + 1)), system(1 / s), 1.0),
+            "the mode at 0 is not stable and must be seen in y",
+        ),
+        (lambda: augw(system(1 / (s + 1))), "one of the weights error, effort and output, got none"),
+        (lambda: h2syn(random_plant(0, 2, through=True), "y", "u"), "D11 must be zero"),
+        (lambda: mixsyn(system(1 / (s + 1)), random_plant(0, 1)), "z1 must have 1 inputs or one, got 5"),
+    ],
+)
+def test_what_cannot_be_designed_says_which_assumption_fails(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
