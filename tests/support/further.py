@@ -40,11 +40,14 @@ FURTHER = {
     "unit/lftkit/proofs/test_margin_proofs.py": "margins of a loop: unit/lftkit/proofs/test_certified_loop.py",
     "unit/lftkit/proofs/test_proof_premises.py": "forged files: unit/lftkit/proofs/test_checking.py",
     "unit/lftkit/tuning/test_sector_goals.py": "goals: unit/lftkit/tuning/test_goals.py",
+    "unit/los_design/test_combined_bounds.py": "sums of bounds: unit/los_design/test_certify.py",
     "unit/los_design/test_orders.py": "designs of several orders: unit/los_design/test_start_choice.py",
     "unit/los_design/test_paper_figures.py": "pictures of the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_paper_problem.py": "the paper: unit/los_design/test_start_choice.py",
     "unit/los_design/test_synthesis.py": "a design from end to end: unit/los_design",
     "unit/los_testbed/cli/test_verify_goes_on.py": "results that are kept: unit/lftkit/support/test_kept_workers.py",
+    "unit/los_testbed/run/test_own_windows.py": "windows of a mission: unit/pointing_analysis/test_budget_windows.py",
+    "unit/titop_plant/test_nastran_decks.py": "decks of others: integration/test_nastran_to_run.py",
     "unit/titop_plant/test_structures_nastran.py": "the optional reader of NASTRAN files",
 }
 """Files below `tests`, and what else looks at the same, or what they are."""
