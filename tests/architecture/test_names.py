@@ -1,4 +1,4 @@
-"""Names and words: no old name is left, the language is plain, every reason to skip a test has a remedy."""
+"""No name stands for two classes, every reason to skip a test has a remedy."""
 
 from __future__ import annotations
 
@@ -23,83 +23,10 @@ CODE = sorted(
     )
     for path in files_of(ROOT / folder)
 )
-TEXTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *CODE])
-
-FORMER_NAMES = {
-    "Shell",
-    "judgement",
-    "plant_members",
-    "check_member",
-    "replay_core",
-    "as_flown",
-    "FlownLoop",
-    "flown_norms",
-    "flown_figures",
-    "flown_plant",
-    "ROOMS",
-    "_HOMES",
-    "SampleJoin",
-    "Durations",
-    "PLACES",
-    "_HandsOff",
-    "most_rounds",
-    "MOST_ROUNDS",
-    "begun",
-    "began",
-    "LoopScan",
-    "level_set",
-    "special_structures",
-    "_mate",
-    "_dry",
-    "Scene",
-    "scene",
-    "_hung",
-    "test_house_rules",
-    "BudgetError",
-    "BudgetVerdict",
-}
-"""Identifiers of the left columns of the table of renames that mean nothing else."""
-
-FORMER_NAMES_OF_THE_TUNER = {"place", "places"}
-
-WORDS = re.compile(r"\b(flown|house|room|somebody else)\b", re.IGNORECASE)
-
-
-def former_names(path: Path) -> set[str]:
-    """What no identifier of a file may be."""
-    return FORMER_NAMES | (FORMER_NAMES_OF_THE_TUNER if "tuning" in path.parts else set())
-
-
-def identifiers(text: str) -> Iterator[tuple[str, int]]:
-    """Names that a module defines or uses, with their lines."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            yield node.name, node.lineno
-        elif isinstance(node, ast.Name):
-            yield node.id, node.lineno
-        elif isinstance(node, ast.Attribute):
-            yield node.attr, node.lineno
-        elif isinstance(node, ast.arg):
-            yield node.arg, node.lineno
-        elif isinstance(node, ast.alias):
-            yield from ((part, node.lineno) for part in (node.asname or node.name).split("."))
-        elif isinstance(node, ast.keyword) and node.arg:
-            yield node.arg, node.value.lineno
 
 
 def relative(path: Path) -> str:
     return str(path.relative_to(ROOT))
-
-
-def test_no_former_name_is_left() -> None:
-    """Only a file in which one of them stands as a word is parsed."""
-    found: list[str] = []
-    for path in CODE:
-        text, names = path.read_text("utf-8"), former_names(path)
-        if re.search(rf"\b({'|'.join(sorted(names))})\b", text):
-            found += [f"{relative(path)}:{line}: {name}" for name, line in identifiers(text) if name in names]
-    assert not found
-    assert not [relative(path) for path in CODE if path.stem in FORMER_NAMES]
 
 
 def classes(path: Path) -> Iterator[tuple[str, str]]:
@@ -121,18 +48,6 @@ def test_no_name_stands_for_two_classes() -> None:
             for name, place in classes(path):
                 found.setdefault(name, []).append(place)
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
-
-
-def test_words_are_those_of_the_field() -> None:
-    """Quotations stand between backticks."""
-    found = [
-        f"{relative(path)}:{number}: {line.strip()}"
-        for path in TEXTS
-        if path != Path(__file__)
-        for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1)
-        if WORDS.search(re.sub("`[^`]*`", "", line))
-    ]
-    assert not found
 
 
 def skip_reasons(path: Path) -> Iterator[str]:
