@@ -24,24 +24,24 @@ from pointing_analysis.requirements.guarantee import ProvenBound
 from pointing_analysis.requirements.verdict import Status, Verdict
 from pointing_analysis.units import ANGLES
 
-KEEPS = "within limit"
-"""Shown for a run that keeps a limit and is too short to demonstrate it."""
+WITHIN = "within limit"
+"""Shown for a run that is within a limit and too short to demonstrate it."""
 DISTURBED = "disturbed"
 """Shown for a run in real time in which more ticks were missed than may be."""
 ALL_RUNS = "all runs"
 
 
 def css_class(status: str) -> str:
-    """Class of a status, its colour and its sign: ok, kept (within the limit, not demonstrated), bad or open."""
-    return {"compliant": "ok", KEEPS: "kept", "not compliant": "bad"}.get(status, "open")
+    """Class of a status, its colour and its sign: ok, within (the limit, not demonstrated), bad or open."""
+    return {"compliant": "ok", WITHIN: "within", "not compliant": "bad"}.get(status, "open")
 
 
 def shown_status(v: Verdict) -> str:
-    """Status; of too short a run that exceeds its limit no more often than allowed: that it keeps it."""
-    return KEEPS if v.status == "not enough data" and v.keeps else v.status
+    """Status; `WITHIN` for too short a run that exceeds its limit no more often than allowed."""
+    return WITHIN if v.status == "not enough data" and v.within_limit else v.status
 
 
-WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", KEEPS, "compliant")
+WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", WITHIN, "compliant")
 """What is shown of a verdict, the worst first."""
 
 
@@ -88,7 +88,7 @@ class RequirementRow:
     confidence : between 0 and 1
     status : of the verdict
     index : of the requirement: those on one index are a group
-    shown : status, or that the run keeps the limit where it is too short to demonstrate it
+    shown : status, or `WITHIN` where the run is within the limit and too short to demonstrate it
     statement : verdict in words
     exceeding : share of the samples above the limit, or below a lower one
     samples, effective : samples, and independent ones that they weigh as much as
@@ -204,7 +204,7 @@ class RequirementRow:
 
     @property
     def margin_text(self) -> str:
-        """Distance to the limit, also in % of it, positive where it is kept; empty where it was not judged."""
+        """Distance to the limit, also in % of it, positive where it is met; empty where it was not judged."""
         if math.isnan(self.value):
             return ""
         sign = "+" if self._margin >= 0 else "−"
@@ -212,7 +212,7 @@ class RequirementRow:
 
     @property
     def relative_margin(self) -> float:
-        """Distance to the limit over the limit, positive where it is kept; NaN where it was not judged."""
+        """Distance to the limit over the limit, positive where it is met; NaN where it was not judged."""
         return self._margin / self.limit
 
     @property

@@ -74,10 +74,10 @@ class Verdict:
     missing: float = 0.0
 
     @property
-    def keeps(self) -> bool:
+    def within_limit(self) -> bool:
         """Whether the samples exceed the limit no more often than the requirement allows, proven or not.
 
-        Missing samples count as such that exceed it.
+        Missing samples count as exceeding it.
         """
         if math.isinf(self.missing):
             return False
@@ -86,17 +86,17 @@ class Verdict:
 
     @property
     def statement(self) -> str:
-        """The verdict in words: of too short a run whether it keeps its limit, and what length would demonstrate it."""
+        """The verdict in words: of too short a run whether it is within limit, and the length to demonstrate it."""
         if self.status != "not enough data":
             return self.status
-        if self.missing and not self.keeps:
+        if self.missing and not self.within_limit:
             what = "part of the run is" if math.isinf(self.missing) else f"{self.missing:.0f} samples are"
             return f"not enough data: {what} missing"
         beyond = "below" if self.requirement.lower else "above"
         if math.isinf(self.seconds_needed):
-            return f"{'at' if self.keeps else beyond} limit; not demonstrated by a run of any length"
+            return f"{'at' if self.within_limit else beyond} limit; not demonstrated by a run of any length"
         needs = f"at {100 * self.requirement.confidence:g} % confidence: needs {math.ceil(self.seconds_needed)} s"
-        return f"{'within' if self.keeps else beyond} limit; not yet demonstrated {needs}"
+        return f"{'within' if self.within_limit else beyond} limit; not yet demonstrated {needs}"
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ def status_of(requirement: Requirement, worst: float, best: float, effective: fl
 
 
 def beyond_limit(values: FloatArray, requirement: Requirement) -> BoolArray:
-    """Which samples do not keep the limit."""
+    """Which samples exceed the limit."""
     return np.asarray(values <= requirement.limit if requirement.lower else values >= requirement.limit)
 
 

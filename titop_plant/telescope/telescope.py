@@ -383,7 +383,7 @@ class Telescope:
 
     @property
     def instant_probability(self) -> float:
-        """Part of the instants that must keep the limit of the absolute error."""
+        """Part of the instants at which the absolute error must be within the limit."""
         return requirements.instant_probability(self.requirements)
 
     @property

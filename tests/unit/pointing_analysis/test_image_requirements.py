@@ -127,10 +127,10 @@ def test_a_lower_limit_is_judged_as_an_upper_one_of_the_negative() -> None:
         for missing in (0.0, 5.0, math.inf):
             low = decide(below, values, effective, 10.0, missing)
             high = decide(above, 1.0 - values, effective, 10.0, missing)
-            assert (low.status, low.exceeding, low.keeps, low.note) == (
+            assert (low.status, low.exceeding, low.within_limit, low.note) == (
                 high.status,
                 high.exceeding,
-                high.keeps,
+                high.within_limit,
                 high.note,
             )
             assert low.seconds_needed == high.seconds_needed

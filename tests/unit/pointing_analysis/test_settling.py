@@ -95,7 +95,7 @@ def test_a_level_that_still_falls_and_keeps_its_limit_is_judged(tmp_path: Path) 
     t = DT * np.arange(30_000)
     values = np.exp(-t / 60.0)[:, None] * np.array([1.0, 0.5])
     found = judge_settled(APE, bag(tmp_path / "a", values, start_up=MEASURED))
-    assert found.verdict.keeps and found.verdict.status != "not judged"
+    assert found.verdict.within_limit and found.verdict.status != "not judged"
     rising = bag(tmp_path / "b", np.array([1.0, 0.5]) - values, start_up=MEASURED)
     assert judge_settled(APE, rising).verdict.status == "not judged"
 

@@ -170,7 +170,7 @@ def test_a_quantity_stands_once_and_numbers_stand_right(summary: Summary) -> Non
     beside = [figure for figure in summary.figures if figure.quantity not in judged]
     assert len(beside) == len(summary.figures) - 1  # the requirement is on one of them
     assert set(rows(table)) == {*judged, *(figure.name for figure in beside), "samples lost"}
-    assert [row.css for row in summary.rows] == ["kept"]
+    assert [row.css for row in summary.rows] == ["within"]
     assert table.columns[-1]._cells[0].style == "green"  # type: ignore[union-attr]
 
 

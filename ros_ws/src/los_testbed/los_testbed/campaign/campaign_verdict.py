@@ -1,8 +1,8 @@
 """How a campaign stands against the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
 
 =============  =====================================================================================================
-ensemble       the worst instant of each member is one sample: so many members keep the limit at all times
-temporal       each member keeps the limit for the share of its time; one that is proven not to is the verdict
+ensemble       the worst instant of each member is one sample: so many members are within the limit at all times
+temporal       each member is within the limit for the share of its time; one proven not to be is the verdict
 mixed          all instants of all members together
 =============  =====================================================================================================
 
@@ -224,12 +224,12 @@ def model_verdicts(
     requirements: Sequence[Requirement],
     random: bool = True,
 ) -> list[CampaignVerdict]:
-    """Verdicts of a campaign at depth model: each member keeps the limit with its worst tone and its noise.
+    """Verdicts of a campaign at depth model: each member is within the limit with its worst tone and its noise.
 
     Parameters
     ----------
     total : ndarray, shape (members,)
-        What the required part of the windows keeps [mas].
+        Quantile of the windows at the required probability [mas].
     status, loop, requirements, random
         As in :func:`verdicts`.
     """
@@ -250,13 +250,13 @@ def _known(own: FloatArray, requirement: Requirement) -> list[str]:
 
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
-    """How many values, in the unit of the columns, do not keep the limit."""
+    """How many values, in the unit of the columns, exceed the limit."""
     limit = requirement.limit / column_unit(requirement)[1]
     return int(np.sum(values <= limit if requirement.lower else values >= limit))
 
 
 def _quantile(values: FloatArray, requirement: Requirement) -> float:
-    """What the required part of the values keeps."""
+    """Quantile of the values at the required probability."""
     sign = -1.0 if requirement.lower else 1.0
     return sign * SortedValues(sign * values).quantile(requirement.probability)
 
@@ -271,10 +271,10 @@ def _decided(interpretation: str, requirement: Requirement, above: int, samples:
 
 
 def _temporal(requirement: Requirement, own: FloatArray, status: Sequence[str], random: bool) -> CampaignVerdict:
-    """Every member keeps the limit for its share of the time; `status` is the one of each member alone.
+    """Every member is within the limit for its share of the time; `status` is that of each member alone.
 
-    Bounds are those of the share of telescopes that do not keep it. A member that breaks the limit passes for one that
-    keeps it no more often than 1 - c: of those that break it a part c at least is not proven.
+    Bounds are those of the share of telescopes that exceed it. A member that exceeds the limit passes for one within
+    it with probability 1 - c at most: of those that exceed it a part c at least is not proven.
     """
     above, samples, c = _above(own, requirement), len(own), requirement.confidence
     worst = float(np.min(own) if requirement.lower else np.max(own))

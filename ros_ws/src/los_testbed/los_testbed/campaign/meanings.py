@@ -30,7 +30,7 @@ MEANINGS = {
     "force_gain": "largest forces of a tone of unit norm over their authority",
     "noise_ape_arcsec_rms": "absolute error from sensor noise [arcsec rms]",
     "noise_rpe_mas_rms": "relative error from sensor noise [mas rms]",
-    "total_mas": "what the required part of the windows keeps with the worst tone and the noise [mas]",
+    "total_mas": "quantile of the windows at the required probability, with the worst tone and the noise [mas]",
     "sensitivity_mirror": "peak sensitivity of the mirror loop",
     "sensitivity_forces": "peak sensitivity of the force loop",
     "rpe_peak_rad_s": "frequency of the worst tone [rad/s]",
@@ -107,9 +107,9 @@ class RequirementColumns:
     worst : str
         Worst sample: the largest, under a lower limit the smallest.
     quantile : str
-        What the required part of the samples keeps.
+        Quantile of the samples at the required probability.
     share : str
-        Share of the samples that do not keep the limit; missing ones are among them.
+        Share of the samples that exceed the limit; missing ones are among them.
     effective : str
         Independent samples that those beyond the limit weigh as much as.
     scale : float

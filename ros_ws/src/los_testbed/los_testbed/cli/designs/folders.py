@@ -37,4 +37,4 @@ def name_unseen_requirements(telescope: Telescope) -> None:
     from titop_plant.telescope.requirements import unseen_by_design
 
     if unseen := [f"{one.name} ({one})" for one in unseen_by_design(telescope.requirements)]:
-        sys.stderr.write(f"requirements: designs do not see {', '.join(unseen)}; runs are judged by them\n")
+        sys.stderr.write(f"requirements: the design does not consider {', '.join(unseen)}; runs are judged by them\n")

@@ -14,14 +14,14 @@ from los_testbed.config.run_config import RunConfig
 from los_testbed.config.run_settings import of_designs, with_scenario
 from los_testbed.parts.run_parts import RunParts
 from pointing_analysis.formatting.number_text import digits, digits_beside, number
-from pointing_analysis.requirements.rows import KEEPS, RequirementRow
+from pointing_analysis.requirements.rows import WITHIN, RequirementRow
 from titop_plant.interface import NO_SCENARIO, STAGES
 
 SECONDS = 20.0
 """Length of each run."""
 OPENED = STAGES[1]
 """Stage without fine control, on the isolator."""
-MET = ("compliant", KEEPS)
+MET = ("compliant", WITHIN)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class MissionVerdict:
 
     @property
     def met(self) -> bool:
-        """Whether the limit is kept, or the requirement cannot be judged by such a run."""
+        """Whether the limit is met, or the requirement cannot be judged by such a run."""
         row = self.requirement
         return row is not None and (row.shown in MET or row.status == "not judged")
 
@@ -100,7 +100,7 @@ class Mission:
         """What the controllers, tuned without the sources, do under them."""
         names = ", ".join(self.sources)
         return [
-            f"the tuning does not see {names}: {stage}, {member}, RPE {digits(closed)} mas rms under them, "
+            f"the tuning does not consider {names}: {stage}, {member}, RPE {digits(closed)} mas rms under them, "
             f"{digits(opened)} without fine control{' (control makes it worse)' if closed > opened else ''}"
             for (stage, member), (closed, opened) in (self.rpe or {}).items()
         ]

@@ -49,7 +49,7 @@ class Screen(Console):
         return super().render_str(printable_lines(text), **options)
 
 
-STYLES = {"ok": "green", "kept": "green", "bad": "red"}
+STYLES = {"ok": "green", "within": "green", "bad": "red"}
 """Colours of marked cells."""
 
 
