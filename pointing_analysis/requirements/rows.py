@@ -1,6 +1,6 @@
-"""Rows of the table of requirements: what the screen, the page, Markdown and JSON say of a verdict.
+"""Rows of the table of requirements: common content of screen, page, Markdown and JSON about a verdict.
 
-Each output is made of the same rows, so that none of them can say what another does not.
+All outputs are made from the same rows.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def shown_status(v: Verdict) -> str:
 
 
 WORST_FIRST = (DISTURBED, "not compliant", "not enough data", "not judged", WITHIN, "compliant")
-"""What is shown of a verdict, the worst first."""
+"""Shown statuses of a verdict, the worst first."""
 
 
 def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
@@ -55,12 +55,12 @@ def overall(verdicts: Sequence[Verdict], disturbed: str = "") -> str:
 
 @dataclass(frozen=True)
 class Beside:
-    """What else is known of a requirement in a run.
+    """Further results of a requirement in a run.
 
     Attributes
     ----------
     proven : bound that is proven for the loop and the tones that act, or stated to be; None where none is
-    unproven : what is said where the run is too short for a bound and none is proven
+    unproven : remark if the run is too short for a bound and none is proven
     disturbed : why the verdict is not of the loop alone; empty where it is
     """
 
@@ -154,7 +154,7 @@ class RequirementRow:
 
     @property
     def label(self) -> str:
-        """Judged quantity behind the name of the requirement, where that says more than its index."""
+        """Judged quantity after the name of the requirement, if it has more than the index."""
         return self.quantity if self.name in ("", self.index) else f"{self.name}: {self.quantity}"
 
     @property
@@ -169,12 +169,12 @@ class RequirementRow:
 
     @property
     def limit_text(self) -> str:
-        """Limit with its unit; a lower one says so."""
+        """Limit with its unit; a lower one is marked."""
         return with_unit(f"{'above ' if self.lower else ''}{self.limit:g}", self.unit)
 
     @property
     def bound_text(self) -> str:
-        """Bound of the quantile with its unit and its confidence; of a lower limit the lower one, which says so.
+        """Bound of the quantile with its unit and its confidence; of a lower limit the lower one, which is marked.
 
         Where the record shows none, the bound that is proven for the loop, or that there is none.
         """
@@ -247,7 +247,7 @@ class RequirementRow:
         }
 
     def _proven_dict(self) -> dict[str, Any]:
-        """Proven bound for JSON, rounded up; one that the bag states and nobody checked has another name."""
+        """Proven bound for JSON, rounded up; one that the bag states without a check has another name."""
         proven = self.beside.proven
         if proven is None:
             return {}

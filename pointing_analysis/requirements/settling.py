@@ -1,4 +1,4 @@
-"""How long the start-up of a run lasts that does not begin in its steady state, measured in its own record.
+"""Length of the start-up of a run that does not begin in its steady state, measured in its record.
 
 For each requirement the level of its index (the square of its samples, in `BLOCKS` blocks) is fitted by a constant and
 one decaying exponential, the slowest decay that is seen. Until the exponential is below `PART` of the level that is
@@ -69,7 +69,7 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
         series = make(run, None)
         seconds = series.start + start_up(series, requirement, named_tones(run))
     except ValueError:
-        return Settled(judge(requirement, [run], None))  # which says why
+        return Settled(judge(requirement, [run], None))  # with the reason
     whole = series.start + series.duration
     if seconds > 0.5 * whole:
         usual = judge(requirement, [run], None)
@@ -81,7 +81,7 @@ def judge_settled(requirement: Requirement, run: Recording, transient: float | N
     if seconds <= series.start:
         return Settled(judge(requirement, [run], None))
     left = math.ceil(seconds)
-    remark = f"{requirement.quantity}: the first {left} s are start-up, measured, and left out"
+    remark = f"{requirement.quantity}: the first {left} s are measured start-up and excluded"
     return Settled(judge(requirement, [run], float(left)), remark)
 
 

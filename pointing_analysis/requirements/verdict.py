@@ -40,13 +40,13 @@ __all__ = [
 ]
 
 ROUNDING = 1e-9
-"""What a count of samples that was computed may be off by rounding."""
+"""Rounding tolerance of a computed count of samples."""
 Status = Literal["compliant", "not compliant", "not enough data", "not judged"]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How runs stand against one requirement.
+    """Verdict of runs on one requirement.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Verdict:
     seconds : length of data that was used [s]
     seconds_needed : length of data that would decide, at the exceedance rate seen so far; infinite if none would
     note : why it was not judged, or how many samples are missing
-    missing : samples of the index that are missing in the judged span; `decide` says how they count
+    missing : samples of the index that are missing in the judged span; see `decide`
     """
 
     requirement: Requirement
@@ -108,7 +108,7 @@ class IndexSamples:
     values : those that are there [rad]
     effective : independent samples that their exceedances of a requirement's limit weigh as much as
     seconds : length of the data [s]
-    missing : samples missing; infinite where the recording was cut off and nothing says how many
+    missing : samples missing; infinite if the recording is truncated and their number is unknown
     """
 
     values: FloatArray
@@ -122,7 +122,7 @@ class IndexSamples:
 
 
 def run_samples(series: ErrorSeries, requirement: Requirement, optics: Optics | None = None) -> IndexSamples:
-    """Samples of the judged index of one run, whoever judges it: a recording, or a member of a campaign.
+    """Samples of the judged index of one run: a recording, or a member of a campaign.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def _norm(samples: FloatArray, requirement: Requirement) -> FloatArray:
 
 
 def not_judged(requirement: Requirement, why: str) -> Verdict:
-    """A verdict that says why there is none."""
+    """A verdict with the reason why there is none."""
     nothing = confidence.Quantile(requirement.probability, requirement.confidence, math.nan, math.nan, math.inf, 0.0)
     return Verdict(requirement, "not judged", math.nan, nothing, 0, 0.0, 0.0, math.nan, why)
 
@@ -319,7 +319,7 @@ def _missing_note(missing: float, total: float) -> str:
     if not missing:
         return ""
     if math.isinf(missing):
-        return "the recording was cut off, how much is missing is not known"
+        return "the recording is truncated: the missing part is not known"
     return f"{missing:.0f} of {total:.0f} samples are missing and count against the verdict"
 
 
@@ -347,7 +347,7 @@ def judge(requirement: Requirement, runs: Sequence[Recording], transient: float 
         worst_of = [_worst(one.values, requirement) for one in collected]
         known = [w for one, w in zip(collected, worst_of) if not one.missing or beyond_limit(np.array(w), requirement)]
         if not known:
-            return not_judged(requirement, "every run has missing samples: the worst instant of none is known")
+            return not_judged(requirement, "every run has missing samples: no worst instant is known")
         worst = np.array(known)
         return decide(requirement, worst, len(worst), seconds, float(len(collected) - len(known)))
     if requirement.interpretation == "mixed":

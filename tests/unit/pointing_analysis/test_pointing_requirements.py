@@ -82,7 +82,7 @@ def test_files(tmp_path) -> None:
         ("x = [", "must be TOML"),
         ("a = 1", "a list 'requirement'"),
         ("requirement = [1]", "whose entries have a 'text'"),
-        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be of text, name, loop"),
+        (f'[[requirement]]\ntext = "{line}"\nlimit = 3', "keys must be among text, name, loop"),
     ):
         toml.write_text(content)
         with pytest.raises(RequirementError, match=message):

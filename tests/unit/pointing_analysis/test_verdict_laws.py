@@ -185,7 +185,7 @@ def test_words_of_a_verdict(changes: dict[str, Any], keeps: bool, statement: str
 
 def test_notes_of_missing_samples() -> None:
     assert decide(LOOSE, samples(9, 0), 9, 1.0, 3.0).note == "3 of 12 samples are missing and count against the verdict"
-    assert "cut off" in decide(LOOSE, samples(9, 0), 9, 1.0, math.inf).note
+    assert "truncated" in decide(LOOSE, samples(9, 0), 9, 1.0, math.inf).note
 
 
 def test_temporal_counts_the_worst_run() -> None:

@@ -1,4 +1,4 @@
-"""How a campaign stands against the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
+"""Verdicts of a campaign on the pointing requirements, in the three interpretations of ECSS-E-ST-60-10C.
 
 =============  =====================================================================================================
 ensemble       the worst instant of each member is one sample: so many members are within the limit at all times
@@ -11,12 +11,12 @@ The worst instant, the quantile and the share above a limit are columns of the d
 those in place of instants. Under a lower limit the worst is the smallest, and what is below the limit counts.
 
 **Confidence.** Members are independent; bounds are Clopper and Pearson's (:mod:`pointing_analysis.indices.confidence`).
-The instants of a member weigh as many as its exceedances leave (:mod:`pointing_analysis.indices.exceedances`), and all
-of them together as many as their scatter from member to member. A temporal verdict has two steps, each at the
+The instants of a member count as its effective samples (:mod:`pointing_analysis.indices.exceedances`), and all of them
+together by their scatter from member to member. A temporal verdict has two steps, each at the
 confidence of the requirement: on each member from its run, and on all telescopes from the members. A member counts as
-kept only where its own run proves it. Members that are no random draws speak for themselves alone: there are no bounds
-then, and all of them must be proven. A member that diverged is beyond every limit, and so is one whose
-metric is not known; one that failed for another reason is left out and counted.
+compliant only if its own run proves it. Members that are not random draws have no bounds, and all of them must be
+proven. A member that diverged, or whose metric is not known, exceeds every limit; one that failed for another reason is
+excluded and counted.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from titop_plant.telescope.requirements import window_length, window_probability
 LOST = ("unstable", "diverged")
 """Statuses of members that are beyond every limit."""
 
-PRE = "the PRE compares several runs, a campaign has one of each member"
+PRE = "the PRE compares several runs, a campaign has one per member"
 """Why there is no verdict on the PRE."""
 
 
@@ -250,7 +250,7 @@ def _known(own: FloatArray, requirement: Requirement) -> list[str]:
 
 
 def _above(values: FloatArray, requirement: Requirement) -> int:
-    """How many values, in the unit of the columns, exceed the limit."""
+    """Number of values, in the unit of the columns, above the limit."""
     limit = requirement.limit / column_unit(requirement)[1]
     return int(np.sum(values <= limit if requirement.lower else values >= limit))
 

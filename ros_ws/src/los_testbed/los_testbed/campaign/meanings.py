@@ -1,4 +1,4 @@
-"""Columns of metrics of a campaign: the names of those that a requirement has, and what each is, in a few words."""
+"""Columns of metrics of a campaign: names of those of a requirement, and short descriptions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MEANINGS = {
 }
 
 RANKED = {"time": "rpe_window_p997_mas", "model": "total_mas"}
-"""Metric by which the members of a depth are ranked: the one that the limits of the relative error are for."""
+"""Metric by which the members of a depth are ranked: that of the limits of the relative error."""
 
 SCENARIOS = {
     "unit_norm": "several tones act at once, at the frequencies where the telescope on its isolator is worst. Their "
@@ -47,11 +47,11 @@ SCENARIOS = {
     "worst_case": "one tone of norm 1 acts, the worst one of the member",
     "none": "no tones of a scenario act",
 }
-"""What disturbs the members of a simulated campaign."""
+"""Disturbances of the members of a simulated campaign."""
 
 
 def scenario_text(scenario: str, depth: str, sources: Sequence[str] = ()) -> str:
-    """What the members of a campaign are exposed to, with the sources of the parameter file.
+    """Disturbances of the members of a campaign, with the sources of the parameter file.
 
     Examples
     --------
@@ -188,7 +188,7 @@ def _frequency(frequency: SpatialFrequency) -> str:
 
 
 def _digits(value: float, places: int, tolerance: float) -> str:
-    """A few significant digits, or as many as tell it from others where those differ by more than a tolerance."""
+    """A few significant digits, or as many as distinguish it from others beyond a tolerance."""
     short = f"{value:.{places}g}"
     return short if math.isclose(float(short), value, rel_tol=tolerance) else f"{value:.15g}"
 

@@ -1,4 +1,4 @@
-"""Verdicts on designs under the sources of disturbance of their telescope's file, which no tuning sees."""
+"""Verdicts on designs under the disturbance sources of their telescope's file, which the tuning does not consider."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Mission:
 
     @property
     def statements(self) -> list[str]:
-        """What the controllers, tuned without the sources, do under them."""
+        """Performance under the sources of controllers tuned without them."""
         names = ", ".join(self.sources)
         return [
             f"the tuning does not consider {names}: {stage}, {member}, RPE {digits(closed)} mas rms under them, "
@@ -129,7 +129,7 @@ NO_MISSION = Mission()
 
 
 def sources_of_mission(parameters: str | None) -> tuple[str, ...]:
-    """Names of the sources of a telescope's file; refuses, before hours of work, those that no run can have.
+    """Names of the sources of a telescope's file; rejects unusable ones before hours of computation.
 
     Raises
     ------
@@ -195,6 +195,6 @@ def _judged(config: RunConfig, stage: str, member: str) -> tuple[list[MissionVer
 
 
 def show_mission(mission: Mission) -> None:
-    """Write to the error output what the tuning does not see, with the numbers."""
+    """Write to the error output what the tuning does not consider, with the numbers."""
     for text in mission.statements:
         sys.stderr.write(f"sources: {text}\n")

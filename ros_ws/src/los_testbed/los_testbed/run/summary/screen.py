@@ -1,4 +1,4 @@
-"""What is printed: names and paths of others as they are, whatever they look like."""
+"""Terminal output: foreign names and paths are printed literally."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def worst_tone_of(run: Run) -> WorstToneRun | None:
 
 
 def level(summary: Summary, index: str, omega: float, errors: float = 0.0) -> float:
-    """What the limits of an index are compared with: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
+    """Level that is compared with the limits of an index: 99.7 % of the APE [arcsec]; tone and noise of the RPE [mas].
 
     `omega` is the frequency of the tone [rad/s]; `errors` standard errors of the record's noise are added to the noise
     of the RPE.
