@@ -212,7 +212,7 @@ def test_a_rig_that_is_not_predicted_has_the_reason_in_its_report(late, tmp_path
         ({"files": {"k_pma.json": b"{}"}}, ["k_pma.json"]),
         ({"files": {"run.yaml": b"durtion: 3.0"}}, ["durtion"]),
         ({"files": {"run.yaml": b"- 1"}}, []),
-        ({"plant_parameters_hash": "123456789012"}, ["figures", "no longer"]),
+        ({"plant_parameters_hash": "123456789012"}, ["telescope", "changed"]),
     ],
     ids=["controller gone", "no controller", "unknown name", "no table", "another telescope"],
 )
